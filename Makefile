@@ -1,0 +1,48 @@
+# `make demo` and `make test` set up all they need in .venv; a repeated call finds it there.
+PYTHON ?= python3
+WORKERS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
+
+.PHONY: help install demo test lint clean
+
+help:
+	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
+	@echo "make test     run the tests"
+	@echo "make lint     check style and format"
+	@echo "make install  everything for development into $(VENV)"
+	@echo "make clean    remove $(VENV) and the demo"
+	@echo "PYTHON=python3.12 chooses another interpreter (3.11 or newer) for $(VENV)."
+
+install: $(VENV)/.development
+
+demo: $(VENV)/.use
+	$(BIN)/invdyn demo --out demo
+
+# One thread a worker: the tests' arrays are small, and threads of several workers only get in each other's way.
+test: $(VENV)/.development
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
+
+lint: $(VENV)/.development
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+clean:
+	rm -rf $(VENV) demo
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "invdyn needs Python 3.11 or newer, $(PYTHON) is `$(PYTHON) --version`: make PYTHON=…" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
+
+# Stamps: installed once, and again when what is asked for has changed.
+$(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing into $(VENV); minutes, the first time."
+	$(PIP) -e '.[video]'
+	@touch $@
+
+$(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing into $(VENV); minutes, the first time."
+	$(PIP) -e '.[dev,robots,video,tracks]'
+	@touch $(VENV)/.use $@

@@ -1,0 +1,50 @@
+"""How it is learned: guides, filters, smoothing, hyperparameters, and the posterior as InferenceData."""
+
+from invdyn.inference.bootstrap import Bootstrap
+from invdyn.inference.controlled import Controlled
+from invdyn.inference.marginal_likelihood import Fit, Free, fit
+from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.infer import METHODS, free_parameters, infer
+from invdyn.inference.initialise import Problem, arm_problem
+from invdyn.inference.nested import OuterWeights, outer_weights
+from invdyn.inference.particle_filter import FilterResult, ParticleFilter
+from invdyn.inference.posterior import load_posterior, pooled, save_posterior, summarise
+from invdyn.inference.posterior_linearisation import posterior_linearisation
+from invdyn.inference.proposal import Proposal
+from invdyn.inference.resampling import RESAMPLERS, ess, resample
+from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters, smc
+from invdyn.inference.smoothing import backward_simulation, genealogy
+
+__all__ = [
+    "METHODS",
+    "RESAMPLERS",
+    "Bootstrap",
+    "Controlled",
+    "FilterResult",
+    "Fit",
+    "Free",
+    "GaussianSmoother",
+    "OuterWeights",
+    "ParticleFilter",
+    "Problem",
+    "Proposal",
+    "SMCOptions",
+    "arm_problem",
+    "backward_simulation",
+    "ess",
+    "fit",
+    "free_parameters",
+    "gauss_newton",
+    "gaussian_smoother",
+    "genealogy",
+    "infer",
+    "load_posterior",
+    "outer_weights",
+    "pooled",
+    "posterior_linearisation",
+    "resample",
+    "run_filters",
+    "save_posterior",
+    "smc",
+    "summarise",
+]

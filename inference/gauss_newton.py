@@ -1,0 +1,216 @@
+"""The path of highest posterior density, and the Gaussian around it.
+
+Gauss–Newton (iterated extended Kalman) smoother with Levenberg–Marquardt damping: Bell (1994),
+"The iterated Kalman smoother as a Gauss–Newton method"; Särkkä & Svensson (2020),
+"Levenberg–Marquardt and line-search extended Kalman smoothers". At the current path x̄ the
+transition and the emission are linearised,
+
+    x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
+
+and the linear problem is solved exactly by the recursions of :mod:`.square_root`. A step that
+does not raise log p(x, y) is repeated with damping rows √μ (x_t − x̄_t)/s.
+
+With the last linearisation come the Laplace-type evidence (exact for linear-Gaussian models) and the
+factors ψ_t that the controlled guide twists by.
+
+Shapes: observations (T, O), path (…, T, D); the leading dimensions are many parameter sets of
+one model, each with its own path and damping. All in float64.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.square_root import (
+    BackwardFactors,
+    backward,
+    forward_covariance,
+    forward_mean,
+)
+from invdyn.models.missing import gaussian_rows
+from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
+
+
+@dataclass
+class Linearisation:
+    """A model along a path, in deviations from it; shapes as in :mod:`.square_root`, plus constants (…)."""
+
+    F: np.ndarray
+    a: np.ndarray
+    L: np.ndarray
+    E: np.ndarray
+    e: np.ndarray
+    m0: np.ndarray
+    log_constant: np.ndarray
+    V: np.ndarray | None = None
+
+
+@dataclass
+class GaussianSmoother:
+    """Result of :func:`gauss_newton`.
+
+    Attributes:
+        path: (…, T, D) the mode.
+        factors: ψ_t and friends, relative to ``path``.
+        linearisation: at ``path``.
+        log_evidence: (…) log of the linearised model's evidence.
+        log_joint: (…) log p(path, y).
+        converged: (…) bool.
+    """
+
+    path: Tensor
+    factors: BackwardFactors
+    linearisation: Linearisation
+    log_evidence: Tensor
+    log_joint: Tensor
+    converged: Tensor
+
+    def covariance(self) -> Tensor:
+        """Marginal posterior covariances (…, T, D, D)."""
+        return torch.as_tensor(forward_covariance(self.factors))
+
+
+def jacobian(function, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P), by one backward pass."""
+    with torch.enable_grad():
+        size = function(x).shape[-1]
+        copies = x.detach().expand(size, *x.shape).clone().requires_grad_()
+        value = function(copies)
+        # Copy i contributes output i only, so one gradient holds all rows.
+        picked = value.diagonal(dim1=0, dim2=-1).sum()
+        rows = torch.autograd.grad(picked, copies)[0]
+    return value[0].detach(), rows.movedim(0, -2)
+
+
+def emission_mean(model: StateSpaceModel, state: Tensor, rows: Tensor) -> Tensor:
+    """Location (…, T, O) of the emission along states (…, T, D)."""
+    emission = model.emission(state, rows)
+    return getattr(emission, "base_dist", emission).loc
+
+
+def prior_chain(model: StateSpaceModel, path: Tensor) -> tuple[Tensor, Tensor]:
+    """Noise roots L (…, T, D, D) and prior mean m_0 − x̄_0 (…, D) of a model along ``path``."""
+    rows = torch.arange(path.shape[-2])
+    batch, dim = path.shape[:-2], path.shape[-1]
+    with torch.no_grad():
+        mean, first = gaussian_moments(model.initial())
+        _, root = gaussian_moments(model.transition(path[..., :-1, :], rows[1:]))
+    # Parameter sets carry a row axis of length one; a single set carries none.
+    mean = mean.reshape(*mean.shape[:-1], 1, dim) if mean.ndim == 1 else mean
+    first = first.reshape(1, dim, dim) if first.ndim == 2 else first
+    root = root.expand(*batch, len(rows) - 1, dim, dim)
+    L = torch.cat([first.expand(*batch, 1, dim, dim), root], -3)
+    return L, (mean - path[..., :1, :]).squeeze(-2)
+
+
+def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Linearisation:
+    """Linearise ``model`` along ``path`` (…, T, D) by tangents."""
+    rows = torch.arange(path.shape[-2])
+    predicted, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :])
+    h, H = jacobian(lambda x: emission_mean(model, x, rows), path)
+    L, m0 = prior_chain(model, path)
+    with torch.no_grad():
+        emission = model.emission(path, rows)
+        whitening, constant = gaussian_rows(emission, observations)
+    residual = torch.where(torch.isnan(observations), 0.0, observations - h)
+    if isinstance(emission, torch.distributions.MultivariateNormal):
+        E, e = whitening @ H, (whitening @ residual.unsqueeze(-1)).squeeze(-1)
+    else:
+        E, e = whitening.unsqueeze(-1) * H, whitening * residual
+    pieces = (F, predicted - path[..., 1:, :], L, E, e, m0, constant.sum(-1))
+    return Linearisation(*(piece.detach().numpy() for piece in pieces))
+
+
+def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
+    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) is given."""
+    E, e = linear.E, linear.e
+    if damping is not None and np.any(damping > 0):
+        dim = E.shape[-1]
+        rows = np.sqrt(damping)[..., None, None, None] * np.diag(1 / scale)
+        rows = np.broadcast_to(rows, (*E.shape[:-2], dim, dim))
+        E = np.concatenate([E, rows], -2)
+        e = np.concatenate([e, np.zeros((*e.shape[:-1], dim))], -1)
+    return backward(linear.F, linear.a, linear.L, E, e, linear.m0, linear.V)
+
+
+def gauss_newton(
+    model: StateSpaceModel,
+    observations: Tensor,
+    *,
+    start: Tensor | None = None,
+    max_iterations: int = 50,
+    tolerance: float = 1e-3,
+) -> GaussianSmoother:
+    """Find the mode of p(x_{0:T} | y) and the Gaussian around it.
+
+    Without a ``start`` it is found by a homotopy: all of the model's candidate paths are improved
+    under relaxed dynamics, the best one is kept, and the dynamics are tightened step by step.
+    Stiff dynamics (ε ≪ 1) would otherwise make every Gauss–Newton step a bad one.
+
+    Args:
+        model: with Gaussian transition noise; parameters (…, 1, own shape) for batches.
+        observations: (T, O), NaN where missing.
+        start: path (…, T, D) to begin at.
+        max_iterations: linearisations at most, at the last stage.
+        tolerance: stop when a step gains less than this, in nats.
+
+    Raises TypeError for a transition or emission that has no Gaussian approximation here, and
+    ValueError when the starting path has no finite density.
+    """
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
+    if start is None:
+        start = _by_homotopy(model, observations)
+    path, merit, done = _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)
+    linear = linearise(model, path, observations)
+    factors = solve(linear)
+    evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
+    return GaussianSmoother(path, factors, linear, evidence, merit, done)
+
+
+def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
+    path = model.initial_paths(observations)
+    for amount in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
+        relaxed = model.relaxed(amount)
+        if relaxed is model:
+            return path[0]
+        path, merit, _ = _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)
+        if path.ndim == 3:  # candidates part ways in how often they wind round: the best one is plain at once
+            path = path[merit.nan_to_num(-torch.inf).argmax()]
+    return path
+
+
+def _ascend(
+    model: StateSpaceModel, observations: Tensor, path: Tensor, max_iterations: int, tolerance: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged."""
+    batch = path.shape[:-2]
+    scale = gaussian_moments(model.initial())[1]
+    scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
+    with torch.no_grad():
+        merit = model.log_joint(path, observations)
+    if not bool(torch.isfinite(merit).any()):
+        raise ValueError("the starting path has no finite density: check noise scales and units")
+    damping = np.zeros(batch)
+    done = torch.zeros(batch, dtype=torch.bool)
+    linear = linearise(model, path, observations)
+    for _ in range(max_iterations):
+        factors = solve(linear, damping, scale)
+        candidate = path + torch.as_tensor(forward_mean(factors, linear.m0))
+        with torch.no_grad():
+            reached = model.log_joint(candidate, observations).nan_to_num(-torch.inf)
+        gain = reached - merit
+        better = (gain >= 0) & ~done
+        path = torch.where(better[..., None, None], candidate, path)
+        merit = torch.where(better, reached, merit)
+        damping = np.where(better.numpy(), damping / 10, np.maximum(damping, 1e-5) * 10)
+        damping = np.where(damping < 1e-4, 0.0, damping)
+        # A step that gains nothing, or none that can, ends the search.
+        done = done | (better & (gain < tolerance)) | (gain.abs() < 1e-9) | torch.as_tensor(damping > 1e12)
+        if bool(done.all()):
+            break
+        if bool(better.any()):
+            linear = linearise(model, path, observations)
+    return path, merit, done

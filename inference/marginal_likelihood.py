@@ -1,0 +1,194 @@
+"""Parameters by marginal likelihood: noise scales, λ, σ_τ, σ_y, link lengths, when not given.
+
+Maximises  log p(y | φ) + log p(φ)  over log-parameters φ = log(θ / θ_start), with p(φ) a wide
+Gaussian around the start (a factor of e^±sd), by Newton's method in a trust region. The evidence
+is that of the posterior-linearised model (:mod:`.posterior_linearisation`), which on planar arms
+lies within about a nat of the SMC evidence. Gradient and Hessian come by finite differences
+in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised
+over, and run through one backward recursion together. Link lengths are known a hundred times
+better than noise scales: a first-order or quasi-Newton method crawls here.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import BFGS, minimize
+from torch import Tensor
+
+from invdyn.inference.gauss_newton import gauss_newton, solve
+from invdyn.inference.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.models.state_space import StateSpaceModel
+
+STEP = 0.03
+"""Half the width of a central difference, in log-parameter units."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """One parameter to be fitted: all of its entries separately, or ``tied`` to one common factor.
+
+    ``sd`` is the prior's standard deviation of log(θ/θ_start).
+    """
+
+    name: str
+    tied: bool = False
+    sd: float = 2.0
+
+
+@dataclass
+class Fit:
+    """Result of :func:`fit`.
+
+    Attributes:
+        model: with the fitted parameters.
+        log_evidence: of the linearised model at the optimum.
+        path: (T, D) mode, a warm start for what follows.
+        log_sd: per parameter, posterior sd of the log of its entries (Laplace).
+        converged: whether the optimiser met its tolerance.
+    """
+
+    model: StateSpaceModel
+    log_evidence: float
+    path: Tensor
+    log_sd: dict[str, np.ndarray]
+    converged: bool
+
+
+class _Objective:
+    """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
+
+    def __init__(self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None):
+        self.model, self.observations, self.free = model, observations, tuple(free)
+        sizes = [1 if f.tied else model.parameters[f.name].numel() for f in self.free]
+        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
+        self.path = start
+        self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
+
+    def at(self, phi: np.ndarray) -> StateSpaceModel:
+        """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape)."""
+        values = {}
+        for f, index in zip(self.free, self.slices, strict=True):
+            start = self.model.parameters[f.name]
+            factor = torch.as_tensor(np.exp(phi[..., index])).to(start)
+            if phi.ndim == 2:
+                factor = factor.unsqueeze(-2)
+            values[f.name] = start * (factor if f.tied else factor.reshape(*factor.shape[:-1], *start.shape))
+        return self.model.replace(**values)
+
+    def value(self, phi: np.ndarray) -> float:
+        """Negative log-posterior."""
+        return self._evaluate(phi)[0]
+
+    def gradient(self, phi: np.ndarray) -> np.ndarray:
+        """(P,)."""
+        return self._evaluate(phi)[1]
+
+    def hessian(self, phi: np.ndarray) -> np.ndarray:
+        """(P, P)."""
+        return self._evaluate(phi)[2]
+
+    def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        if self._known is None or self._known[0] != phi.tobytes():
+            try:
+                self._known = (phi.tobytes(), self._expand(phi))
+            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                if self.path is None:
+                    raise
+                # Out of the linearisation's reach: the trust region shrinks.
+                return 1e10, np.zeros_like(phi), np.eye(len(phi))
+        return self._known[1]
+
+    def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Value, gradient and Hessian at φ."""
+        model, size = self.at(phi), len(phi)
+        mode = gauss_newton(model, self.observations, start=self.path, max_iterations=15)
+        if self.path is not None and not bool(mode.converged):
+            mode = gauss_newton(model, self.observations)
+        # One pass: more of them can run away where the posterior is very wide.
+        smoother = posterior_linearisation(model, self.observations, mode, 1)
+        # The mode obeys the dynamics and the posterior's mean does not quite: start from the mode next time.
+        self.path = mode.path
+
+        unit = STEP * np.eye(size)
+        first, second = np.triu_indices(size, 1)
+        shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
+        path = smoother.path.expand(len(shifts), *smoother.path.shape)
+        covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
+        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance)
+        evidence = solve(linear).log_evidence + linear.log_constant
+        middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
+        gradient = (up - down) / (2 * STEP)
+        hessian = np.diag((up + down - 2 * middle) / STEP**2)
+        cross = (pairs - up[first] - up[second] + middle) / STEP**2
+        hessian[first, second] = hessian[second, first] = cross
+        precision = 1 / self.sd**2
+        value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
+        return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
+
+
+def fit(
+    model: StateSpaceModel,
+    observations: Tensor,
+    free: Sequence[Free],
+    *,
+    start: Tensor | None = None,
+    max_iterations: int = 40,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fit:
+    """Fit the ``free`` parameters; all must be positive.
+
+    Args:
+        model: at its starting parameters, which are also the prior's centre.
+        observations: (T, O), NaN where missing.
+        free: what to fit.
+        start: path (T, D) to linearise at first.
+        max_iterations: of the optimiser.
+        progress: called with (iterations done, max_iterations).
+
+    Raises KeyError for a parameter that the model does not have.
+    """
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
+    model.replace(**{f.name: model.parameters.get(f.name) for f in free})  # checks the names
+    if not free:
+        smoother = posterior_linearisation(
+            model, observations, gauss_newton(model, observations, start=start)
+        )
+        return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True)
+    objective = _Objective(model, observations, free, start)
+    reached: list[float] = []
+
+    def report(intermediate_result):
+        reached.append(intermediate_result.fun)
+        if progress is not None:
+            progress(min(len(reached), max_iterations), max_iterations)
+        if len(reached) > 3 and reached[-4] - reached[-1] < 0.05:
+            raise StopIteration  # three steps, and nothing that the data could tell
+
+    result = minimize(
+        objective.value,
+        np.zeros(len(objective.sd)),
+        jac=objective.gradient,
+        hess=objective.hessian,
+        method="trust-exact",
+        callback=report,
+        options={"maxiter": max_iterations, "initial_trust_radius": 0.5, "max_trust_radius": 1.5, "gtol": 0.3},
+    )
+    value, _, hessian = objective._evaluate(result.x)
+    log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
+    return Fit(
+        objective.at(result.x), log_evidence, objective.path, _laplace(objective, hessian), bool(result.success) or len(reached) < max_iterations
+    )
+
+
+def _laplace(objective: _Objective, hessian: np.ndarray) -> dict[str, np.ndarray]:
+    """Standard deviations of φ from the Hessian at the optimum."""
+    # Directions in which it is not yet convex fall back to the prior's own curvature.
+    values, vectors = np.linalg.eigh(hessian)
+    values = np.maximum(values, 1 / objective.sd.max() ** 2)
+    sd = np.sqrt(np.diagonal(vectors / values @ vectors.T))
+    return {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)}
+

@@ -1,0 +1,323 @@
+"""Particle filters: many at once, with the evidence, as a subclass of Pyro's ``SMCFilter``.
+
+Chopin & Papaspiliopoulos (2020), algorithm 10.2 (guided particle filter with adaptive
+resampling), extended by a twist (Heng et al. 2020): a guide may state log ψ̃_t(x_t), how well x_t
+fits what is yet to come, and the filter then targets p(x_{0:t} | y_{0:t}) ψ̃_t(x_t):
+
+    log w_t = log W_{t−1} + log p(x_t | x_{t−1}) / q(x_t) + log g(y_t | x_t) + log ψ̃_t(x_t) − log ψ̃_{t−1}(x_{t−1})
+    log Ẑ  += log Σ_n w_t^n ,   W_t = w_t / Σ w_t ,   resample when 1/Σ W² < threshold · N
+
+ψ̃_T = 1, so the evidence is unbiased, E[Ẑ] = Z, whatever the guide and whenever it resamples.
+
+Two ways in, one set of weights:
+
+* ``init(…)``/``step(…)``: any Pyro model and guide pair, as with :class:`pyro.infer.SMCFilter`
+  (which drops the evidence and the ancestors and runs one filter only);
+* ``run(observations)``: a :class:`StateSpaceModel` and a :class:`Proposal`, without the
+  bookkeeping of Pyro traces.
+
+Shapes: M filters × N particles in one tensor (M, N, …); with ``num_filters=None`` one filter of
+plain Pyro shapes (N, …).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import pyro
+import torch
+from pyro import poutine
+from pyro.infer import SMCFilter
+from pyro.infer.smcfilter import SMCFailed, SMCState
+from pyro.poutine.util import prune_subsample_sites
+from torch import Tensor
+
+from invdyn.inference.proposal import Particles, Proposal
+from invdyn.inference.resampling import ess, resample
+from invdyn.models.missing import observed_log_prob
+
+
+@dataclass
+class FilterResult:
+    """What a run leaves. M filters, N particles, T rows, of which the last W were kept.
+
+    Attributes:
+        log_evidence: (M,) log p̂(y_{0:T}), float64.
+        log_evidence_increment: (T, M) log p̂(y_t | y_{0:t}) under the twisted targets.
+        ess: (T, M) effective sample size before resampling.
+        resampled: (T, M) bool, whether row t's particles were resampled after weighting.
+        states: (W, M, N, D) particles of the last W rows, before resampling.
+        log_weights: (W, M, N) their normalised log-weights.
+        log_twist: (W, M, N) log ψ̃_t(x_t), to be subtracted for the untwisted filter; or None.
+        ancestors: (W, M, N) index at the row before of each particle's parent (row 0: itself).
+    """
+
+    log_evidence: Tensor
+    log_evidence_increment: Tensor
+    ess: Tensor
+    resampled: Tensor
+    states: Tensor
+    log_weights: Tensor
+    log_twist: Tensor | None
+    ancestors: Tensor
+
+
+@dataclass
+class _History:
+    """The last ``keep`` rows, and one number per row and filter for all of them."""
+
+    keep: int
+    increments: list[Tensor] = field(default_factory=list)
+    ess: list[Tensor] = field(default_factory=list)
+    resampled: list[Tensor] = field(default_factory=list)
+    rows: list[tuple[Tensor, ...]] = field(default_factory=list)
+
+    def add_row(self, row: tuple[Tensor, ...]) -> None:
+        self.rows.append(row)
+        if len(self.rows) > self.keep:
+            self.rows.pop(0)
+
+
+class ParticleFilter(SMCFilter):
+    """M particle filters of N particles each.
+
+    Args:
+        model, guide: Pyro objects with ``init`` and ``step``, or a :class:`StateSpaceModel` and a
+            :class:`Proposal`.
+        num_particles: N.
+        max_plate_nesting: as in Pyro; 0 for state-space models.
+        num_filters: M, or None for one filter of Pyro's own shapes.
+        ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
+        resampling: "systematic", "stratified", "residual" or "multinomial".
+    """
+
+    def __init__(
+        self,
+        model,
+        guide,
+        num_particles: int,
+        max_plate_nesting: int = 0,
+        *,
+        num_filters: int | None = None,
+        ess_threshold: float = 0.5,
+        resampling: str = "systematic",
+    ):
+        if not 0 < ess_threshold <= 1:
+            raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
+        if num_particles < 1 or (num_filters is not None and num_filters < 1):
+            raise ValueError("expected at least one particle and one filter")
+        super().__init__(model, guide, num_particles, max_plate_nesting, ess_threshold=ess_threshold)
+        self.num_filters = num_filters
+        self.resampling = resampling
+        self.batch = (num_particles,) if num_filters is None else (num_filters, num_particles)
+        self.state = FilterState(self.batch)
+        self._restart(keep=0)
+
+    def _restart(self, keep: int) -> None:
+        # float64 for weights and evidence, whatever the states' type.
+        self._log_weights = torch.full(self.batch, -torch.tensor(float(self.num_particles)).log().item())
+        self._log_weights = self._log_weights.double()
+        self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
+        self.ancestors = torch.arange(self.num_particles).expand(self.batch)
+        self._log_twist: Tensor | None = None
+        self._history = _History(keep)
+        self._parents = self.ancestors
+
+    # -- Pyro's way in -------------------------------------------------------------------------
+    def init(self, *args, **kwargs) -> None:
+        """Sample row 0 and weight it; arguments go to the model and the guide."""
+        self._restart(keep=0)
+        self.state = FilterState(self.batch)
+        self._traced("init", args, kwargs)
+
+    def step(self, *args, **kwargs) -> None:
+        """Sample the next row and weight it; arguments go to the model and the guide."""
+        self._traced("step", args, kwargs)
+
+    def _plates(self):
+        """Particle plate, inside a filter plate where there are several filters."""
+        dim = -1 - self.max_plate_nesting
+        particles = pyro.plate("particles", self.num_particles, dim=dim)
+        if self.num_filters is None:
+            return [particles]
+        return [pyro.plate("filters", self.num_filters, dim=dim - 1), particles]
+
+    def _traced(self, method: str, args, kwargs) -> None:
+        plates = self._plates()
+
+        def in_plates(function):
+            for plate in reversed(plates):
+                function = plate(function)
+            return function
+
+        with poutine.block():
+            with self.state._lock():
+                guide = in_plates(getattr(self.guide, method))
+                guide_trace = poutine.trace(guide).get_trace(self.state, *args, **kwargs)
+            model = poutine.replay(in_plates(getattr(self.model, method)), guide_trace)
+            model_trace = poutine.trace(model).get_trace(self.state, *args, **kwargs)
+        increment = self._trace_log_weight(model_trace, guide_trace)
+        if hasattr(self.guide, "log_twist"):
+            twist = self.guide.log_twist(self.state, len(self._history.increments))
+            increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
+            self._log_twist = twist
+        self._weigh(increment)
+        index = self._maybe_resample()
+        if index is not None:
+            self.state._resample(index)
+            if self._log_twist is not None:
+                self._log_twist = self._log_twist.gather(-1, index)
+
+    def _trace_log_weight(self, model_trace, guide_trace) -> Tensor:
+        """log p(x, y) − log q(x) per particle, from the traces of one step."""
+        model_trace, guide_trace = prune_subsample_sites(model_trace), prune_subsample_sites(guide_trace)
+        model_trace.compute_log_prob()
+        guide_trace.compute_log_prob()
+
+        def per_particle(log_prob: Tensor) -> Tensor:
+            return (
+                log_prob.expand(*self.batch, *log_prob.shape[len(self.batch) :])
+                .flatten(len(self.batch) - 1, -1)
+                .unflatten(-1, (self.num_particles, -1))
+                .sum(-1)
+            )
+
+        total = torch.zeros(self.batch)
+        for name, site in guide_trace.nodes.items():
+            if site["type"] == "sample" and not site["is_observed"]:
+                total = total - per_particle(site["log_prob"])
+                total = total + per_particle(model_trace.nodes[name]["log_prob"])
+        for name, site in model_trace.nodes.items():
+            if site["type"] != "sample":
+                continue
+            if site["is_observed"]:
+                total = total + per_particle(site["log_prob"])
+            elif name not in guide_trace.nodes:
+                raise ValueError(f"the model samples {name!r} but the guide does not: add it to the guide")
+        return total
+
+    # -- the fast way in -----------------------------------------------------------------------
+    @torch.no_grad()
+    def run(
+        self,
+        observations: Tensor,
+        *,
+        keep: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> FilterResult:
+        """Filter observations (T, O), NaN where missing.
+
+        Args:
+            observations: rows; fully missing rows only propagate.
+            keep: how many of the last rows to keep for smoothing (all by default). Memory is
+                keep × M × N × D numbers.
+            progress: called with (rows done, rows in all).
+
+        Raises SMCFailed when all particles of some filter have weight zero.
+        """
+        rows = len(observations)
+        self._restart(keep=rows if keep is None else keep)
+        shape = self.batch if self.num_filters is not None else (1, *self.batch)
+        if self.num_filters is None:
+            self._log_weights, self.log_evidence = self._log_weights[None], self.log_evidence[None]
+            self.ancestors = self._parents = self.ancestors[None]
+        guide: Proposal = self.guide
+        particles: Particles = {}
+        twist = 0.0
+        for t in range(rows):
+            particles, increment = guide.propose_initial(shape) if t == 0 else guide.propose(t, particles)
+            y = observations[t]
+            if bool((~torch.isnan(y)).any()):
+                increment = increment + observed_log_prob(self.model.emission(particles["x"], t), y)
+            if "log_twist" in particles:
+                increment = increment + particles["log_twist"] - twist
+                twist = particles["log_twist"]
+            self._weigh(increment)
+            if self._history.keep:
+                kept = (particles["x"], self._log_weights.to(particles["x"].dtype), self._parents.int())
+                self._history.add_row((*kept, *([twist] if "log_twist" in particles else [])))
+            index = self._maybe_resample(last=t == rows - 1)
+            if index is not None:
+                particles = {name: _take(value, index) for name, value in particles.items()}
+                twist = particles.get("log_twist", 0.0)
+            if progress is not None:
+                progress(t + 1, rows)
+        return self._result()
+
+    def _result(self) -> FilterResult:
+        history = self._history
+        columns = [torch.stack(column) for column in zip(*history.rows, strict=True)]
+        states, log_weights, ancestors, *twist = columns or [torch.empty(0)] * 3
+        return FilterResult(
+            log_evidence=self.log_evidence,
+            log_evidence_increment=torch.stack(history.increments),
+            ess=torch.stack(history.ess),
+            resampled=torch.stack(history.resampled),
+            states=states,
+            log_weights=log_weights,
+            log_twist=twist[0] if twist else None,
+            ancestors=ancestors,
+        )
+
+    # -- weights, evidence, resampling: shared -------------------------------------------------
+    def _weigh(self, increment: Tensor) -> None:
+        log_weights = self._log_weights + increment.double()
+        total = log_weights.logsumexp(-1)
+        if not bool(torch.isfinite(total).all()):
+            raise SMCFailed(
+                f"all particles of {int((~torch.isfinite(total)).sum())} filter(s) have weight zero or NaN at "
+                f"row {len(self._history.increments)}: the observation is out of the model's reach; use a larger "
+                "noise scale, more particles or the controlled guide"
+            )
+        self._log_weights = log_weights - total.unsqueeze(-1)
+        self.log_evidence = self.log_evidence + total
+        self._history.increments.append(total)
+
+    def _maybe_resample(self, last: bool = False) -> Tensor | None:
+        """Ancestors (…, N) where any filter must resample, else None; resets those filters' weights."""
+        size = ess(self._log_weights)
+        self._history.ess.append(size)
+        need = size < self.ess_threshold * self.num_particles
+        if last:
+            # The last row's weights are the posterior's: resampling them would only add noise.
+            need = torch.zeros_like(need)
+        self._history.resampled.append(need)
+        self.state._log_weights = self._log_weights
+        identity = torch.arange(self.num_particles, device=size.device).expand(self._log_weights.shape)
+        if not bool(need.any()):
+            self._parents = self.ancestors = identity
+            return None
+        index = torch.where(need.unsqueeze(-1), resample(self._log_weights, self.resampling), identity)
+        uniform = -torch.tensor(float(self.num_particles), dtype=torch.float64).log()
+        self._log_weights = torch.where(need.unsqueeze(-1), uniform.to(size.device), self._log_weights)
+        self.state._log_weights = self._log_weights
+        self._parents = self.ancestors = index
+        return index
+
+
+class FilterState(SMCState):
+    """Pyro's particle state with any number of leading batch dimensions, (M, N) or (N,)."""
+
+    def __init__(self, batch: tuple[int, ...]):
+        super().__init__(batch[-1])
+        self._batch = tuple(batch)
+        self._log_weights = torch.full(batch, -float(torch.tensor(float(batch[-1])).log())).double()
+
+    def __setitem__(self, key, value):
+        """Store a tensor whose leading dimensions are the batch; guides may not write."""
+        if self._locked:
+            raise RuntimeError("a guide cannot write to the particles' state: only the model can")
+        if not isinstance(value, Tensor) or tuple(value.shape[: len(self._batch)]) != self._batch:
+            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+            raise ValueError(f"expected state[{key!r}] to begin with dimensions {self._batch}, got {shape}")
+        dict.__setitem__(self, key, value)
+
+    def _resample(self, index: Tensor) -> None:
+        for key, value in self.items():
+            dict.__setitem__(self, key, _take(value, index))
+
+
+def _take(value: Tensor, index: Tensor) -> Tensor:
+    """Particles (…, N, *rest) at ``index`` (…, N)."""
+    rest = value.shape[index.ndim :]
+    expanded = index.reshape(*index.shape, *([1] * len(rest))).expand(*index.shape, *rest)
+    return value.gather(index.ndim - 1, expanded)

@@ -1,0 +1,173 @@
+"""Square-root information recursions on a linear-Gaussian chain.
+
+Paige & Saunders (1977), "Least squares estimation of discrete linear dynamic systems using
+orthogonal transformations"; Bierman (1977), ch. VI. The chain is
+
+    x_0 = m_0 + L_0 w_0,
+    m_{t+1} = F_t x_t + a_t + V_t v_t,   x_{t+1} = m_{t+1} + L_{t+1} w_{t+1},   v, w ~ N(0, I),
+    rows  E_t x_t ≈ e_t  with unit noise  (whitened observations).
+
+L is the model's own noise; V, optional, is the error of having linearised the prediction m.
+
+Backwards in time, everything that rows t … T−1 say about x_t is one Gaussian factor
+ψ_t(x) = exp(c_t − ½|U_t x − b_t|²). One step is two QR decompositions. The first eliminates w:
+
+    [ I        0        | 0 ]        [ R   B | r ]
+    [ U L      U        | b ]  =  Q  [ 0   A | α ]      (columns: w, m | right-hand side)
+
+    ∫ N(x'; m, L Lᵀ) ψ(x') dx' = exp(c − ½|A m − α|²) / |det R|
+    w given m  ~  N(R⁻¹(r − B m), (RᵀR)⁻¹)
+
+and the second eliminates v and folds in the rows E_t; its residual ρ goes to c:
+
+    [ I      0     | 0       ]        [ S   C | s ]
+    [ A V    A F   | α − A a ]  =  Q  [ 0   U | b ]      (columns: v, x | right-hand side)
+    [ 0      E     | e       ]        [ 0   0 | ρ ]
+
+Nothing is squared and nothing inverted but R and S, whose singular values are ≥ 1: L may be
+singular, observations as sharp as you like, and T as long as you like.
+
+Shapes: numpy float64 with any leading batch (…): F (…, T−1, D, D), a (…, T−1, D), L (…, T, D, D),
+V (…, T−1, D, J), E (…, T, O, D), e (…, T, O), m_0 (…, D). Coordinates may be deviations from a path.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class BackwardFactors:
+    """All ψ_t, and what a forward pass needs; see the top of the file.
+
+    Attributes:
+        U, b, log_c: (…, T, D, D), (…, T, D), (…, T): ψ_t(x) = exp(log_c_t − ½|U_t x − b_t|²).
+        A, alpha, log_n: likewise, ∫ N(x_t; m, L_t L_tᵀ) ψ_t = exp(log_n_t − ½|A_t m − α_t|²).
+        gain, offset, root: (…, T, D, D), (…, T, D), (…, T, D, D):
+            x_t given m_t is N(gain_t m_t + offset_t, root_t root_tᵀ).
+        F, a, spread: (…, T−1, …): m_{t+1} given x_t is N(F_t x_t + a_t, spread_t spread_tᵀ), all rows seen.
+        log_evidence: (…) log-integral of the whole chain, without the observations' own normalisers.
+    """
+
+    U: np.ndarray
+    b: np.ndarray
+    log_c: np.ndarray
+    A: np.ndarray
+    alpha: np.ndarray
+    log_n: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
+    root: np.ndarray
+    F: np.ndarray
+    a: np.ndarray
+    spread: np.ndarray
+    log_evidence: np.ndarray
+
+
+def backward(
+    F: np.ndarray,
+    a: np.ndarray,
+    L: np.ndarray,
+    E: np.ndarray,
+    e: np.ndarray,
+    m0: np.ndarray,
+    V: np.ndarray | None = None,
+) -> BackwardFactors:
+    """Run the recursion from the last row to the first."""
+    *batch, steps, rows, dim = E.shape
+    batch = tuple(batch)
+    extra = 0 if V is None else V.shape[-1]
+    U, b, log_c = (
+        np.zeros((*batch, steps, dim, dim)),
+        np.zeros((*batch, steps, dim)),
+        np.zeros((*batch, steps)),
+    )
+    A, alpha, log_n = np.zeros_like(U), np.zeros_like(b), np.zeros_like(log_c)
+    R, B, r = np.zeros_like(U), np.zeros_like(U), np.zeros_like(b)
+    S = np.zeros((*batch, steps - 1, extra, extra))
+    C, s = np.zeros((*batch, steps - 1, extra, dim)), np.zeros((*batch, steps - 1, extra))
+    inner, width = extra + dim, extra + dim + 1
+    fold = np.zeros((*batch, inner + max(rows, 1), width))
+    eliminate = np.zeros((*batch, 2 * dim, 2 * dim + 1))
+    eliminate[..., np.arange(dim), np.arange(dim)] = 1.0
+    carried = np.zeros(batch)
+    for t in range(steps - 1, -1, -1):
+        fold[...] = 0.0
+        fold[..., np.arange(extra), np.arange(extra)] = 1.0
+        if t < steps - 1:
+            later = A[..., t + 1, :, :]
+            if extra:
+                fold[..., extra:inner, :extra] = later @ V[..., t, :, :]
+            fold[..., extra:inner, extra:inner] = later @ F[..., t, :, :]
+            fold[..., extra:inner, inner] = alpha[..., t + 1, :] - _apply(later, a[..., t, :])
+        fold[..., inner : inner + rows, extra:inner] = E[..., t, :, :]
+        fold[..., inner : inner + rows, inner] = e[..., t, :]
+        triangle = np.linalg.qr(fold, mode="r")
+        U[..., t, :, :], b[..., t, :] = (
+            triangle[..., extra:inner, extra:inner],
+            triangle[..., extra:inner, inner],
+        )
+        log_c[..., t] = carried - 0.5 * triangle[..., inner, inner] ** 2
+        if extra and t < steps - 1:
+            S[..., t, :, :], C[..., t, :, :] = (
+                triangle[..., :extra, :extra],
+                triangle[..., :extra, extra:inner],
+            )
+            s[..., t, :] = triangle[..., :extra, inner]
+            log_c[..., t] -= _log_abs_det(S[..., t, :, :])
+
+        eliminate[..., dim:, :dim] = U[..., t, :, :] @ L[..., t, :, :]
+        eliminate[..., dim:, dim : 2 * dim] = U[..., t, :, :]
+        eliminate[..., dim:, 2 * dim] = b[..., t, :]
+        triangle = np.linalg.qr(eliminate, mode="r")
+        R[..., t, :, :] = triangle[..., :dim, :dim]
+        B[..., t, :, :] = triangle[..., :dim, dim : 2 * dim]
+        r[..., t, :] = triangle[..., :dim, 2 * dim]
+        A[..., t, :, :] = triangle[..., dim:, dim : 2 * dim]
+        alpha[..., t, :] = triangle[..., dim:, 2 * dim]
+        carried = log_n[..., t] = log_c[..., t] - _log_abs_det(R[..., t, :, :])
+
+    root = L @ np.linalg.inv(R)
+    gain, offset = np.eye(dim) - root @ B, _apply(root, r)
+    spread = np.zeros((*batch, steps - 1, dim, 0))
+    if extra:
+        spread = V @ np.linalg.inv(S)
+        F, a = F - spread @ C, a + _apply(spread, s)
+    misfit = _apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
+    log_evidence = log_n[..., 0] - 0.5 * (misfit**2).sum(-1)
+    return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, spread, log_evidence)
+
+
+def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
+    """Posterior mean path (…, T, D)."""
+    steps = factors.offset.shape[-2]
+    path = np.zeros_like(factors.offset)
+    predicted = m0
+    for t in range(steps):
+        path[..., t, :] = _apply(factors.gain[..., t, :, :], predicted) + factors.offset[..., t, :]
+        if t < steps - 1:
+            predicted = _apply(factors.F[..., t, :, :], path[..., t, :]) + factors.a[..., t, :]
+    return path
+
+
+def forward_covariance(factors: BackwardFactors) -> np.ndarray:
+    """Posterior marginal covariances (…, T, D, D); sums of squares, hence never indefinite."""
+    covariance = _square(factors.root)
+    covariance[..., 1:, :, :] += _square(factors.gain[..., 1:, :, :] @ factors.spread)
+    step = factors.gain[..., 1:, :, :] @ factors.F
+    for t in range(step.shape[-3]):
+        one = step[..., t, :, :]
+        covariance[..., t + 1, :, :] += one @ covariance[..., t, :, :] @ np.swapaxes(one, -1, -2)
+    return covariance
+
+
+def _square(root: np.ndarray) -> np.ndarray:
+    return root @ np.swapaxes(root, -1, -2)
+
+
+def _log_abs_det(triangle: np.ndarray) -> np.ndarray:
+    return np.log(np.abs(np.diagonal(triangle, axis1=-2, axis2=-1))).sum(-1)
+
+
+def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix @ vector[..., None])[..., 0]

@@ -1,0 +1,5 @@
+"""`python -m invdyn` is `invdyn`."""
+
+from .cli import app
+
+app(prog_name="invdyn")

@@ -1,0 +1,104 @@
+"""How the command line speaks: one clear line for an error, a bar for progress, nothing half-written.
+
+Exit codes: 0 done, 2 bad input (the user can mend it), 130 interrupted. Anything else is a bug of ours and
+shows its traceback.
+"""
+
+import errno
+import sys
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import typer
+from tqdm import tqdm
+from typer.core import TyperGroup
+
+BAD_INPUT, INTERRUPTED = 2, 130
+# typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
+UsageError = typer.BadParameter.__base__
+
+
+class Commands(TyperGroup):
+    """The commands' group, the one place where errors become a line on stderr and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with warnings.catch_warnings():
+            # ArviZ announces its version 1.0 once a day, to whoever imports it
+            warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
+            warnings.showwarning = _show_warning
+            try:
+                return super().invoke(ctx)
+            except KeyboardInterrupt:
+                _say("interrupted", "what was not finished was not written")
+                raise typer.Exit(INTERRUPTED) from None
+            except UsageError as error:
+                command = error.ctx.command_path if error.ctx else "invdyn"
+                _say("error", f"{error.format_message()} (see {command} --help)")
+            except OSError as error:
+                if error.errno == errno.EPIPE:  # whoever read our output has left
+                    raise
+                _say("error", f"{error.filename}: {error.strerror}" if error.filename else error)
+            except ValueError as error:
+                if not isinstance(error, _input_errors()):
+                    raise
+                _say("error", error)
+            raise typer.Exit(BAD_INPUT)
+
+
+def _input_errors() -> tuple[type[ValueError], ...]:
+    from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
+    from invdyn.recordings import InputError
+
+    return InputError, BodyError
+
+
+def _say(kind: str, message: object) -> None:
+    typer.echo(f"{kind}: {' '.join(str(message).split())}", err=True)
+
+
+def _show_warning(message: object, category: type[Warning], *_: object) -> None:
+    if issubclass(category, UserWarning | RuntimeWarning):  # the rest concerns programmers
+        _say("warning", message)
+
+
+class ProgressBar:
+    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm | None = None
+        self._what = ""
+
+    def __enter__(self) -> "ProgressBar":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        """Show that `done` of `total` steps of `what` are done."""
+        if self._bar is None or self._what != what:
+            self.__exit__()
+            self._bar, self._what = tqdm(total=total, desc=what, file=sys.stderr, disable=None), what
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
+    """Raise OSError or InputError unless each output can be written and has a path of its own."""
+    from invdyn.recordings import InputError, check_writable
+
+    read = {path.resolve() for path in inputs}
+    taken: set[Path] = set()
+    for path in outputs:
+        if path is None:
+            continue
+        target = check_writable(path)
+        if target in read:
+            raise InputError(f"{path}: this output would overwrite an input; give it another name")
+        if target in taken:
+            raise InputError(f"{path}: two outputs have this name; give each its own")
+        taken.add(target)

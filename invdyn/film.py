@@ -1,0 +1,196 @@
+"""A film of the arm: observed and predicted joints above, the torques with a moving time line below.
+
+The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
+so that it costs milliseconds. The film plays at the recording's own speed. GIF by Pillow, MP4 by
+imageio-ffmpeg (extra `video`).
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import arviz as az
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from invdyn.inference import pooled
+from invdyn.recordings import InputError, atomic_path
+
+from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles
+
+FILM_SUFFIXES = (".gif", ".mp4")
+FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
+MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
+ARMS = 30  # posterior draws shown as faint arms
+TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
+
+
+def save_film(
+    idata: az.InferenceData, path: str | Path, progress: Callable[[int, int, str], None] | None = None
+) -> None:
+    """Write the film as `path` says (.gif or .mp4), whole or not at all; `progress(done, total, what)`.
+
+    Raises:
+        InputError: another suffix, or .mp4 without imageio-ffmpeg.
+        OSError: the place cannot be written.
+    """
+    check_film(path)
+    time = idata.posterior["time"].values
+    shown = shown_frames(time)
+    frames = film_frames(idata, shown, progress)
+    with atomic_path(path) as temporary:
+        write = write_gif if temporary.suffix == ".gif" else write_mp4
+        write(frames, time[shown], temporary)
+
+
+def check_film(path: str | Path) -> None:
+    """Raise InputError when a film of this suffix cannot be made here; call it before a long run."""
+    suffix = Path(path).suffix
+    if suffix not in FILM_SUFFIXES:
+        raise InputError(f"{path}: a film ends in {' or '.join(FILM_SUFFIXES)}, got '{suffix}'")
+    if suffix == ".mp4":
+        try:
+            import imageio_ffmpeg  # noqa: F401
+        except ImportError:
+            raise InputError(f"{path}: mp4 needs `pip install 'invdyn[video]'`; .gif works without") from None
+
+
+def shown_frames(time: np.ndarray) -> np.ndarray:
+    """Indices of the frames that the film shows, evenly spaced; time (T,) s."""
+    rate = 1 / np.median(np.diff(time))
+    # a rate of 35.0001 is not worth dropping every second frame
+    stride = max(1, round(rate / FRAMES_PER_SECOND + 0.49), -(-len(time) // MOST_FRAMES))
+    return np.arange(0, len(time), stride)
+
+
+def film_frames(
+    idata: az.InferenceData, shown: np.ndarray, progress: Callable[[int, int, str], None] | None = None
+) -> Iterator[np.ndarray]:
+    """Yield an image (height, width, 3) uint8 for each frame in `shown`; height and width are even."""
+    arms = arm_points(idata)
+    mean = arms.mean(axis=0)
+    arms = arms[np.linspace(0, len(arms) - 1, min(ARMS, len(arms)), dtype=int)]
+    time = idata.posterior["time"].values
+    if "position" in idata.observed_data:
+        observed = idata.observed_data["position"].transpose("time", "keypoint", "space").values
+    else:
+        observed = np.full((len(time), 1, 2), np.nan)
+    with matplotlib.rc_context(STYLE):
+        figure, arm_axes, torque_axes = still_parts(idata, arms, observed)
+        canvas = FigureCanvasAgg(figure)
+        draws = arm_axes.add_collection(LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5))
+        (trail,) = arm_axes.plot([], [], color=VERMILION, alpha=0.5, linewidth=1)
+        (arm,) = arm_axes.plot([], [], "o-", color=BLUE, linewidth=2, markersize=5)
+        (dots,) = arm_axes.plot([], [], "o:", color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6)
+        clock = arm_axes.text(0.99, 0.98, "", transform=arm_axes.transAxes, ha="right", va="top", fontsize=9)
+        lines = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
+        moving = [draws, trail, arm, dots, clock, *lines]
+        for artist in moving:
+            artist.set_animated(True)
+        canvas.draw()
+        still = canvas.copy_from_bbox(figure.bbox)
+        for number, frame in enumerate(shown):
+            canvas.restore_region(still)
+            draws.set_segments(arms[:, frame])
+            recent = (time > time[frame] - TRAIL) & (time <= time[frame])
+            trail.set_data(*observed[recent, -1].T)
+            arm.set_data(*mean[frame].T)
+            dots.set_data(*observed[frame].T)
+            clock.set_text(f"{time[frame]:.2f} s")
+            for line in lines:
+                line.set_xdata([time[frame], time[frame]])
+            for artist in moving:
+                artist.axes.draw_artist(artist)
+            yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+            if progress is not None:
+                progress(number + 1, len(shown), "film")
+
+
+def arm_points(idata: az.InferenceData) -> np.ndarray:
+    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence."""
+    tips = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
+    constants = idata.constant_data
+    base = constants["base"].values if "base" in constants else np.zeros(2)
+    return np.concatenate([np.broadcast_to(base, (*tips.shape[:2], 1, 2)), tips], axis=2)
+
+
+def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray) -> tuple[Figure, list, list]:
+    """Figure with the arm's axes and each joint's torque over time; everything but what moves."""
+    joints = idata.posterior["joint"].values
+    time = idata.posterior["time"].values
+    columns = 1 if len(joints) <= 3 else 2
+    rows = -(-len(joints) // columns)
+    figure = Figure(figsize=(6.4, 4.6 + 1.2 * rows), dpi=100, layout="constrained")
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[4.2] + [1.2] * rows)
+    arm_axes = figure.add_subplot(grid[0, :])
+    # a tracker's outlier must not shrink the arm to a dot
+    far = (
+        np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else np.empty((0, 2))
+    )
+    arm_axes.update_datalim(np.concatenate([arms.reshape(-1, 2), far]))
+    arm_axes.margins(0.06)
+    arm_axes.set_aspect("equal", adjustable="datalim")
+    arm_axes.autoscale_view()
+    unit = idata.posterior["position"].attrs["units"]
+    arm_axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    bands, known = quantiles(idata, "torque"), idata.constant_data
+    torque_axes = []
+    for number, joint in enumerate(joints):
+        axes = figure.add_subplot(grid[1 + number // columns, number % columns])
+        draw_bands(axes, time, bands[:, :, number], PURPLE)
+        if "truth_torque" in known:
+            draw_truth(axes, time, known["truth_torque"].values[:, number])
+        axes.set_title(f"{joint} torque ({idata.posterior['torque'].attrs['units']})", loc="left")
+        axes.set_xlim(time[0], time[-1])
+        if number >= len(joints) - columns:
+            axes.set_xlabel("time (s)")
+        else:
+            axes.tick_params(labelbottom=False)
+        torque_axes.append(axes)
+    entries = [
+        Line2D([], [], color=VERMILION, ls="none", marker="o", mfc="none", mew=1.6, label="observed"),
+        Line2D([], [], color=BLUE, marker="o", label="predicted"),
+        Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
+    ]
+    if "truth_torque" in known:
+        entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+    figure.legend(handles=entries, loc="outside upper left", ncols=4)
+    figure.align_ylabels()
+    return figure, arm_axes, torque_axes
+
+
+def write_gif(frames: Iterator[np.ndarray], time: np.ndarray, path: Path) -> None:
+    """Write frames shown at `time` s, all in one palette, so that unchanged pixels cost nothing."""
+    hundredths = np.round(100 * (time - time[0])).astype(int)  # a GIF's clock: rounding must not add up
+    durations = 10 * np.maximum(np.diff(hundredths), 2)
+    durations = [*durations.tolist(), 1000]  # rest a second before the film starts again
+    # the film's own colours fading into white: a palette taken from one frame would tint the others
+    inks = np.array([to_rgb(color) for color in (INK, BLUE, VERMILION, PURPLE)])
+    shades = 1 - np.linspace(0, 1, 16)[:, None, None] * (1 - inks)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())
+    images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    with path.open("wb") as file:  # opened here, so that an interrupt closes it
+        next(images).save(file, "GIF", save_all=True, append_images=images, duration=durations, loop=0)
+
+
+def write_mp4(frames: Iterator[np.ndarray], time: np.ndarray, path: Path) -> None:
+    """Write frames at the mean rate of `time` s (H.264)."""
+    import imageio_ffmpeg
+
+    first = next(frames)
+    height, width = first.shape[:2]
+    rate = (len(time) - 1) / (time[-1] - time[0])
+    writer = imageio_ffmpeg.write_frames(path, (width, height), fps=rate, macro_block_size=2)
+    writer.send(None)
+    try:
+        writer.send(first)
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+    finally:
+        writer.close()

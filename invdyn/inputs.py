@@ -1,0 +1,85 @@
+"""What a command is given: a body, a recording that fits it, a range of frames."""
+
+from dataclasses import replace
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from invdyn.models import Body
+from invdyn.recordings import (
+    InputError,
+    Recording,
+    Truth,
+    check_plausible,
+    in_body_lengths,
+    load,
+    load_truth,
+    names,
+    read_truth,
+)
+
+
+def load_body(name: str) -> Body:
+    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
+    if Path(name).exists():
+        return Body.from_toml(name)
+    ours = {Path(file.name).stem: file for file in (files("invdyn.models") / "bodies").iterdir()}
+    if name not in ours:
+        raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
+    with as_file(ours[name]) as path:
+        return Body.from_toml(path)
+
+
+def load_recording(
+    name: str, body: Body, base: str | None, body_lengths: bool, **options: object
+) -> Recording:
+    """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
+
+    Args:
+        name: a file, or the name of a known recording.
+        body: says which keypoints and joints, and their order.
+        base: the keypoint at the first joint, if it is not called as the joint is.
+        body_lengths: divide by the tracked body's own length (the base must be tracked).
+        options: units, fps, format, scale …
+
+    Raises:
+        InputError: the file, or the file beside the body, makes no sense.
+        OSError: the file cannot be opened.
+    """
+    base = base or body.base_keypoint
+    tips = body.keypoint_names
+    if body_lengths:
+        recording = in_body_lengths(
+            load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options)
+        )
+        confidence = recording.confidence
+        recording = replace(
+            recording,
+            keypoints=recording.keypoints[:, 1:],
+            keypoint_names=tips,
+            confidence=None if confidence is None else confidence[:, 1:],
+        )
+    else:
+        recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
+    if recording.length_unit == "px":
+        raise InputError(
+            f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"
+        )
+    check_plausible(recording, [link.nominal("length") for link in body.links], body.base)
+    return recording
+
+
+def load_known(name: str, body: Body) -> Truth:
+    """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
+    known = load_truth(name) if not Path(name).exists() and name in names() else read_truth(name)
+    if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:
+        raise InputError(f"{name}: joint '{missing[0]}' is missing; it has {', '.join(known.joint_names)}")
+    return known
+
+
+def frame_range(text: str) -> tuple[int | None, int | None]:
+    """Start and stop of "50:250", "50:" or ":250". Raises InputError for anything else."""
+    try:
+        start, stop = (int(part) if part.strip() else None for part in text.split(":"))
+    except ValueError:
+        raise InputError(f"--frames is START:STOP, such as 50:250, got {text!r}") from None
+    return start, stop

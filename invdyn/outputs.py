@@ -1,0 +1,73 @@
+"""What a command leaves behind: the posterior, its figure and film, its torques (.sto, .csv)."""
+
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+
+from invdyn.inference import save_posterior
+from invdyn.recordings import InputError, write_moments, write_table
+
+from .console import check_outputs
+from .film import check_film, save_film
+from .plots import FIGURE_SUFFIXES, plot_posterior, quantiles, save_figure
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where each output goes; None = not wanted."""
+
+    posterior: Path | None = None
+    figure: Path | None = None
+    film: Path | None = None
+    sto: Path | None = None
+    csv: Path | None = None
+
+    def check(self, *inputs: Path) -> None:
+        """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
+        check_outputs(astuple(self), inputs)
+        if self.figure is not None and self.figure.suffix not in FIGURE_SUFFIXES:
+            raise InputError(
+                f"{self.figure}: a figure ends in {', '.join(FIGURE_SUFFIXES)}, got '{self.figure.suffix}'"
+            )
+        if self.film is not None:
+            check_film(self.film)
+
+    def write(self, idata: az.InferenceData, progress: Callable[[int, int, str], None] | None = None) -> None:
+        """Write what is wanted, each file whole or not at all; the posterior first, as it took longest."""
+        if self.posterior is not None:
+            save_posterior(idata, self.posterior)
+        if self.csv is not None:
+            write_table(curves(idata), self.csv)
+        if self.sto is not None:
+            low, _, median, _, high = quantiles(idata, "torque")
+            time, joints = idata.posterior["time"].values, idata.posterior["joint"].values
+            write_moments(self.sto, time, median, low, high, [str(joint) for joint in joints])
+        if self.figure is not None:
+            save_figure(plot_posterior(idata), self.figure)
+        if self.film is not None:
+            save_film(idata, self.film, progress)
+
+    def listing(self) -> str:
+        """What lies where: an empty line, then one each."""
+        kinds = {
+            "posterior": self.posterior,
+            "figure": self.figure,
+            "film": self.film,
+            "OpenSim": self.sto,
+            "CSV": self.csv,
+        }
+        return "".join(f"\n{kind:<10} {path}" for kind, path in kinds.items() if path is not None)
+
+
+def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
+    """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, angle, velocity."""
+    columns = {"time": idata.posterior["time"].values}
+    for quantity in ("torque", "angle", "velocity"):
+        low, _, median, _, high = quantiles(idata, quantity)
+        for number, joint in enumerate(idata.posterior["joint"].values):
+            for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
+                columns[f"{joint}_{quantity}{suffix}"] = values[:, number]
+    return columns

@@ -1,0 +1,171 @@
+"""The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands, and the filters' health.
+
+One row a joint: the keypoint at its link's tip (observed and predicted, in the recording's length unit), its
+angle (rad), its torque (N·m); below, the effective sample size of the filters over time, resampling marked.
+Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
+"""
+
+from pathlib import Path
+
+import arviz as az
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from invdyn.inference import pooled
+from invdyn.recordings import atomic_path
+
+# Okabe and Ito's colours: told apart by the colour-blind too.
+BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
+INK, GREY = "#111111", "#777777"
+STYLE = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#999999",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e9e9e9",
+    "grid.linewidth": 0.6,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
+}
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def plot_posterior(idata: az.InferenceData) -> Figure:
+    """Draw a posterior of the layout that `invdyn.inference` documents.
+
+    Keypoint bands are for observations (posterior predictive, noise included) where the posterior has them,
+    else for the noise-free tips. What is not known (truth, command, what was not observed) is left out.
+    """
+    posterior, observed, known = idata.posterior, idata.observed_data, idata.constant_data
+    time = posterior["time"].values
+    joints, keypoints = posterior["joint"].values, posterior["keypoint"].values
+    group = "posterior_predictive" if "posterior_predictive" in idata.groups() else "posterior"
+    tips = quantiles(idata, "position", group)
+    rows = max(len(joints), len(keypoints))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(12, 1.7 * rows + 2.2), layout="constrained")
+        grid = figure.add_gridspec(rows + 1, 3, height_ratios=[1] * rows + [0.7])
+        for row, keypoint in enumerate(keypoints):
+            axes = figure.add_subplot(grid[row, 0])
+            axes.set_title(f"{keypoint} keypoint", loc="left")
+            axes.set_ylabel(posterior["position"].attrs["units"])
+            for space, color in enumerate((BLUE, VERMILION)):
+                draw_bands(axes, time, tips[:, :, row, space], color)
+                if "position" in observed:
+                    draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
+        for column, (name, color) in enumerate((("angle", GREEN), ("torque", PURPLE)), 1):
+            bands = quantiles(idata, name)
+            for row, joint in enumerate(joints):
+                axes = figure.add_subplot(grid[row, column])
+                axes.set_title(f"{joint} {name}", loc="left")
+                axes.set_ylabel(posterior[name].attrs["units"])
+                draw_bands(axes, time, bands[:, :, row], color)
+                if name == "angle" and "angle" in observed:
+                    draw_dots(axes, time, observed["angle"].values[:, row], color)
+                if name == "torque" and "command" in known:
+                    axes.step(time, known["command"].values[:, row], where="post", color=GREY, linewidth=0.9)
+                if f"truth_{name}" in known:
+                    draw_truth(axes, time, known[f"truth_{name}"].values[:, row])
+        draw_sample_sizes(figure.add_subplot(grid[rows, :]), idata)
+        for axes in figure.axes:
+            axes.set_xlim(time[0], time[-1])
+            if axes.get_subplotspec().rowspan.stop >= rows:
+                axes.set_xlabel("time (s)")
+            else:
+                axes.tick_params(labelbottom=False)
+        figure.align_ylabels()
+        figure.legend(handles=legend_entries(idata), loc="outside upper left", ncols=10)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure (.png, .pdf, .svg), whole or not at all. Raises OSError when it cannot."""
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def quantiles(idata: az.InferenceData, variable: str, group: str = "posterior") -> np.ndarray:
+    """QUANTILES (5, time, …) of a variable's draws, the filters weighted by their evidence."""
+    draws = pooled(idata, group=group)[variable]
+    return np.quantile(draws.transpose("sample", "time", ...).values, QUANTILES, axis=0)
+
+
+def draw_bands(axes: Axes, time: np.ndarray, bands: np.ndarray, color: str) -> None:
+    """Median line with its 50 and 90 % bands; bands (5, time) as from `quantiles`."""
+    low, lower, median, upper, high = bands
+    axes.fill_between(time, low, high, color=color, alpha=0.18, linewidth=0)
+    axes.fill_between(time, lower, upper, color=color, alpha=0.35, linewidth=0)
+    axes.plot(time, median, color=color, linewidth=1.1)
+
+
+def draw_dots(axes: Axes, time: np.ndarray, values: np.ndarray, color: str) -> None:
+    """Observations; a missing one leaves its place empty. Many become pixels, not 10,000 vector shapes."""
+    axes.plot(time, values, ".", color=color, markersize=3, markeredgewidth=0, rasterized=len(time) > 1000)
+
+
+def draw_truth(axes: Axes, time: np.ndarray, values: np.ndarray) -> None:
+    """The known curve."""
+    axes.plot(time, values, color=INK, linewidth=1, dashes=(4, 2))
+
+
+def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
+    """Effective sample size, median and bands over filters; marks where they resampled, darker for more."""
+    statistics = idata.sample_stats
+    time = statistics["time"].values
+    sizes = statistics["ess"].transpose("chain", "time").values
+    draw_bands(axes, time, np.quantile(sizes, QUANTILES, axis=0), GREY)
+    share = statistics["resampled"].transpose("chain", "time").values.mean(axis=0)
+    marks = [[(t, 0.0), (t, 0.09)] for t in time[share > 0]]
+    colors = [to_rgba(INK, 0.15 + 0.85 * part) for part in share[share > 0]]
+    axes.add_collection(
+        LineCollection(marks, colors=colors, linewidths=1, transform=axes.get_xaxis_transform())
+    )
+    axes.set_title("effective sample size of the filters", loc="left")
+    axes.set_title(heading(idata), loc="right", color=GREY)
+    axes.set_ylabel("particles")
+    axes.set_ylim(0, 1.08 * sizes.max())
+
+
+def heading(idata: az.InferenceData) -> str:
+    """Method, evidence, and health of the importance sampler over whole filters, in one line."""
+    method, evidence, size = (idata.attrs[name] for name in ("method", "log_evidence", "outer_ess"))
+    filters = idata.sample_stats.sizes["chain"]
+    outer = f"outer sample size {size:.1f} of {filters} filters"
+    return f"method {method}   ·   log evidence {evidence:.1f}   ·   {outer}"
+
+
+def legend_entries(idata: az.InferenceData) -> list[Line2D | Patch]:
+    """Only what the figure shows; colours belong to the panels, so bands and lines stand here in grey."""
+    known = idata.constant_data
+    entries = [
+        Line2D([], [], color=BLUE, linewidth=2, label="x"),
+        Line2D([], [], color=VERMILION, linewidth=2, label="y"),
+        Line2D([], [], color=GREY, linestyle="none", marker=".", label="observed"),
+        Line2D([], [], color=GREY, linewidth=1.2, label="posterior median"),
+        Patch(color=GREY, alpha=0.55, linewidth=0, label="50 %"),
+        Patch(color=GREY, alpha=0.22, linewidth=0, label="90 %"),
+    ]
+    if any(name.startswith("truth_") for name in known):
+        entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+    if "command" in known:
+        entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
+    if idata.sample_stats["resampled"].any():
+        entries.append(
+            Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled")
+        )
+    return entries

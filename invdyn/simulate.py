@@ -1,0 +1,131 @@
+"""Recordings with known truth: an arm driven by random torques, filmed with noise."""
+
+import math
+
+import numpy as np
+import torch
+
+from invdyn.models import ArmModel, Body, Emission, OrnsteinUhlenbeck
+from invdyn.recordings import InputError, Recording, Truth
+
+STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
+GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
+
+PAPER = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
+    "torque": OrnsteinUhlenbeck("printed", decay=6.0),
+    "integrator": "euler",
+    "settings": {
+        "torque.scale": 20.0,
+        "torque.decay": 6.0,
+        "noise.angle": 0.01,
+        "noise.velocity": 0.01,
+        "emission.keypoint_scale": math.sqrt(0.05),
+    },
+}
+
+
+def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Recording, Truth]:
+    """Draw one recording of `model`'s keypoints, and the states behind it; same seed, same recording.
+
+    The model must observe every tip and nothing else, as `random_arm`'s does.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        states, observations = model.simulate()
+    body, time = model.body, model.time.numpy()
+    _, angle, velocity = (part.numpy() for part in model.split(states))
+    command = None if model.command is None else model.command.numpy()
+    recording = Recording(
+        time=time,
+        keypoints=observations.numpy().reshape(len(time), body.num_joints, 2),
+        keypoint_names=body.keypoint_names,
+        torques=command,
+        joint_names=() if command is None else body.joint_names,
+        name=name,
+    )
+    torque = model.net_torque(states).numpy()
+    return recording, Truth(time, angle, velocity, torque, body.joint_names)
+
+
+def random_arm(
+    body: Body,
+    *,
+    duration: float = 6.0,
+    fps: float = 30.0,
+    noise: float = 0.005,
+    torque_scale: float | None = None,
+    commanded: bool = False,
+    seed: int = 0,
+) -> ArmModel:
+    """Model of an arm that hangs, nearly at rest, until Ornstein–Uhlenbeck torques move it as physics says.
+
+    Args:
+        body: its priors stand at their nominal values.
+        duration: s.
+        fps: frames a second.
+        noise: standard deviation of each keypoint coordinate, m.
+        torque_scale: standard deviation of each joint's torque, N·m; by default a fraction of what holds the
+            body level (without gravity: of what turns it briskly).
+        commanded: the torques are a command, known and held from frame to frame, instead of unknown.
+        seed: of the command.
+
+    Raises:
+        InputError: values that are no positive numbers, or a duration that holds fewer than two frames.
+    """
+    for name, value in {
+        "duration": duration,
+        "fps": fps,
+        "noise": noise,
+        "torque_scale": torque_scale,
+    }.items():
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise InputError(f"{name} must be a number from 0 up, got {value:g}")
+    num_frames = round(duration * fps)
+    if num_frames < 2:
+        raise InputError(
+            f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed"
+        )
+    torque = OrnsteinUhlenbeck()
+    gravity_x, gravity_y = body.gravity
+    hanging = math.atan2(gravity_y, gravity_x) if any(body.gravity) else 0.0
+
+    def model(command: np.ndarray | None = None) -> ArmModel:
+        return ArmModel(
+            body,
+            np.arange(num_frames) / fps,
+            Emission(range(body.num_joints)),
+            torque=torque,
+            command=command,
+            substeps=math.ceil(1 / (fps * STEP)),
+            parameters={
+                "emission.keypoint_scale": noise,
+                "noise.angle": 0.0,
+                "noise.velocity": 0.0,
+                "initial.angle": [hanging] + [0.0] * (body.num_joints - 1),
+                "initial.angle_scale": 0.3,
+                "initial.velocity_scale": 0.1,
+            },
+        )
+
+    free = model()
+    if torque_scale is None:
+        scale = GENTLE * free.parameters["torque.scale"]
+    else:
+        scale = torch.full((body.num_joints,), torque_scale * math.sqrt(2 * torque.decay), dtype=free.dtype)
+    free = free.replace(**{"torque.scale": scale})
+    if not commanded:
+        return free
+    _, plan = record(free, seed)
+    return model(plan.torque).replace(**{"torque.scale": torch.zeros_like(scale)})
+
+
+def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
+    """The planar arm that Biderman et al. (2020) simulate, all of it at `PAPER`'s settings."""
+    return ArmModel(
+        body,
+        0.03 * np.arange(num_frames),
+        Emission(range(body.num_joints)),
+        torque=PAPER["torque"],
+        integrator=PAPER["integrator"],
+        parameters=PAPER["settings"],
+    )

@@ -1,0 +1,43 @@
+"""What a posterior says in a few lines: each joint's torque, how sure it is, how healthy the sampler was."""
+
+import arviz as az
+import numpy as np
+import pandas as pd
+
+from .plots import quantiles
+
+
+def torque_table(idata: az.InferenceData) -> pd.DataFrame:
+    """One row a joint: size of its torque, width of the interval, and, with a truth, how far from it.
+
+    Columns: `rms` and `peak` of the posterior median; `± 90 %`, half the 90 % interval's mean width; and over
+    the frames whose true torque is known, `error rms`, `correlation`, and `90 % covers`, the share of them
+    whose interval holds the truth.
+    """
+    low, _, median, _, high = quantiles(idata, "torque")
+    table = pd.DataFrame(index=pd.Index(idata.posterior["joint"].values, name="joint"))
+    table["rms"] = np.sqrt((median**2).mean(axis=0))
+    table["peak"] = np.abs(median).max(axis=0)
+    table["± 90 %"] = ((high - low) / 2).mean(axis=0)
+    if "truth_torque" not in idata.constant_data:
+        return table
+    truth = idata.constant_data["truth_torque"].transpose("time", "joint").values
+    for joint, true, *ours in zip(table.index, truth.T, low.T, median.T, high.T, strict=True):
+        known = np.isfinite(true)
+        if known.sum() > 1:
+            true, below, middle, above = true[known], *(curve[known] for curve in ours)
+            table.loc[joint, "error rms"] = np.sqrt(np.mean((middle - true) ** 2))
+            table.loc[joint, "correlation"] = pd.Series(middle).corr(pd.Series(true))  # NaN for a constant
+            table.loc[joint, "90 % covers"] = np.mean((below <= true) & (true <= above))
+    return table
+
+
+def summary_text(idata: az.InferenceData) -> str:
+    """The table above and a line on the sampler, for a terminal."""
+    filters, frames = idata.sample_stats.sizes["chain"], idata.posterior.sizes["time"]
+    table = torque_table(idata).to_string(float_format=lambda value: f"{value:.3g}")
+    evidence, outer = idata.attrs["log_evidence"], idata.attrs["outer_ess"]
+    return (
+        f"Joint torques ({idata.posterior['torque'].attrs['units']}) over {frames} frames\n\n{table}\n\n"
+        f"log evidence {evidence:.2f}; outer effective sample size {outer:.1f} of {filters} filters"
+    )

@@ -1,0 +1,42 @@
+"""What the world does, as Pyro: bodies, dynamics, torque processes, observation, and the HMMs of them."""
+
+from invdyn.models.arm import ArmModel
+from invdyn.models.body import Body, BodyError, BodyParameters, Learned, Link
+from invdyn.models.dynamics import Dynamics, RecursiveDynamics, SymbolicDynamics, dynamics_for
+from invdyn.models.emission import Emission
+from invdyn.models.integrators import INTEGRATORS
+from invdyn.models.linear_gaussian import LinearGaussian
+from invdyn.models.state_space import StateSpaceModel
+from invdyn.models.torques import (
+    TORQUE_PROCESSES,
+    Matern32,
+    Matern52,
+    OrnsteinUhlenbeck,
+    RandomWalk,
+    Recurrent,
+    TorqueProcess,
+)
+
+__all__ = [
+    "INTEGRATORS",
+    "TORQUE_PROCESSES",
+    "ArmModel",
+    "Body",
+    "BodyError",
+    "BodyParameters",
+    "Dynamics",
+    "Emission",
+    "Learned",
+    "LinearGaussian",
+    "Link",
+    "Matern32",
+    "Matern52",
+    "OrnsteinUhlenbeck",
+    "RandomWalk",
+    "Recurrent",
+    "RecursiveDynamics",
+    "StateSpaceModel",
+    "SymbolicDynamics",
+    "TorqueProcess",
+    "dynamics_for",
+]

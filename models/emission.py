@@ -1,0 +1,101 @@
+"""What the camera and the encoders see of the arm's angles.
+
+    keypoints   y_p ~ F(tip_p(θ), σ_p s(c))       σ_p = "emission.keypoint_scale" (P,), length unit
+    encoders    y_k ~ F(θ_k, σ_k)                 σ_k = "emission.angle_scale" (K,), rad
+
+F is Gaussian, or Student-t with "emission.df" degrees of freedom (1,) for stray detections.
+The tracker's confidence c is a monotone covariate and not a probability: the noise grows as
+s(c) = exp(γ (1 − rank(c))), where rank(c) in (0, 1] is c's place among that keypoint's own
+confidences and γ = "emission.confidence_slope" (P,) ≥ 0; so only the order of c matters.
+
+An observation row is the keypoints' coordinates, keypoint by keypoint, then the angles:
+(O,) with O = 2 P + K_encoders. NaN is missing.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution, Normal, StudentT
+from scipy.stats import rankdata
+from torch import Tensor
+
+from invdyn.models.shapes import join
+
+FAMILIES = ("gaussian", "student_t")
+
+
+class Emission:
+    """Emission of a planar chain.
+
+    Args:
+        tips: indices (P,) of the links whose tips are tracked, in the recording's order.
+        num_encoders: K when joint angles are observed too, else 0.
+        family: "gaussian" or "student_t".
+        confidence: (T, P) the tracker's confidence, or None.
+
+    Raises ValueError for an unknown family, or when nothing would be observed.
+    """
+
+    def __init__(
+        self,
+        tips: Sequence[int],
+        num_encoders: int = 0,
+        family: str = "gaussian",
+        confidence: np.ndarray | None = None,
+    ):
+        if family not in FAMILIES:
+            raise ValueError(f"expected a noise family among {', '.join(FAMILIES)}, got {family!r}")
+        if not tips and not num_encoders:
+            raise ValueError("expected at least one tracked tip or encoder, got none")
+        self.tips = list(tips)
+        self.num_encoders = num_encoders
+        self.family = family
+        self.doubt = None if confidence is None else torch.as_tensor(1 - _rank(confidence))
+
+    @property
+    def size(self) -> int:
+        """O, the length of an observation row."""
+        return 2 * len(self.tips) + self.num_encoders
+
+    def defaults(self, keypoint_scale: float, angle_scale: float = 1e-3) -> dict[str, Tensor]:
+        """Starting parameters: the noise sd of a keypoint (length unit) and of an encoder (rad)."""
+        parameters: dict[str, Tensor] = {}
+        if self.tips:
+            parameters["emission.keypoint_scale"] = torch.full((len(self.tips),), keypoint_scale)
+            if self.doubt is not None:
+                parameters["emission.confidence_slope"] = torch.full((len(self.tips),), 0.1)
+        if self.num_encoders:
+            parameters["emission.angle_scale"] = torch.full((self.num_encoders,), angle_scale)
+        if self.family == "student_t":
+            parameters["emission.df"] = torch.full((1,), 4.0)
+        return {name: value.double() for name, value in parameters.items()}
+
+    def distribution(
+        self, tips: Tensor, q: Tensor, t: int | Tensor, parameters: Mapping[str, Tensor]
+    ) -> Distribution:
+        """Distribution of row ``t``: tips (..., K, 2) and angles q (..., K) → event shape (O,)."""
+        mean, scale = [], []
+        if self.tips:
+            mean.append(tips[..., self.tips, :].flatten(-2))
+            scale.append(self._keypoint_scale(t, parameters).repeat_interleave(2, -1))
+        if self.num_encoders:
+            mean.append(q)
+            scale.append(parameters["emission.angle_scale"])
+        loc, scales = join(*mean), join(*scale)
+        if self.family == "student_t":
+            return StudentT(parameters["emission.df"], loc, scales, validate_args=False).to_event(1)
+        return Normal(loc, scales, validate_args=False).to_event(1)
+
+    def _keypoint_scale(self, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        scale = parameters["emission.keypoint_scale"]
+        if self.doubt is None:
+            return scale
+        doubt = self.doubt[t].to(scale)
+        return scale * torch.exp(parameters["emission.confidence_slope"] * doubt)
+
+
+def _rank(confidence: np.ndarray) -> np.ndarray:
+    """Each entry's rank among its column's finite ones, in (0, 1]; a missing confidence ranks lowest."""
+    filled = np.where(np.isfinite(confidence), confidence, -np.inf)
+    return rankdata(filled, method="max", axis=0) / len(filled)

@@ -1,0 +1,109 @@
+"""Angles from observed tips, as a start for linearisation and for the first frame's prior.
+
+With tip k−1 and tip k both seen, link k points along their difference, so its absolute angle φ_k is
+an arctangent, known up to whole turns. A Kalman filter with nearly constant angular velocity,
+
+    φ' = φ + δ ω,   ω' = ω + q √δ η,   measured φ wrapped to within half a turn of its prediction,
+
+unwraps it where plain frame-to-frame unwrapping slips (fast limbs, coarse frames, noise), and its
+Rauch–Tung–Striebel smoother bridges what was not seen. Several q are tried side by side. None of
+this enters the likelihood.
+
+Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s).
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.emission import Emission
+
+AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
+"""q, rad/s/√s, from a slow robot to a whirling limb."""
+
+
+def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) -> np.ndarray:
+    """Measured absolute link angles (T, K), rad, NaN where a link was not seen.
+
+    Those of encoders (whole turns counted) where they exist, else of the camera, in (−π, π].
+    """
+    rows = observations.detach().cpu().double().numpy()
+    joints = body.length.shape[-1]
+    points = 2 * len(emission.tips)
+    absolute = np.full((len(rows), joints), np.nan)
+    if emission.tips:
+        tips = np.full((len(rows), joints + 1, 2), np.nan)
+        tips[:, 0] = body.base.detach().cpu().double().reshape(-1, 2)[0].numpy()
+        tips[:, np.asarray(emission.tips) + 1] = rows[:, :points].reshape(len(rows), -1, 2)
+        along = np.diff(tips, axis=1)
+        absolute = np.arctan2(along[..., 1], along[..., 0])
+    if emission.num_encoders:
+        encoders = np.cumsum(rows[:, points:], axis=1)
+        absolute = np.where(np.isfinite(encoders), encoders, absolute)
+    return absolute
+
+
+def smooth_angles(
+    time: np.ndarray, measured: np.ndarray, sd: np.ndarray, agility=AGILITY, wrap: bool = True
+) -> np.ndarray:
+    """Smoothed angles (C, T, K) of ``measured`` (T, K) with noise ``sd`` (K,), for each agility.
+
+    ``wrap=False`` takes whole turns as measured.
+    """
+    q = np.asarray(agility, dtype=float)[:, None] ** 2
+    steps, links = measured.shape
+    shape = (len(agility), links)
+    first = np.array([_first_seen(column) for column in measured.T])
+    angle, rate = np.broadcast_to(first, shape).copy(), np.zeros(shape)
+    P = np.stack([np.full(shape, np.pi**2), np.zeros(shape), np.full(shape, 400.0)])  # φφ, φω, ωω
+    filtered, predicted = np.zeros((steps, 5, *shape)), np.zeros((steps, 5, *shape))
+    for t in range(steps):
+        if t > 0:
+            dt = time[t] - time[t - 1]
+            angle = angle + dt * rate
+            P = np.stack(
+                [P[0] + 2 * dt * P[1] + dt**2 * P[2] + q * dt**3 / 3, P[1] + dt * P[2] + q * dt**2 / 2]
+                + [P[2] + q * dt]
+            )
+        predicted[t] = angle, rate, *P
+        innovation = measured[t] - angle
+        if wrap:
+            innovation = (innovation + np.pi) % (2 * np.pi) - np.pi
+        seen = np.isfinite(innovation)
+        gain = np.where(seen, P[:2] / (P[0] + sd**2), 0.0)
+        innovation = np.where(seen, innovation, 0.0)
+        angle, rate = angle + gain[0] * innovation, rate + gain[1] * innovation
+        P = np.stack([P[0] - gain[0] * P[0], P[1] - gain[0] * P[1], P[2] - gain[1] * P[1]])
+        filtered[t] = angle, rate, *P
+    smooth = filtered[:, :2].copy()
+    for t in range(steps - 2, -1, -1):
+        dt = time[t + 1] - time[t]
+        _, _, a, b, c = filtered[t]
+        _, _, A, B, C = predicted[t + 1]
+        # Smoother gain P Fᵀ P⁻¹ of the 2×2 system, written out.
+        cross = np.stack([[a + dt * b, b], [b + dt * c, c]])
+        det = A * C - B**2
+        inverse = np.stack([[C, -B], [-B, A]]) / det
+        surprise = smooth[t + 1] - predicted[t + 1, :2]
+        smooth[t] += np.einsum("ij...,jk...,k...->i...", cross, inverse, surprise)
+    return np.moveaxis(smooth[:, 0], 0, 1)
+
+
+def _first_seen(column: np.ndarray) -> float:
+    seen = np.flatnonzero(np.isfinite(column))
+    return float(column[seen[0]]) if len(seen) else np.nan
+
+
+def joint_angle_candidates(
+    time: np.ndarray, observations: Tensor, emission: Emission, body: BodyParameters, sd: np.ndarray
+) -> np.ndarray | None:
+    """Smoothed joint angles (C, T, K), rad; None when some link is never seen.
+
+    ``sd`` (K,): noise of the measured link angles, rad.
+    """
+    absolute = link_angles(observations, emission, body)
+    if not np.isfinite(absolute).any(axis=0).all():
+        return None
+    smooth = smooth_angles(time, absolute, sd, wrap=not emission.num_encoders)
+    return np.diff(smooth, axis=-1, prepend=0.0)

@@ -1,0 +1,64 @@
+"""Linear-Gaussian state-space model: the one whose answers are known exactly.
+
+    x_0 ~ N(m, P),   x_t = A x_{t−1} + N(0, Q),   y_t = C x_t + N(0, R)
+
+Shapes: A (D, D), Q (D, D), C (O, D), R (O, O), m (D,), P (D, D).
+"""
+
+import torch
+from pyro.distributions import Distribution, MultivariateNormal
+from torch import Tensor
+
+from invdyn.models.state_space import StateSpaceModel
+
+
+class LinearGaussian(StateSpaceModel):
+    """See the top of the file. Covariances must be positive definite (ValueError otherwise)."""
+
+    unconstrained = frozenset({"transition", "emission", "mean"})
+
+    def __init__(
+        self,
+        transition: Tensor,
+        transition_covariance: Tensor,
+        emission: Tensor,
+        emission_covariance: Tensor,
+        mean: Tensor,
+        covariance: Tensor,
+        num_steps: int,
+    ):
+        def root(matrix: Tensor) -> Tensor:
+            try:
+                return torch.linalg.cholesky(matrix)
+            except torch.linalg.LinAlgError:
+                raise ValueError("expected a positive definite covariance, got one that is not") from None
+
+        super().__init__(
+            {
+                "transition": transition,
+                "transition_root": root(transition_covariance),
+                "emission": emission,
+                "emission_root": root(emission_covariance),
+                "mean": mean,
+                "root": root(covariance),
+            }
+        )
+        self.num_steps = num_steps
+        self.observation_dim, self.state_dim = emission.shape[-2:]
+
+    def initial(self) -> Distribution:
+        """N(m, P)."""
+        p = self.parameters
+        return MultivariateNormal(p["mean"], scale_tril=p["root"], validate_args=False)
+
+    def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """N(A x, Q)."""
+        p = self.parameters
+        mean = state @ p["transition"].mT
+        return MultivariateNormal(mean, scale_tril=p["transition_root"], validate_args=False)
+
+    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """N(C x, R)."""
+        p = self.parameters
+        mean = state @ p["emission"].mT
+        return MultivariateNormal(mean, scale_tril=p["emission_root"], validate_args=False)

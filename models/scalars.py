@@ -1,0 +1,97 @@
+"""The scalars of a body: a plain number, a prior, or a parameter to be learned; and the checks of them."""
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from numbers import Real
+
+import pyro.distributions as dist
+import torch
+
+UNITS = {"length": "m", "mass": "kg", "com": "m", "inertia": "kg·m²"}
+QUANTITIES = tuple(UNITS)
+
+
+class BodyError(ValueError):
+    """A body, or a body file, that cannot be meant: the message says what was expected and what came."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A scalar that is optimised instead of given: a `pyro.param` that begins at `start`."""
+
+    start: float
+
+
+Scalar = float | dist.Distribution | Learned
+
+
+def nominal(value: Scalar) -> float:
+    """The scalar as a float: a prior stands at its mean, a learned one at its start."""
+    if isinstance(value, dist.Distribution):
+        return float(value.mean)
+    return value.start if isinstance(value, Learned) else value
+
+
+def prior(mean: float, sd: float) -> dist.Distribution:
+    """A prior of that mean and sd: log-normal, or normal for a mean ≤ 0 (a com at or behind its joint)."""
+    mean, sd = torch.tensor(mean, dtype=torch.float64), torch.tensor(sd, dtype=torch.float64)
+    if mean <= 0:
+        return dist.Normal(mean, sd)
+    variance = torch.log1p((sd / mean) ** 2)
+    return dist.LogNormal(mean.log() - variance / 2, variance.sqrt())
+
+
+def checked(value: Scalar, quantity: str, where: str) -> Scalar:
+    """Return a scalar of a link, numbers as float. Raises `BodyError`, which begins with `where`."""
+    what = f"{where}: {quantity} in {UNITS[quantity]}"
+    if isinstance(value, dist.Distribution):
+        if value.shape() != ():
+            raise BodyError(f"{what}: expected a scalar prior, got one of shape {tuple(value.shape())}")
+        if quantity != "com" and bool(value.support.check(torch.tensor(-1e-6))):
+            raise BodyError(f"{what}: the prior allows negative values; use a LogNormal, for example")
+    elif isinstance(value, Learned):
+        value = Learned(number(value.start, what))
+    else:
+        value = number(value, what)
+    centre = number(nominal(value), what)
+    if centre < 0 and quantity != "com":
+        raise BodyError(f"{what}: expected no negative number, got {centre:g}")
+    if centre == 0 and (
+        quantity in ("length", "mass") or (quantity == "inertia" and isinstance(value, Learned))
+    ):
+        raise BodyError(f"{what}: expected a positive number, got 0")
+    return value
+
+
+def number(value: object, what: str) -> float:
+    """Return a finite real number as float. Raises `BodyError`, which begins with `what`."""
+    try:
+        if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    except OverflowError:
+        pass  # an integer beyond every float
+    raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
+
+
+def vector(values: object, what: str) -> tuple[float, float]:
+    """Return (x, y) as floats. Raises `BodyError`, which begins with `what`."""
+    if isinstance(values, str) or not isinstance(values, Iterable) or len(values := tuple(values)) != 2:
+        raise BodyError(f"{what}: expected two numbers [x, y], got {values!r:.60}")
+    return number(values[0], what), number(values[1], what)
+
+
+def check_name(name: object, what: str) -> None:
+    """Raise `BodyError` unless `name` is a text that is not blank."""
+    if not isinstance(name, str) or not name.strip():
+        raise BodyError(f"{what}: expected a text that is not blank, got {name!r:.60}")
+
+
+def check_keys(given: Iterable[str], known: Sequence[str], where: str) -> None:
+    """Raise `BodyError` for the first key of `given` that is not in `known`, with the closest known one."""
+    for key in given:
+        if key not in known:
+            close = difflib.get_close_matches(str(key), known, n=1)
+            hint = f" (did you mean '{close[0]}'?)" if close else ""
+            raise BodyError(f"{where}: unknown key '{key}'{hint}; known keys are {', '.join(known)}")

@@ -1,0 +1,191 @@
+"""Hidden Markov models as three Pyro distributions.
+
+    x_0 ~ initial(),   x_t ~ transition(x_{t-1}, t),   y_t ~ emission(x_t, t),   t = 0 … T−1
+
+A model variant is a subclass that gives these three; everything else follows from them here,
+once for all models: ``init``/``step`` for :class:`pyro.infer.SMCFilter`, the whole sequence
+under :func:`pyro.markov` for SVI and MCMC, simulation, and the joint log-density.
+
+Shapes: states (..., D); observations (T, O) with NaN where nothing was seen; ``t`` is the row
+being entered, an int or a LongTensor that broadcasts against the state's batch shape (so that
+all rows can be evaluated in one call).
+"""
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+
+import pyro
+import torch
+from pyro.distributions import Distribution, Independent, MultivariateNormal
+from torch import Tensor
+from torch.distributions import constraints
+
+from invdyn.models.missing import observe, observed_log_prob
+
+
+class StateSpaceModel(ABC):
+    """A hidden Markov model with a Gaussian-noise or general transition.
+
+    ``parameters`` maps a dotted name ("torque.scale") to a tensor (..., own shape); leading
+    dimensions are many parameter sets at once and must broadcast against the states' batch
+    shape. ``priors`` maps such names to Pyro distributions; ``learned`` lists the names that
+    become ``pyro.param`` in :meth:`sequence`.
+    """
+
+    state_dim: int
+    observation_dim: int
+    num_steps: int
+
+    def __init__(self, parameters: Mapping[str, Tensor] | None = None):
+        self.parameters: dict[str, Tensor] = dict(parameters or {})
+        self.priors: dict[str, Distribution] = {}
+        self.learned: tuple[str, ...] = ()
+
+    # -- what a variant writes -----------------------------------------------------------------
+    @abstractmethod
+    def initial(self) -> Distribution:
+        """Distribution of x_0, event shape (D,)."""
+
+    @abstractmethod
+    def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """Distribution of x_t given x_{t−1} = ``state`` (..., D), event shape (D,)."""
+
+    @abstractmethod
+    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """Distribution of y_t given x_t = ``state`` (..., D), event shape (O,)."""
+
+    # -- what helps Gauss–Newton to start, overridden where more is known ------------------------
+    def initial_paths(self, observations: Tensor) -> Tensor:
+        """Candidate paths (C, T, D) to linearise at first; by default the prior mean, held."""
+        mean = gaussian_mean(self.initial()).detach()
+        return mean.expand(1, len(observations), -1).clone()
+
+    def relaxed(self, amount: float) -> "StateSpaceModel":
+        """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
+        return self
+
+    # -- parameters ----------------------------------------------------------------------------
+    @property
+    def dtype(self) -> torch.dtype:
+        """Floating type of the parameters."""
+        return next(iter(self.parameters.values())).dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the parameters."""
+        return next(iter(self.parameters.values())).device
+
+    def replace(self, **values: Tensor) -> "StateSpaceModel":
+        """Return the model with other parameter values: ``model.replace(**{"torque.scale": s})``.
+
+        Raises KeyError, naming the known ones, for a parameter that the model does not have.
+        """
+        unknown = set(values) - set(self.parameters)
+        if unknown:
+            raise KeyError(f"no parameter {sorted(unknown)}; this model has {sorted(self.parameters)}")
+        other = copy.copy(self)
+        other.parameters = {**self.parameters, **values}
+        return other
+
+    def with_priors(self, **priors: Distribution) -> "StateSpaceModel":
+        """Return the model in which these parameters are sampled by :meth:`sequence`."""
+        self.replace(**{name: self.parameters.get(name) for name in priors})  # checks the names
+        other = copy.copy(self)
+        other.priors = {**self.priors, **priors}
+        return other
+
+    def learn(self, names: Iterable[str]) -> "StateSpaceModel":
+        """Return the model in which these (positive) parameters are ``pyro.param`` in :meth:`sequence`."""
+        names = tuple(names)
+        self.replace(**{name: self.parameters.get(name) for name in names})
+        other = copy.copy(self)
+        other.learned = names
+        return other
+
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None):
+        """Return the model with its parameters in another dtype or on another device."""
+        return self.replace(**{k: v.to(dtype=dtype, device=device) for k, v in self.parameters.items()})
+
+    def sampled(self) -> "StateSpaceModel":
+        """Draw priors and look up learned parameters, as Pyro sites; return the model that has them."""
+        drawn = {name: pyro.sample(name, prior) for name, prior in self.priors.items()}
+        for name in self.learned:
+            drawn[name] = pyro.param(name, self.parameters[name], constraint=constraints.positive)
+        return self.replace(**drawn) if drawn else self
+
+    # -- pyro.infer.SMCFilter ------------------------------------------------------------------
+    def init(self, state, observation: Tensor | None = None) -> None:
+        """First step for :class:`pyro.infer.SMCFilter`; writes ``state["x"]`` (..., D)."""
+        self._enter(state, 0, self.initial(), observation)
+
+    def step(self, state, t: int, observation: Tensor | None = None) -> None:
+        """Step into row ``t`` for :class:`pyro.infer.SMCFilter`; reads and writes ``state["x"]``."""
+        self._enter(state, t, self.transition(state["x"], t), observation)
+
+    def _enter(self, state, t: int, prior: Distribution, observation: Tensor | None) -> None:
+        state["x"] = pyro.sample(f"x_{t}", prior)
+        if observation is not None:
+            observe(f"y_{t}", self.emission(state["x"], t), observation)
+
+    # -- SVI and MCMC --------------------------------------------------------------------------
+    def sequence(self, observations: Tensor | None = None) -> Tensor:
+        """Return the whole sequence (..., T, D) as one Pyro model under ``pyro.markov``.
+
+        Sites: ``x_0`` … ``x_{T−1}`` and, for rows where anything was seen, ``y_t``. Without
+        ``observations`` the y_t are sampled too.
+        """
+        model = self.sampled()
+        state = pyro.sample("x_0", model.initial())
+        path = []
+        for t in pyro.markov(range(self.num_steps)):
+            if t > 0:
+                state = pyro.sample(f"x_{t}", model.transition(state, t))
+            emission = model.emission(state, t)
+            if observations is None:
+                pyro.sample(f"y_{t}", emission)
+            else:
+                observe(f"y_{t}", emission, observations[t])
+            path.append(state)
+        return torch.stack(path, dim=-2)
+
+    # -- simulation and density ----------------------------------------------------------------
+    @torch.no_grad()
+    def simulate(self, batch_shape: tuple[int, ...] = ()) -> tuple[Tensor, Tensor]:
+        """Draw states (..., T, D) and observations (..., T, O) from the prior (torch's global seed)."""
+        state = self.initial().expand(torch.Size(batch_shape)).sample()
+        states, observations = [state], [self.emission(state, 0).sample()]
+        for t in range(1, self.num_steps):
+            state = self.transition(state, t).sample()
+            states.append(state)
+            observations.append(self.emission(state, t).sample())
+        return torch.stack(states, -2), torch.stack(observations, -2)
+
+    def log_joint(self, path: Tensor, observations: Tensor) -> Tensor:
+        """log p(x_{0:T}, y_{0:T}), shape (...), of paths (..., T, D); missing entries drop out."""
+        rows = torch.arange(path.shape[-2], device=path.device)
+        total = self.initial().log_prob(path[..., :1, :]).squeeze(-1)
+        total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)
+        return total + observed_log_prob(self.emission(path, rows), observations).sum(-1)
+
+
+def gaussian_moments(distribution: Distribution) -> tuple[Tensor, Tensor]:
+    """Mean (..., D) and a square root L of the covariance (..., D, D), LLᵀ = Q, of a Gaussian.
+
+    Raises TypeError for anything but a Normal made independent over its last dimension or a
+    MultivariateNormal: methods that linearise need Gaussian transition noise.
+    """
+    if isinstance(distribution, MultivariateNormal | torch.distributions.MultivariateNormal):
+        return distribution.loc, distribution.scale_tril
+    base = distribution.base_dist if isinstance(distribution, Independent) else distribution
+    if isinstance(base, torch.distributions.Normal) and len(distribution.event_shape) == 1:
+        return base.loc, torch.diag_embed(base.scale)
+    raise TypeError(
+        f"expected Normal(...).to_event(1) or MultivariateNormal, got {distribution}; "
+        "use the bootstrap guide for a transition that is not Gaussian"
+    )
+
+
+def gaussian_mean(distribution: Distribution) -> Tensor:
+    """Mean (..., D) of a Gaussian, without building its covariance."""
+    return getattr(distribution, "base_dist", distribution).loc

@@ -1,0 +1,24 @@
+"""Torque processes: the prior on what the muscles or motors do."""
+
+from invdyn.models.torques.base import TorqueProcess
+from invdyn.models.torques.matern import Matern32, Matern52
+from invdyn.models.torques.ornstein_uhlenbeck import OrnsteinUhlenbeck, RandomWalk
+from invdyn.models.torques.recurrent import Recurrent
+
+TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
+    "ornstein_uhlenbeck": OrnsteinUhlenbeck,
+    "random_walk": RandomWalk,
+    "matern32": Matern32,
+    "matern52": Matern52,
+    "recurrent": Recurrent,
+}
+
+__all__ = [
+    "TORQUE_PROCESSES",
+    "Matern32",
+    "Matern52",
+    "OrnsteinUhlenbeck",
+    "RandomWalk",
+    "Recurrent",
+    "TorqueProcess",
+]

@@ -1,0 +1,113 @@
+"""DeepLabCut's tracks, single- and multi-animal, as csv or h5; Lightning Pose writes the same csv.
+
+The csv has three or four header lines, each with its name in the first cell: scorer, [individuals,]
+bodyparts, coords (x, y, likelihood); below, the first cell is the frame's number. The h5 is a pandas table
+with the same levels as its column index. Numbers stay as in the file: pixels, y down.
+"""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError, about, first_line
+from .recording import Recording
+from .tables import read_numbers, read_rows
+
+LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+TABLE = "df_with_missing"  # the key under which DeepLabCut keeps its table
+
+
+def read_deeplabcut_csv(path: str | Path, fps: float, individual: str | None = None) -> Recording:
+    """Read a csv; `individual` chooses among several animals.
+
+    Raises:
+        InputError: another header, rows that are no numbered frames, or an animal that was not chosen.
+        OSError: a file that cannot be opened.
+    """
+    rows = read_rows(path)
+    with about(path):
+        header = {cells[0]: cells[1:] for _, cells in rows[:4] if cells[0] in LEVELS}
+        if not {"bodyparts", "coords"} <= set(header):
+            raise InputError("not a DeepLabCut csv: its header lines start with scorer, bodyparts, coords")
+        if len({len(cells) for cells in header.values()}) > 1:
+            raise InputError("the header lines have different numbers of cells")
+        body = rows[len(header) :]
+        labels = [" ".join(parts) for parts in zip(header["bodyparts"], header["coords"], strict=True)]
+        if body and not body[0][1][0].lstrip("-").replace(".", "", 1).isdigit():
+            raise InputError(
+                f"rows must begin with a frame number, got {body[0][1][0]!r}: labelled images are no film"
+            )
+        numbers, _ = read_numbers(body, ["frame", *labels])
+        columns = list(zip(*(header[level] for level in LEVELS[1:] if level in header), strict=True))
+        return _assemble(columns, numbers[:, 1:], numbers[:, 0], fps, individual, Path(path).stem)
+
+
+def read_deeplabcut_h5(path: str | Path, fps: float, individual: str | None = None) -> Recording:
+    """Read an h5, as above.
+
+    Raises InputError also when the extra that reads it is not installed, or the file is broken.
+    """
+    try:
+        import pandas
+        import tables  # noqa: F401  pandas reads h5 through it
+    except ImportError:
+        raise InputError(
+            f"{path}: reading .h5 needs one more package: pip install 'invdyn[tracks]'"
+        ) from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the two libraries' own affairs
+            with pandas.HDFStore(str(path), mode="r") as store:
+                keys = store.keys()
+                frame = store[TABLE if f"/{TABLE}" in keys else keys[0]]
+        levels = [level for level in LEVELS[1:] if level in frame.columns.names]
+        columns = list(zip(*(frame.columns.get_level_values(level) for level in levels), strict=True))
+        numbers, frames = frame.to_numpy(dtype=np.float64), frame.index.to_numpy(dtype=np.float64)
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a broken file fails anywhere inside HDF5 or pandas
+        raise InputError(f"{path}: not a whole DeepLabCut .h5 file ({first_line(error)})") from None
+    with about(path):
+        if "bodyparts" not in levels or "coords" not in levels:
+            raise InputError("not a DeepLabCut .h5 file: its table has no levels bodyparts and coords")
+        return _assemble(columns, numbers, frames, fps, individual, Path(path).stem)
+
+
+def choose_individual(names: list[str], individual: str | None) -> str:
+    """The only name, or the chosen one; InputError when there are several, or the chosen one is not there."""
+    if individual in names:
+        return individual
+    if individual is not None or len(names) != 1:
+        asked = "several animals" if individual is None else f"no animal {individual!r}"
+        raise InputError(f"{asked}: choose one of {', '.join(names)} (--individual)")
+    return names[0]
+
+
+def _assemble(
+    columns: list[tuple[str, ...]],  # ([individual,] bodypart, coordinate)
+    numbers: np.ndarray,
+    frames: np.ndarray,
+    fps: float,
+    individual: str | None,
+    name: str,
+) -> Recording:
+    owners = [column[0] if len(column) == 3 else "" for column in columns]
+    owner = choose_individual(list(dict.fromkeys(owners)), individual if any(owners) else "")
+    place = {column[-2:]: i for i, column in enumerate(columns) if owners[i] == owner}
+    points = tuple(dict.fromkeys(point for point, _ in place))
+    present = {coordinate for _, coordinate in place}
+    axes = "xyz" if "z" in present else "xy"  # a triangulated file has z and no likelihood
+    tracks = {}
+    for coordinate in (*axes, *(present & {"likelihood"})):
+        if missing := [point for point in points if (point, coordinate) not in place]:
+            raise InputError(f"{missing[0]} has no column {coordinate!r}")
+        tracks[coordinate] = numbers[:, [place[point, coordinate] for point in points]]
+    return Recording(
+        time=frames / fps,
+        keypoints=np.stack([tracks[axis] for axis in axes], axis=-1),
+        keypoint_names=points,
+        confidence=tracks.get("likelihood"),
+        name=name,
+        length_unit="px",
+    )

@@ -1,0 +1,24 @@
+"""The one error that every reader here raises."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class InputError(ValueError):
+    """A file or recording that cannot be used: one line with what was expected, what came, and the fix."""
+
+
+@contextmanager
+def about(subject: object) -> Iterator[None]:
+    """Put `subject` (a file's path) in front of the message of an InputError that passes, once."""
+    try:
+        yield
+    except InputError as error:
+        if str(error).startswith(f"{subject}: "):
+            raise
+        raise InputError(f"{subject}: {error}") from None
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's message, or its kind when it has none."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

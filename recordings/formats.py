@@ -1,0 +1,107 @@
+"""The registry of file formats, and how a file is recognised: by its suffix, then by what is in it.
+
+A new format is a new entry of `FORMATS`.
+"""
+
+import csv
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
+from .errors import InputError, first_line
+from .movement_formats import read_with_movement
+from .opensim import read_trc
+from .recording import Recording
+
+
+@dataclass(frozen=True)
+class Format:
+    """How to read one kind of file.
+
+    Attributes:
+        title: for messages.
+        read: (path, frames a second or None, individual or None) → Recording, numbers as in the file.
+        own_times: the file carries its times; otherwise the frame rate must be given.
+        own_units: the file carries its units or is SI by contract; otherwise they must be given.
+    """
+
+    title: str
+    read: Callable[[Path, float | None, str | None], Recording] | None
+    own_times: bool = False
+    own_units: bool = False
+
+
+def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Recording]:
+    return lambda path, fps, individual: read_with_movement(path, software, fps, individual)
+
+
+def _read_deeplabcut(path: Path, fps: float | None, individual: str | None) -> Recording:
+    read = read_deeplabcut_h5 if path.suffix.lower() in (".h5", ".hdf5") else read_deeplabcut_csv
+    return read(path, fps, individual)
+
+
+FORMATS: dict[str, Format] = {
+    # the contract's own reader also takes names from a body: `load` calls it by itself
+    "csv": Format("keypoint CSV", None, own_times=True, own_units=True),
+    "deeplabcut": Format("DeepLabCut", _read_deeplabcut),
+    "lightningpose": Format("Lightning Pose", _by_movement("lightningpose")),
+    "sleap": Format("SLEAP", _by_movement("sleap")),
+    "anipose": Format("Anipose", _by_movement("anipose")),
+    "nwb": Format("NWB", _by_movement("nwb"), own_times=True),
+    "trc": Format(
+        "OpenSim .trc", lambda path, fps, individual: read_trc(path), own_times=True, own_units=True
+    ),
+}
+
+
+def recognise(path: Path, name: str | None = None) -> str:
+    """A key of `FORMATS`: the one asked for, or the one that the file looks like.
+
+    Raises:
+        InputError: an unknown format, or a file that looks like none.
+        OSError: a file that cannot be opened.
+    """
+    if name is not None:
+        if name not in FORMATS:
+            near = difflib.get_close_matches(name, FORMATS, 1, cutoff=0.0)[0]
+            raise InputError(f"unknown format {name!r}: known are {', '.join(FORMATS)} (closest: {near})")
+        return name
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return _recognise_csv(path)
+    if suffix in (".h5", ".hdf5"):
+        return _recognise_h5(path)
+    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
+    if suffix not in by_suffix:
+        with open(path, "rb"):  # a folder or a missing file is told as such
+            pass
+        raise InputError(
+            f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
+            f".trc (or say it: --format {'|'.join(FORMATS)})"
+        )
+    return by_suffix[suffix]
+
+
+def _recognise_csv(path: Path) -> str:
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            header = [cell.strip() for cell in next(csv.reader(file), [])]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a text table ({first_line(error)})") from None
+    if header[:1] == ["scorer"]:
+        return "deeplabcut"
+    return "anipose" if {"fnum", "M_00", "center_0"} <= set(header) else "csv"
+
+
+def _recognise_h5(path: Path) -> str:
+    import h5py
+
+    with open(path, "rb") as file:
+        try:
+            with h5py.File(file, "r") as store:
+                keys = set(store)
+        except (OSError, RuntimeError, KeyError, ValueError) as error:
+            raise InputError(f"{path}: not a whole HDF5 file ({first_line(error)})") from None
+    return "sleap" if {"tracks", "node_names"} <= keys else "deeplabcut"

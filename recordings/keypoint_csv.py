@@ -1,0 +1,166 @@
+"""The project's own file: one row a sample, SI units, a header that says what each column is.
+
+    time                        s
+    <keypoint>_x,_y[,_z]        m; x right, y up in 2-D; z up in 3-D
+    <keypoint>_likelihood       the tracker's confidence, optional
+    <joint>_torque              N·m, the commanded torque, held until the next row that has one; optional
+    <joint>_angle               rad, Denavit–Hartenberg, from encoders; optional
+
+An empty cell is missing. A row may carry a command and no keypoints: commands often run faster than cameras.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError, about
+from .recording import Recording, check_time
+from .tables import read_table, write_table
+
+AXES = ("x", "y", "z")
+SUFFIXES = (*AXES, "likelihood", "torque", "angle")
+
+
+def read_keypoint_csv(
+    path: str | Path,
+    *,
+    keypoints: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,
+    base: str | None = None,
+) -> Recording:
+    """Read one such file.
+
+    Args:
+        path: the file.
+        keypoints: the names to expect and their order, from a body; by default those in the header.
+        joints: likewise for the joints.
+        base: one more keypoint that may be there, the first joint's; it then comes first.
+
+    Raises:
+        InputError: a column that is unknown or missing, a time that does not increase, a cell that is not a
+            number, a command whose first value is missing: the message names the row and column.
+        OSError: a file that cannot be opened.
+    """
+    columns, where = read_table(path)
+    with about(path):
+        found = _split(columns, keypoints or (), joints or ())
+        in_file = _distinct(stem for stem, suffix in found if suffix in AXES)
+        if keypoints is None:
+            points = in_file
+        else:
+            first = tuple(name for name in in_file if name == base and name not in keypoints)
+            points = first + _expected("keypoint", keypoints, [p for p in in_file if p not in first])
+        in_file = _distinct(stem for stem, suffix in found if suffix in ("torque", "angle"))
+        names = in_file if joints is None else _expected("joint", joints, in_file)
+        for stem in _distinct(stem for stem, suffix in found if suffix == "likelihood"):
+            if stem not in points:
+                raise InputError(f"column '{stem}_likelihood' belongs to no keypoint: there is no '{stem}_x'")
+        axes = AXES if any(suffix == "z" for _, suffix in found) else AXES[:2]
+        for missing in (f"{p}_{axis}" for p in points for axis in axes if f"{p}_{axis}" not in columns):
+            raise InputError(f"column '{missing}' is missing: every keypoint needs {', '.join(axes)}")
+        check_time(columns["time"], where)
+
+        unknown = np.full(len(columns["time"]), np.nan)
+
+        def stack(stems: Sequence[str], suffix: str) -> np.ndarray:
+            return np.stack([columns.get(f"{s}_{suffix}", unknown) for s in stems], axis=-1)
+
+        def optional(stems: Sequence[str], suffix: str) -> np.ndarray | None:
+            return stack(stems, suffix) if any(s == suffix for _, s in found) else None
+
+        torques = optional(names, "torque")
+        return Recording(
+            time=columns["time"],
+            keypoints=np.stack([stack(points, axis) for axis in axes], axis=-1)
+            if points
+            else np.empty((len(unknown), 0, 2)),
+            keypoint_names=points,
+            confidence=optional(points, "likelihood"),
+            angles=optional(names, "angle"),
+            torques=None if torques is None else _hold(torques, names),
+            joint_names=names,
+            name=Path(path).stem,
+        )
+
+
+def write_keypoint_csv(recording: Recording, path: str | Path) -> None:
+    """Write such a file, whole or not at all; it reads back exactly.
+
+    Raises:
+        InputError: a recording whose lengths are not in metres.
+        OSError: `path` cannot be written.
+    """
+    if recording.length_unit != "m":
+        raise InputError(f"this file is in metres, the recording in {recording.length_unit}: scale it first")
+    columns = {"time": recording.time}
+    for p, point in enumerate(recording.keypoint_names):
+        for axis, values in zip(AXES, recording.keypoints[:, p].T, strict=False):
+            columns[f"{point}_{axis}"] = values
+        if recording.confidence is not None:
+            columns[f"{point}_likelihood"] = recording.confidence[:, p]
+    for suffix, values in (("torque", recording.torques), ("angle", recording.angles)):
+        if values is not None:
+            columns |= {f"{joint}_{suffix}": values[:, k] for k, joint in enumerate(recording.joint_names)}
+    write_table(columns, path)
+
+
+def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[str]) -> list[tuple[str, str]]:
+    """Column names as (stem, suffix), `time` left out; InputError for one that is neither."""
+    if "time" not in columns:
+        near = difflib.get_close_matches("time", columns, 1)
+        hint = f"; rename {near[0]!r}?" if near else ", in seconds"
+        raise InputError(f"no column 'time'{hint}")
+    found = [tuple(c.rpartition("_")[::2]) for c in columns if c != "time"]
+    for stem, suffix in found:
+        if not stem or suffix not in SUFFIXES:
+            stems = {s for s, _ in found if s} | {*keypoints, *joints}
+            known = ["time", *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
+            column = f"{stem}_{suffix}" if stem else suffix
+            whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
+            near = (whole or difflib.get_close_matches(column, known, 1, cutoff=0.0))[0]
+            raise InputError(
+                f"unknown column {column!r}; the closest known is {near!r} "
+                f"(known are time and <name>_{', _'.join(SUFFIXES)})"
+            )
+    return found
+
+
+def _expected(kind: str, expected: Sequence[str], in_file: Sequence[str]) -> tuple[str, ...]:
+    """The expected names, or none if the file has none; InputError when others are there instead."""
+    if not in_file:
+        return ()
+    unknown = [name for name in in_file if name not in expected]
+    missing = [name for name in expected if name not in in_file]
+    if unknown or (missing and kind == "keypoint"):
+        hints = [
+            f"unknown {name!r} (closest: {difflib.get_close_matches(name, expected, 1, cutoff=0.0)[0]!r})"
+            for name in unknown
+            if expected
+        ]
+        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing)])
+        raise InputError(
+            f"the file's {kind}s ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
+            "rename the columns or the body's names"
+        )
+    return tuple(expected)
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))
+
+
+def _hold(torques: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+    """(T, K), each empty cell taking the last command above it; a column that is all empty stays unknown."""
+    held = torques.copy()
+    for k, joint in enumerate(joints):
+        given = np.isfinite(held[:, k])
+        if given.any() and not given[0]:
+            raise InputError(
+                f"column '{joint}_torque' has no value in its first row: a command is held until the next, "
+                "so the first row needs one (0 for a motor that is off)"
+            )
+        last = np.maximum.accumulate(np.where(given, np.arange(len(given)), 0))
+        held[:, k] = held[last, k]
+    return held

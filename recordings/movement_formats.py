@@ -1,0 +1,73 @@
+"""The other trackers' files, read through the package `movement` (extra `tracks`).
+
+SLEAP (.slp, .h5), Lightning Pose (.csv), Anipose (.csv, 3-D) and NWB (.nwb, at its median rate); the last two
+come with keypoints in alphabetical order. Numbers stay as in the file. https://movement.neuroinformatics.dev
+"""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from .deeplabcut import choose_individual
+from .errors import InputError, about, first_line
+from .recording import Recording
+
+SOFTWARE = {  # our name of a format: movement's
+    "deeplabcut": "DeepLabCut",
+    "sleap": "SLEAP",
+    "lightningpose": "LightningPose",
+    "anipose": "Anipose",
+    "nwb": "NWB",
+}
+
+
+def read_with_movement(
+    path: str | Path, software: str, fps: float | None, individual: str | None = None
+) -> Recording:
+    """Read tracks by `movement`; `software` is one of `SOFTWARE`'s keys, `fps` None for NWB alone.
+
+    Raises:
+        InputError: `movement` is not installed, cannot read the file, or an animal has to be chosen.
+        OSError: a file that cannot be opened.
+    """
+    with open(path, "rb"):  # missing, a folder, not permitted: the system's own words are the clearest
+        pass
+    load_dataset = _import_movement(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the library's own affairs
+            dataset = load_dataset(Path(path), source_software=SOFTWARE[software], fps=fps)
+            position = dataset.position.transpose("time", "individuals", "keypoints", "space")
+            confidence = dataset.confidence.transpose("time", "individuals", "keypoints").to_numpy()
+            animals, points = position.individuals.to_numpy().tolist(), position.keypoints.to_numpy().tolist()
+            time, tracks = position.time.to_numpy().astype(float), position.to_numpy()
+    except Exception as error:  # each format fails in its own way
+        raise InputError(f"{path}: not a whole {SOFTWARE[software]} file ({first_line(error)})") from None
+    with about(path):
+        i = animals.index(choose_individual(animals, individual))
+        return Recording(
+            time=time,
+            keypoints=tracks[:, i],
+            keypoint_names=tuple(points),
+            confidence=confidence[:, i] if np.isfinite(confidence[:, i]).any() else None,
+            name=Path(path).stem,
+            length_unit="px" if tracks.shape[-1] == 2 else "m",
+        )
+
+
+def _import_movement(path: str | Path):
+    show = warnings.showwarning
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from loguru import logger
+            from movement.io import load_dataset
+    except ImportError:
+        raise InputError(
+            f"{path}: reading this format needs one more package: pip install 'invdyn[tracks]'"
+        ) from None
+    finally:
+        warnings.showwarning = show  # importing movement sends all warnings to its own log
+    logger.disable("movement")  # it logs what it raises; the user gets one line, from us
+    return load_dataset

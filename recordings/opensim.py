@@ -1,0 +1,120 @@
+"""OpenSim's tables: joint moments out (.sto), marker tracks in (.trc).
+
+A .sto is a name, version, nRows, nColumns, inDegrees, `endheader`, a line of labels, then rows, all separated
+by tabs. OpenSim's ground has y up and z to the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
+https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .atomic import write_text
+from .errors import InputError, about
+from .recording import Recording
+from .tables import read_numbers
+from .units import METRES
+
+
+def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
+    """Write columns (T,) by label, `time` first, NaN as `nan`. Raises InputError if time is not first."""
+    if next(iter(columns), None) != "time":
+        raise InputError(f"the first column of a .sto file must be time, got {next(iter(columns), None)!r}")
+    rows = np.stack(list(columns.values()), axis=-1)
+    lines = [name, "version=1", f"nRows={len(rows)}", f"nColumns={len(columns)}", "inDegrees=no", "endheader"]
+    lines.append("\t".join(columns))
+    lines += ["\t".join(f"{value:.10g}" for value in row) for row in rows]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_moments(
+    path: str | Path,
+    time: np.ndarray,
+    moment: np.ndarray,
+    q05: np.ndarray,
+    q95: np.ndarray,
+    coordinates: Sequence[str],
+) -> None:
+    """Write joint torques with their 90 % band as `<coordinate>_moment`, `_q05` and `_q95`.
+
+    Args:
+        path: the .sto file.
+        time: (T,) s.
+        moment: (T, K) N·m, the central value.
+        q05: (T, K) its 5 % quantile.
+        q95: (T, K) its 95 % quantile.
+        coordinates: K names of OpenSim coordinates.
+
+    Raises:
+        InputError: shapes that do not fit.
+        OSError: `path` cannot be written.
+    """
+    shape = (len(time), len(coordinates))
+    columns = {"time": np.asarray(time)}
+    for suffix, values in (("moment", moment), ("q05", q05), ("q95", q95)):
+        if np.shape(values) != shape:
+            raise InputError(f"{suffix} must have shape {shape}, got {np.shape(values)}")
+        columns |= {f"{c}_{suffix}": np.asarray(values)[:, k] for k, c in enumerate(coordinates)}
+    write_sto(columns, path)
+
+
+def read_sto(path: str | Path) -> dict[str, np.ndarray]:
+    """Columns by label of a .sto or .mot file, as they stand (radians or degrees).
+
+    Raises InputError for another kind of file or a count of rows or columns that is not the header's.
+    """
+    lines = _text_lines(path)
+    with about(path):
+        ends = [i for i, line in enumerate(lines) if line.strip() == "endheader"]
+        if not ends or len(lines) < ends[0] + 2:
+            raise InputError("not an OpenSim .sto file: no line 'endheader' with labels below it")
+        header = dict(line.split("=", 1) for line in lines[: ends[0]] if "=" in line)
+        labels = lines[ends[0] + 1].split()
+        rows = [(n, line.split()) for n, line in enumerate(lines, 1) if n > ends[0] + 2 and line.strip()]
+        numbers, _ = read_numbers(rows, labels)
+        for key, count in (("nRows", len(rows)), ("nColumns", len(labels))):
+            if header.get(key, str(count)).strip() != str(count):
+                raise InputError(f"the header says {key}={header[key].strip()}, but there are {count}")
+        return dict(zip(labels, numbers.T, strict=True))
+
+
+def read_trc(path: str | Path) -> Recording:
+    """Marker tracks, m, with z up; the file says its own units and times.
+
+    Raises InputError for another kind of file, or a unit that is not m, cm or mm.
+    """
+    lines = _text_lines(path)
+    with about(path):
+        if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+            raise InputError(
+                "not an OpenSim .trc file: it must begin with PathFileType and hold five header lines"
+            )
+        header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+        unit = header.get("Units", "").strip()
+        if unit not in METRES:
+            raise InputError(f"Units is {unit!r}; expected m, cm or mm")
+        markers = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+        width = 2 + 3 * len(markers)
+        rows = [
+            (n, [cell.strip() for cell in line.split("\t")[:width]])
+            for n, line in enumerate(lines, 1)
+            if n > 5 and line.strip()
+        ]
+        rows = [(n, cells + [""] * (width - len(cells))) for n, cells in rows]  # a trailing gap has no tabs
+        labels = ["frame", "time", *(f"{m} {axis}" for m in markers for axis in "XYZ")]
+        numbers, _ = read_numbers(rows, labels)
+        x, y, z = np.moveaxis(numbers[:, 2:].reshape(len(rows), -1, 3), -1, 0)
+        return Recording(
+            time=numbers[:, 1],
+            keypoints=np.stack([x, -z, y], axis=-1) * METRES[unit],
+            keypoint_names=markers,
+            name=Path(path).stem,
+        )
+
+
+def _text_lines(path: str | Path) -> list[str]:
+    try:
+        return Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None

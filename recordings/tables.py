@@ -1,0 +1,101 @@
+"""Comma-separated tables of numbers, read so strictly that every complaint names its row and column.
+
+A table is a header line and rows of numbers; an empty cell (or `nan`) is missing. The columns come back as
+float64 arrays in the file's order, with a function that turns a 0-based row into words ("row 3 (line 4)").
+"""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .atomic import atomic_path
+from .errors import InputError, about, first_line
+
+Row = tuple[int, list[str]]  # line number in the file, and the cells
+
+
+def read_rows(path: str | Path) -> list[Row]:
+    """All lines that are not blank, each as (line number, cells), cells stripped.
+
+    Raises:
+        InputError: an empty file, or one that is not text in UTF-8.
+        OSError: a file that cannot be opened.
+    """
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if any(cells)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a text table ({first_line(error)})") from None
+    if not rows:
+        raise InputError(f"{path}: the file is empty; expected a header line and rows of numbers")
+    for line, cells in rows:
+        if not all(cell.replace("\t", "").isprintable() for cell in cells):
+            raise InputError(f"{path}: not a text table (line {line} holds control characters)")
+    return rows
+
+
+def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarray, Callable[[int], str]]:
+    """Turn rows of cells into numbers, (rows, columns), NaN where a cell is empty.
+
+    Raises:
+        InputError: no rows, a row of another length, or a cell that is no finite number; says which.
+    """
+
+    def where(row: int) -> str:
+        return f"row {row + 1} (line {rows[row][0]})"
+
+    if not rows:
+        raise InputError("only a header, no rows; expected one row a frame")
+    for i, (_, cells) in enumerate(rows):
+        if len(cells) != len(columns):
+            raise InputError(f"{where(i)} has {len(cells)} cells, the header has {len(columns)}")
+    try:
+        numbers = np.array([[float(c) if c else np.nan for c in cells] for _, cells in rows])
+    except ValueError:
+        numbers = np.array([np.inf])
+    if np.isinf(numbers).any():  # go through them again, slowly, to say which cell it was
+        for i, (_, cells) in enumerate(rows):
+            for column, cell in zip(columns, cells, strict=True):
+                _check_cell(cell, f"{where(i)}, column {column!r}")
+    return numbers, where
+
+
+def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
+    """Columns by name, and the words for a row. Raises InputError as above, or for a bad header."""
+    (_, header), *rows = read_rows(path)
+    with about(path):
+        if len(header) == 1 and (mark := next((m for m in ";\t|" if m in header[0]), None)):
+            raise InputError(f"columns must be separated by commas, these are by {mark!r}")
+        if any("\t" in name for name in header):
+            raise InputError("the header has a tab inside a column's name")
+        if not all(header):
+            raise InputError("the header has a column without a name")
+        if twice := sorted({name for name in header if header.count(name) > 1}):
+            raise InputError(f"the header has column {twice[0]!r} twice")
+        numbers, where = read_numbers(rows, header)
+    return dict(zip(header, numbers.T, strict=True)), where
+
+
+def write_table(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
+    """Write equal-length columns as CSV, NaN as an empty cell, numbers so that they read back exactly.
+
+    Raises OSError when `path` cannot be written; nothing is left half-written.
+    """
+    rows = np.stack([np.asarray(column, dtype=np.float64) for column in columns.values()], axis=-1).tolist()
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        # repr of a float is its shortest exact form; a value differs from itself only when it is NaN
+        writer.writerows([repr(v) if v == v else "" for v in row] for row in rows)
+
+
+def _check_cell(cell: str, where: str) -> None:
+    try:
+        value = float(cell) if cell else 0.0
+    except ValueError:
+        raise InputError(f"{where}: {cell[:40]!r} is not a number; leave a missing value empty") from None
+    if np.isinf(value):
+        raise InputError(f"{where} is infinite; leave a missing value empty")

@@ -1,0 +1,88 @@
+"""True (simulated) or measured joint angles, velocities and torques, to score an inference against.
+
+CSV: `time` in s, then `<joint>_torque` N·m, `<joint>_angle` rad, `<joint>_velocity` rad/s; empty = unknown.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError, about
+from .recording import check_time
+from .tables import read_table, write_table
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Joint trajectories, T times and K joints.
+
+    Attributes:
+        time: (T,) s, strictly increasing.
+        angle, velocity, torque: (T, K) rad (Denavit–Hartenberg), rad/s, N·m; NaN = unknown.
+        joint_names: K names.
+
+    Raises:
+        InputError: shapes that do not fit, or times that are not finite and increasing.
+    """
+
+    time: np.ndarray
+    angle: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+    joint_names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        for field in ("time", "angle", "velocity", "torque"):
+            object.__setattr__(self, field, np.array(getattr(self, field), dtype=np.float64))
+        check_time(self.time)
+        shape = (len(self.time), len(self.joint_names))
+        for field in ("angle", "velocity", "torque"):
+            if getattr(self, field).shape != shape:
+                raise InputError(f"truth: {field} must have shape {shape}, got {getattr(self, field).shape}")
+
+    def at(self, time: np.ndarray) -> "Truth":
+        """Linear interpolation at `time` (T',) s; NaN outside the record, never extrapolated."""
+
+        def resample(values: np.ndarray) -> np.ndarray:
+            columns = [np.interp(time, self.time, column, left=np.nan, right=np.nan) for column in values.T]
+            return np.stack(columns, axis=-1)
+
+        return replace(
+            self,
+            time=time,
+            angle=resample(self.angle),
+            velocity=resample(self.velocity),
+            torque=resample(self.torque),
+        )
+
+
+def write_truth(truth: Truth, path: str | Path) -> None:
+    """Write the CSV above, whole or not at all. Raises OSError when `path` cannot be written."""
+    columns = {"time": truth.time}
+    for quantity in ("torque", "angle", "velocity"):
+        for k, joint in enumerate(truth.joint_names):
+            columns[f"{joint}_{quantity}"] = getattr(truth, quantity)[:, k]
+    write_table(columns, path)
+
+
+def read_truth(path: str | Path) -> Truth:
+    """Read the CSV above. Raises InputError if it is not such a table, OSError if it cannot be read."""
+    columns, where = read_table(path)
+    with about(path):
+        if "time" not in columns:
+            raise InputError(f"no column 'time'; it has {', '.join(columns)}")
+        check_time(columns["time"], where)
+        joints = tuple(c.removesuffix("_torque") for c in columns if c.endswith("_torque"))
+        expected = {"time"} | {f"{j}_{q}" for j in joints for q in ("torque", "angle", "velocity")}
+        if not joints or set(columns) != expected:
+            odd = ", ".join(sorted(set(columns) ^ expected)) or "no joint at all"
+            raise InputError(
+                f"a truth file has <joint>_torque, _angle and _velocity for each joint; odd or missing: {odd}"
+            )
+
+        def stack(quantity: str) -> np.ndarray:
+            return np.stack([columns[f"{joint}_{quantity}"] for joint in joints], axis=-1)
+
+        return Truth(columns["time"], stack("angle"), stack("velocity"), stack("torque"), joints)

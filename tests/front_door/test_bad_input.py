@@ -1,0 +1,212 @@
+"""Whatever is wrong ends with one clear line and an exit code, and leaves no half-written file."""
+
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import invdyn.inference
+
+HEADER = "time,elbow_x,elbow_y,wrist_x,wrist_y\n"
+GIVEN = {"arm.toml", "rec.csv", "hand.csv"}
+
+
+@pytest.fixture
+def refused(folder, run, contents):
+    """Function that makes a call and checks the refusal."""
+
+    def refused(arguments, named, exit_code=2, kind="error"):
+        """One line on stderr that names the culprit, the exit code, and the folder as it was before."""
+        before = contents(folder)
+        outcome = run(*arguments)
+        assert outcome.exit_code == exit_code, outcome.output
+        assert not outcome.stdout
+        (line,) = outcome.stderr.splitlines()
+        assert line.startswith(f"{kind}: ")
+        assert named in line
+        assert contents(folder) == before
+
+    return refused
+
+
+# -- bad input: one clear line, exit code 2, nothing written ----------------------------------------------
+
+INFER = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc")
+BAD = {
+    "no recording": (("infer", "none.csv", "--body", "arm.toml", "--out", "p.nc"), "none.csv"),
+    "misspelt name": (("infer", "human-armm", "--body", "arm.toml", "--out", "p.nc"), "human-arm"),
+    "recording is a folder": (("infer", ".", "--body", "arm.toml", "--out", "p.nc"), "."),
+    "no body": (("infer", "rec.csv", "--body", "none.toml", "--out", "p.nc"), "none.toml"),
+    "body is a recording": (("infer", "rec.csv", "--body", "rec.csv", "--out", "p.nc"), "TOML"),
+    "no folder for the output": ((*INFER[:-1], "nowhere/p.nc"), "nowhere/p.nc"),
+    "output is a folder": ((*INFER[:-1], "."), "folder"),
+    "figure nowhere": ((*INFER, "--figure", "nowhere/f.png"), "nowhere/f.png"),
+    "figure of unknown kind": ((*INFER, "--figure", "f.jpg"), ".png"),
+    "film of unknown kind": ((*INFER, "--film", "f.avi"), ".gif"),
+    "output over input": ((*INFER[:-1], "rec.csv"), "overwrite"),
+    "two outputs of one name": ((*INFER, "--csv", "p.nc"), "two outputs"),
+    "unknown method": ((*INFER, "--method", "magic"), "smc"),
+    "no particles": ((*INFER, "--particles", "0"), "--particles"),
+    "particles in words": ((*INFER, "--particles", "many"), "--particles"),
+    "unknown option": ((*INFER, "--magic"), "--magic"),
+    "missing option": (INFER[:-2], "--out"),
+    "unknown command": (("magic",), "magic"),
+    "frames in words": ((*INFER, "--frames", "all"), "50:250"),
+    "one frame": ((*INFER, "--frames", "3:4"), "2 frames"),
+    "frames past the end": ((*INFER, "--frames", "50:"), "2 frames"),
+    "unknown unit": ((*INFER, "--units", "inch"), "inch"),
+    "frame rate given twice": ((*INFER, "--fps", "30"), "--fps"),
+    "centimetres for metres": ((*INFER, "--units", "cm"), "--units"),
+    "unknown format": ((*INFER, "--format", "magic"), "magic"),
+    "no truth": ((*INFER, "--truth", "none.csv"), "none.csv"),
+    "truth of another body": ((*INFER, "--truth", "hand.csv"), "elbow"),
+    "truth is a recording": ((*INFER, "--truth", "rec.csv"), "rec.csv"),
+    "no posterior": (("plot", "none.nc", "--out", "f.png"), "none.nc"),
+    "posterior is a text": (("plot", "rec.csv", "--out", "f.png"), "rec.csv"),
+    "simulate no time": (("simulate", "--body", "arm.toml", "--out", "s.csv", "--duration", "0"), "2"),
+    "simulate for ever": (
+        ("simulate", "--body", "arm.toml", "--out", "s.csv", "--duration", "inf"),
+        "duration",
+    ),
+    "simulate no number": (("simulate", "--body", "arm.toml", "--out", "s.csv", "--noise", "nan"), "noise"),
+    "simulate backwards": (("simulate", "--body", "arm.toml", "--out", "s.csv", "--fps", "-1"), "--fps"),
+    "simulate nowhere": (("simulate", "--body", "arm.toml", "--out", "nowhere/s.csv"), "nowhere/s.csv"),
+    "demo over a file": (("demo", "--out", "rec.csv"), "rec.csv"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "named"), BAD.values(), ids=BAD.keys())
+def test_bad_calls_end_with_one_line(folder, quick_inference, arguments, named, refused):
+    refused(arguments, named)
+
+
+RECORDINGS = {
+    "empty": ("", "empty"),
+    "header alone": (HEADER, "header"),
+    "one frame": (HEADER + "0,1,0,2,0\n", "2 frames"),
+    "no time": ("elbow_x,elbow_y,wrist_x,wrist_y\n1,0,2,0\n1,0,2,0\n", "time"),
+    "a keypoint missing throughout": (HEADER + "0,1,0,,\n0.03,1,0,,\n", "wrist"),
+    "a keypoint not in the file": ("time,elbow_x,elbow_y\n0,1,0\n0.03,1,0\n", "wrist"),
+    "an unknown column": (HEADER.strip() + ",knee\n0,1,0,2,0,9\n0.03,1,0,2,0,9\n", "knee"),
+    "infinite": (HEADER + "0,1,0,2,0\n0.03,inf,0,2,0\n", "inf"),
+    "a word": (HEADER + "0,1,0,2,0\n0.03,one,0,2,0\n", "one"),
+    "no time in a row": (HEADER + "0,1,0,2,0\n,1,0,2,0\n", "time"),
+    "time twice": (HEADER + "0,1,0,2,0\n0,1,0,2,0\n", "repeats"),
+    "time backwards": (HEADER + "1,1,0,2,0\n0,1,0,2,0\n", "backwards"),
+    "pixels as metres": (HEADER + "0,100,0,200,0\n0.03,100,1,200,1\n", "px"),
+    "short row": (HEADER + "0,1,0,2,0\n0.03,1\n", "3"),
+    "three coordinates": (
+        "time,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z\n0,1,0,0,2,0,0\n0.03,1,0,0,2,0,0\n",
+        "plane",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "named"), RECORDINGS.values(), ids=RECORDINGS.keys())
+def test_bad_recordings_end_with_one_line(folder, text, named, refused):
+    (folder / "rec.csv").write_text(text)
+    refused(INFER, named)
+
+
+BODIES = {  # what stands in the body file, what comes instead, what is named
+    "negative mass": ("mass = 0.5", "mass = -0.5", "mass"),
+    "zero length": ("length = 1.0", "length = 0.0", "length"),
+    "no links": ("[[links]]", "[[bones]]", "links"),
+    "broken TOML": ('"arm"', '"arm', "TOML"),
+    "other keypoints": ('tip = "wrist"', 'tip = "hand"', "hand"),
+    "other size": ("length = 1.0", "length = 0.1", "length"),
+}
+
+
+@pytest.mark.parametrize(("good", "bad", "named"), BODIES.values(), ids=BODIES.keys())
+def test_bad_bodies_end_with_one_line(folder, quick_inference, refused, good, bad, named):
+    text = (folder / "arm.toml").read_text()
+    assert good in text
+    (folder / "arm.toml").write_text(text.replace(good, bad))
+    refused(INFER, named)
+
+
+def test_truncated_posterior_ends_with_one_line(folder, quick_inference, run, refused):
+    run(*INFER)
+    whole = Path("p.nc").read_bytes()
+    for length in (0, 100, len(whole) // 2, len(whole) - 1):
+        Path("cut.nc").write_bytes(whole[:length])
+        refused(("plot", "cut.nc", "--out", "f.png"), "cut.nc")
+
+
+# -- interrupts and failures on the way ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("earlier", [None, b"an earlier result"])
+def test_interrupt_during_inference_writes_nothing(folder, monkeypatch, earlier, refused):
+    def infer(*_, progress, **__):
+        progress(1, 3, "filter")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(invdyn.inference, "infer", infer)
+    if earlier is not None:
+        (folder / "p.nc").write_bytes(earlier)
+    refused((*INFER, "--figure", "f.png"), "interrupted", 130, "interrupted")
+
+
+def test_interrupt_during_writing_leaves_no_half_file(folder, quick_inference, monkeypatch, run, contents):
+    import invdyn.outputs
+
+    def save_film(idata, path, progress):
+        with invdyn.recordings.atomic_path(path) as temporary:
+            temporary.write_bytes(b"half a film")
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(invdyn.outputs, "save_film", save_film)
+    outcome = run(*INFER, "--film", "f.gif", "--figure", "f.png")
+    assert outcome.exit_code == 130
+    assert set(contents(folder)) == {*GIVEN, "p.nc", "f.png"}  # these were whole by then
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_control_c_ends_the_program(folder, contents):
+    script = (
+        "import sys, time\n"
+        "import invdyn.inference\n"
+        "from invdyn.cli import app\n"
+        "def infer(*_, **__):\n    print('running', flush=True)\n    time.sleep(60)\n"
+        "invdyn.inference.infer = infer\n"
+        "sys.argv[0] = 'invdyn'\n"
+        "app()\n"
+    )
+    before = contents(folder)
+    command = [sys.executable, "-c", script, *INFER]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "running\n"
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors.splitlines() == ["interrupted: what was not finished was not written"]
+    assert contents(folder) == before
+
+
+def test_an_error_of_ours_is_not_dressed_up_as_bad_input(folder, monkeypatch, run):
+    def infer(*_, **__):
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(invdyn.inference, "infer", infer)
+    outcome = run(*INFER)
+    assert isinstance(outcome.exception, ValueError)
+    assert outcome.exit_code == 1
+
+
+def test_a_warning_takes_one_line(folder, make_posterior, monkeypatch, run):
+    def infer(recording, body, **_):
+        warnings.warn("the film is\n dark", UserWarning, stacklevel=1)
+        return make_posterior(2, 12)
+
+    monkeypatch.setattr(invdyn.inference, "infer", infer)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        outcome = run(*INFER)
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stderr == "warning: the film is dark\n"

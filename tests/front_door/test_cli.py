@@ -1,0 +1,189 @@
+"""The commands: what each writes, and that it does what was said."""
+
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invdyn.inference
+from invdyn.plots import quantiles
+from invdyn.recordings import load, read_sto, read_table, read_truth
+
+GIVEN = {"arm.toml", "rec.csv", "hand.csv"}
+
+
+# -- help -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["simulate", "infer", "plot", "demo"])
+def test_each_command_explains_itself(command, run):
+    outcome = run(command, "--help")
+    assert outcome.exit_code == 0
+    assert "--out" in outcome.stdout
+    assert command in run("--help").stdout
+
+
+def test_version(run):
+    outcome = run("--version")
+    assert outcome.exit_code == 0
+    assert outcome.stdout == f"invdyn {version('invdyn')}\n"
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys\n"
+        "sys.argv = ['invdyn', '--help']\n"
+        "from invdyn.cli import app\n"
+        "try:\n    app()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'torch', 'pyro', 'matplotlib', 'arviz', 'pandas', 'numpy', 'scipy'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, timeout=60)
+
+
+# -- what is written --------------------------------------------------------------------------------------
+
+
+def test_simulate_writes_a_recording_and_its_truth(folder, run):
+    outcome = run("simulate", "--body", "arm.toml", "--out", "sim.csv", "--truth", "truth.csv",
+                  "--duration", 2, "--fps", 20, "--noise", 0.01, "--commanded", "--seed", 3)  # fmt: skip
+    assert outcome.exit_code == 0, outcome.output
+    recording, truth = load("sim.csv"), read_truth("truth.csv")
+    assert recording.num_frames == 40
+    assert recording.keypoint_names == ("elbow", "wrist")
+    np.testing.assert_allclose(recording.torques, truth.torque, rtol=1e-9)
+    first = Path("sim.csv").read_bytes()
+    again = ("simulate", "--body", "arm.toml", "--out", "sim.csv", "--duration", 2, "--fps", 20)
+    run(*again, "--noise", 0.01, "--commanded", "--seed", 3)
+    assert Path("sim.csv").read_bytes() == first
+    run(*again, "--noise", 0.01, "--commanded", "--seed", 4)
+    assert Path("sim.csv").read_bytes() != first
+
+
+def test_infer_writes_all_that_was_asked_for(folder, quick_inference, run, contents):
+    wanted = ["p.nc", "f.png", "f.gif", "t.sto", "t.csv"]
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "f.png",
+                  "--film", "f.gif", "--sto", "t.sto", "--csv", "t.csv")  # fmt: skip
+    assert outcome.exit_code == 0, outcome.output
+    assert set(contents(folder)) == {*GIVEN, *wanted}
+    for name in wanted:
+        assert name in outcome.stdout
+    assert "shoulder" in outcome.stdout
+    idata = invdyn.inference.load_posterior("p.nc")
+    low, _, median, _, high = quantiles(idata, "torque")
+    moments, (table, _) = read_sto("t.sto"), read_table("t.csv")
+    for number, joint in enumerate(("shoulder", "elbow")):
+        for ending, values in (("moment", median), ("q05", low), ("q95", high)):
+            np.testing.assert_allclose(moments[f"{joint}_{ending}"], values[:, number], rtol=1e-8)
+        np.testing.assert_allclose(table[f"{joint}_torque"], median[:, number], rtol=1e-12)
+    np.testing.assert_allclose(table["time"], idata.posterior.time)
+
+
+def test_infer_passes_on_what_was_said(folder, quick_inference, run):
+    Path("truth.csv").write_text("time,shoulder_torque,shoulder_angle,shoulder_velocity,elbow_torque,elbow_angle,"
+                                 "elbow_velocity\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n")  # fmt: skip
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--truth", "truth.csv",
+                  "--method", "bootstrap", "--filters", 3, "--particles", 7, "--draws", 2, "--seed", 5,
+                  "--frames", "2:10", "--learn-lengths", "--passive", "--hide-torque")  # fmt: skip
+    assert outcome.exit_code == 0, outcome.output
+    (call,) = quick_inference
+    assert call["recording"].time[0] == pytest.approx(0.06)
+    assert call["recording"].num_frames == 8
+    assert call["body"].joint_names == ("shoulder", "elbow")
+    assert call["truth"].torque[0].tolist() == [1, 4]
+    expected = {"method": "bootstrap", "num_filters": 3, "num_particles": 7, "num_draws": 2, "seed": 5}
+    expected |= dict.fromkeys(("learn_lengths", "passive", "hide_torque"), True)
+    assert {name: call[name] for name in expected} == expected
+    assert "90 % covers" in outcome.stdout
+
+
+def test_a_tracked_base_is_subtracted(folder, quick_inference, run):
+    rows = [f"{0.03 * f},{5 + f},7,{6 + f},7.0,{7 + f},7.0\n" for f in range(5)]
+    Path("rec.csv").write_text("time,shoulder_x,shoulder_y,elbow_x,elbow_y,wrist_x,wrist_y\n" + "".join(rows))
+    assert run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc").exit_code == 0
+    recording = quick_inference[0]["recording"]
+    assert recording.keypoint_names == ("elbow", "wrist")
+    np.testing.assert_allclose(recording.keypoints[3], [[1, 0], [2, 0]])
+
+
+def test_film_without_scale_is_divided_by_the_bodys_length(folder, quick_inference, run):
+    tracks = [f"{f},100,200,0.9,160,200,0.9,160,{160 + f},0.9\n" for f in range(5)]
+    Path("film.csv").write_text(
+        "scorer"
+        + ",net" * 9
+        + "\nbodyparts"
+        + "".join(f",{p}" * 3 for p in ("shoulder", "elbow", "wrist"))
+        + "\ncoords"
+        + ",x,y,likelihood" * 3
+        + "\n"
+        + "".join(tracks)
+    )
+    call = ("infer", "film.csv", "--body", "arm.toml", "--out", "p.nc", "--units", "px", "--fps", 30)
+    refused = run(*call)
+    assert refused.exit_code == 2
+    assert "--body-lengths" in refused.stderr
+    assert run(*call, "--body-lengths").exit_code == 0
+    recording = quick_inference[0]["recording"]
+    assert recording.length_unit == "body length"
+    total = 60 + 38  # px: median lengths of the two links
+    np.testing.assert_allclose(recording.keypoints[2], [[60 / total, 0], [60 / total, 38 / total]])
+
+
+def test_plot_draws_a_saved_posterior_again(folder, quick_inference, run):
+    run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "first.png")
+    outcome = run("plot", "p.nc", "--out", "again.png", "--film", "film.gif", "--sto", "t.sto")
+    assert outcome.exit_code == 0, outcome.output
+    assert Path("again.png").read_bytes() == Path("first.png").read_bytes()
+    assert Path("film.gif").stat().st_size > 1000
+    assert "shoulder" in outcome.stdout
+
+
+def test_simulate_infer_plot_end_to_end(folder, run):
+    """Nothing replaced: the real inference, small."""
+    simulated = run("simulate", "--body", "arm.toml", "--out", "sim.csv", "--truth", "truth.csv",
+                    "--duration", 1, "--fps", 30, "--seed", 1)  # fmt: skip
+    assert simulated.exit_code == 0, simulated.output
+    call = [
+        "infer",
+        "sim.csv",
+        "--body",
+        "arm.toml",
+        "--truth",
+        "truth.csv",
+        "--filters",
+        4,
+        "--particles",
+        50,
+    ]
+    outcome = run(*call, "--out", "p.nc", "--figure", "f.png", "--seed", 1)
+    assert outcome.exit_code == 0, outcome.output
+    idata = invdyn.inference.load_posterior("p.nc")
+    assert idata.posterior.torque.dims == ("chain", "draw", "time", "joint")
+    assert np.isfinite(idata.posterior.torque).all()
+    assert run("plot", "p.nc", "--out", "again.png").exit_code == 0
+
+
+def test_a_real_recording_by_its_name(folder, run, data_folder):
+    call = ("infer", "human-arm", "--body", "human_arm_on_table", "--body-lengths", "--frames", "50:80")
+    outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--film", "f.gif")
+    assert outcome.exit_code == 0, outcome.output
+    idata = invdyn.inference.load_posterior("p.nc")
+    assert idata.posterior.sizes["time"] == 30
+    assert idata.posterior.position.attrs["units"] == "body length"
+    assert Path("f.gif").stat().st_size > 10_000
+
+
+def test_demo_leaves_everything_and_says_where(folder, run, contents):
+    outcome = run("demo", "--out", "shown/here")
+    assert outcome.exit_code == 0, outcome.output
+    files = {"posterior.nc", "figure.png", "film.gif", "torques.sto", "torques.csv"}
+    files |= {"recording.csv", "truth.csv", "arm.toml"}
+    assert set(contents(folder / "shown" / "here")) == files
+    assert all(f"shown/here/{file}" in outcome.stdout for file in files)
+    low, _, _, _, high = quantiles(invdyn.inference.load_posterior("shown/here/posterior.nc"), "torque")
+    truth = read_truth("shown/here/truth.csv").torque
+    # 400 of them, but neighbours in time agree: some 60 independent ones
+    assert np.mean((low <= truth) & (truth <= high)) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / 60))

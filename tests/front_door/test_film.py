@@ -1,0 +1,128 @@
+"""Films have the right frames at the right times, show what was observed, and are whole or absent."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from invdyn.film import FRAMES_PER_SECOND, MOST_FRAMES, film_frames, save_film, shown_frames
+from invdyn.plots import VERMILION
+from invdyn.recordings import InputError
+
+
+def gif(path):
+    """Frames (number, height, width, 3) and their durations, s."""
+    with Image.open(path) as image:
+        frames, durations = [], []
+        for number in range(image.n_frames):
+            image.seek(number)
+            frames.append(np.asarray(image.convert("RGB")))
+            durations.append(image.info["duration"] / 1000)
+    return np.stack(frames), np.array(durations)
+
+
+@pytest.mark.parametrize(("num_joints", "interval"), [(1, 0.03), (2, 1 / 30), (6, 0.047)])
+def test_gif_shows_every_frame_at_the_recordings_speed(make_posterior, tmp_path, num_joints, interval):
+    idata = make_posterior(num_joints, num_frames=25, frame_interval=interval)
+    save_film(idata, tmp_path / "film.gif")
+    frames, durations = gif(tmp_path / "film.gif")
+    assert len(frames) == 25
+    assert durations[:-1].sum() == pytest.approx(24 * interval, abs=0.0051)
+    assert (np.abs(np.diff(frames.astype(float), axis=0)).max(axis=(1, 2, 3)) > 50).all(), (
+        "a frame stands still"
+    )
+    assert list(tmp_path.iterdir()) == [tmp_path / "film.gif"]
+
+
+def test_background_is_white_and_stays(make_posterior, tmp_path):
+    save_film(make_posterior(2, num_frames=5), tmp_path / "film.gif")
+    frames, _ = gif(tmp_path / "film.gif")
+    assert (frames == 255).all(axis=-1).mean() > 0.8
+
+
+def test_a_fast_or_long_recording_shows_fewer_frames_at_the_same_speed():
+    fast = shown_frames(np.arange(300) / 100)
+    assert 100 / (fast[1] - fast[0]) <= FRAMES_PER_SECOND
+    assert len(shown_frames(np.arange(10_000) / 30)) <= MOST_FRAMES
+    np.testing.assert_array_equal(shown_frames(np.arange(90) / 30), np.arange(90))
+    np.testing.assert_array_equal(shown_frames(0.03 * np.arange(90)), np.arange(90))
+
+
+def test_gif_of_a_fast_recording_lasts_as_long(make_posterior, tmp_path):
+    save_film(make_posterior(1, num_frames=101, frame_interval=0.01), tmp_path / "film.gif")
+    frames, durations = gif(tmp_path / "film.gif")
+    assert len(frames) == 34
+    assert durations[:-1].sum() == pytest.approx(0.99, abs=0.005)
+
+
+def test_observed_joints_are_drawn_where_seen_only(make_posterior):
+    idata = make_posterior(2, num_frames=30)
+    missing = np.isnan(idata.observed_data.position.values[:, 1, 0])
+    seen, unseen = np.flatnonzero(~missing)[-1], np.flatnonzero(missing)[-1]
+    idata.observed_data["position"][:, 0] = np.nan
+    frames = list(film_frames(idata, np.array([unseen, seen])))
+    color = 255 * np.array(to_rgb(VERMILION))
+    # the trail is fainter, and the legend's own dot is in both
+    unseen_pixels, seen_pixels = (np.abs(frame - color).max(axis=-1) < 40 for frame in frames)
+    assert seen_pixels.sum() > 1.5 * unseen_pixels.sum() > 0
+
+
+def test_time_line_moves_with_time(make_posterior):
+    idata = make_posterior(1, num_frames=31)
+    first, last = film_frames(idata, np.array([5, 25]))
+    height = first.shape[0]
+    torques = slice(int(0.84 * height), int(0.86 * height))
+    dark = [np.flatnonzero((frame[torques] < 60).all(axis=(0, 2))).mean() for frame in (first, last)]
+    shift = (dark[1] - dark[0]) / first.shape[1]
+    assert shift == pytest.approx(20 / 30, rel=0.15)  # 20 of 30 intervals, of axes almost as wide as the page
+
+
+def test_200_frames_take_seconds_and_few_megabytes(make_posterior, tmp_path):
+    idata = make_posterior(2, num_frames=200, num_filters=64)
+    start = time.perf_counter()
+    save_film(idata, tmp_path / "film.gif")
+    assert time.perf_counter() - start < 30
+    assert (tmp_path / "film.gif").stat().st_size < 4e6
+
+
+def test_mp4_holds_every_frame(make_posterior, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    save_film(make_posterior(2, num_frames=40), tmp_path / "film.mp4")
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert count == 40
+    assert seconds == pytest.approx(40 * 0.03, abs=0.05)
+    assert list(tmp_path.iterdir()) == [tmp_path / "film.mp4"]
+
+
+def test_progress_reaches_the_end(make_posterior, tmp_path):
+    calls = []
+    save_film(make_posterior(1, num_frames=8), tmp_path / "film.gif", lambda *call: calls.append(call))
+    assert calls == [(number, 8, "film") for number in range(1, 9)]
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_interrupted_film_leaves_nothing(make_posterior, tmp_path, suffix):
+    if suffix == "mp4":
+        pytest.importorskip("imageio_ffmpeg")
+
+    def stop(done, total, what):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_film(make_posterior(1, num_frames=10), tmp_path / f"film.{suffix}", stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_mp4_without_its_extra_says_what_to_do(make_posterior, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"invdyn\[video\]"):
+        save_film(make_posterior(1), tmp_path / "film.mp4")
+
+
+def test_other_suffixes_are_refused(make_posterior, tmp_path):
+    with pytest.raises(InputError, match=r"\.gif or \.mp4, got '\.avi'"):
+        save_film(make_posterior(1), tmp_path / "film.avi")

@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+from invdyn.recordings import InputError, load, median_link_lengths, read_sto, write_moments, write_sto
+
+TIME = np.array([0.0, 0.1, 0.25])
+MOMENT = np.array([[1.0, -2.0], [0.123456789, 3e-7], [1e4, np.nan]])
+COORDINATES = ("r_shoulder_elev", "r_elbow_flex")
+
+TRC = """PathFileType\t4\t(X/Y/Z)\tarm.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames
+10\t10\t2\t2\tmm\t10\t1\t2
+Frame#\tTime\tshoulder\t\t\telbow\t\t\t
+\t\tX1\tY1\tZ1\tX2\tY2\tZ2
+
+1\t0\t100\t200\t300\t400\t500\t600\t
+2\t0.1\t100\t200\t300
+"""
+
+
+def test_moments_read_back(tmp_path):
+    write_moments(tmp_path / "out.sto", TIME, MOMENT, MOMENT - 1, MOMENT + 1, COORDINATES)
+    columns = read_sto(tmp_path / "out.sto")
+    assert list(columns) == ["time", *(f"{c}_{end}" for end in ("moment", "q05", "q95") for c in COORDINATES)]
+    np.testing.assert_allclose(columns["time"], TIME)
+    np.testing.assert_allclose(columns["r_elbow_flex_moment"], MOMENT[:, 1], rtol=1e-9)
+    np.testing.assert_allclose(columns["r_shoulder_elev_q05"], MOMENT[:, 0] - 1, rtol=1e-9)
+    np.testing.assert_allclose(columns["r_shoulder_elev_q95"], MOMENT[:, 0] + 1, rtol=1e-9)
+
+
+def test_the_layout_is_opensims(tmp_path):
+    write_sto({"time": TIME, "a_moment": MOMENT[:, 0]}, tmp_path / "out.sto", name="Torques")
+    lines = (tmp_path / "out.sto").read_text().splitlines()
+    assert lines[:7] == [
+        "Torques",
+        "version=1",
+        "nRows=3",
+        "nColumns=2",
+        "inDegrees=no",
+        "endheader",
+        "time\ta_moment",
+    ]
+    assert len(lines) == 10
+    assert lines[7].split("\t") == ["0", "1"]
+
+
+def test_the_layout_is_that_of_a_file_by_opensim(tmp_path, data_folder):
+    theirs = data_folder / "opensim_arm26" / "arm26_InverseDynamics_Filtered.sto"
+    columns = read_sto(theirs)
+    assert [len(values) for values in columns.values()] == [121, 121, 121]
+    write_sto(columns, tmp_path / "ours.sto")
+    assert (tmp_path / "ours.sto").read_text().splitlines()[:7] == theirs.read_text().splitlines()[:7]
+    for label, values in read_sto(tmp_path / "ours.sto").items():
+        np.testing.assert_allclose(values, columns[label], rtol=1e-9)
+
+
+def test_shapes_and_time_are_checked(tmp_path):
+    with pytest.raises(InputError, match=r"q95 must have shape \(3, 2\), got \(3,\)"):
+        write_moments(tmp_path / "out.sto", TIME, MOMENT, MOMENT, MOMENT[:, 0], COORDINATES)
+    with pytest.raises(InputError, match="first column"):
+        write_sto({"a": TIME}, tmp_path / "out.sto")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no line 'endheader'"),
+        ("name\nversion=1\nendheader\n", "no line 'endheader' with labels"),
+        ("name\nendheader\ntime\ta\n", "only a header"),
+        ("name\nnRows=3\nendheader\ntime\ta\n0\t1\n1\t1\n", "nRows=3, but there are 2"),
+        ("name\nnColumns=3\nendheader\ntime\ta\n0\t1\n1\t1\n", "nColumns=3, but there are 2"),
+        ("name\nendheader\ntime\ta\n0\t1\n1\tx\n", r"row 2 \(line 5\), column 'a': 'x' is not a number"),
+        ("name\nendheader\ntime\ta\n0\t1\n1\n", "row 2 .* has 1 cells, the header has 2"),
+    ],
+)
+def test_broken_sto(tmp_path, text, words):
+    (tmp_path / "bad.sto").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_sto(tmp_path / "bad.sto")
+
+
+def test_markers_come_in_metres_with_z_up(tmp_path):
+    (tmp_path / "arm.trc").write_text(TRC)
+    recording = load(tmp_path / "arm.trc")
+    np.testing.assert_allclose(recording.keypoints[0], [[0.1, -0.3, 0.2], [0.4, -0.6, 0.5]])
+    np.testing.assert_allclose(recording.time, [0.0, 0.1])
+    assert np.isnan(recording.keypoints[1, 1]).all()
+    for options, words in [({"fps": 10}, "--fps out"), ({"units": "mm"}, "--units out")]:
+        with pytest.raises(InputError, match=words):
+            load(tmp_path / "arm.trc", **options)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("PathFileType", "Path", "PathFileType"),
+        ("\tmm\t", "\tinch\t", "'inch'"),
+        ("\t600", "\tsix", "'elbow Z': 'six'"),
+    ],
+)
+def test_broken_trc(tmp_path, old, new, words):
+    (tmp_path / "bad.trc").write_text(TRC.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        load(tmp_path / "bad.trc")
+
+
+def test_a_real_marker_file(data_folder):
+    recording = load(data_folder / "opensim_arm26" / "arm26_elbow_flex.trc")
+    assert recording.keypoint_names == ("r_acromion", "r_humerus_epicondyle", "r_radius_styloid")
+    assert recording.num_frames == 121
+    upper_arm, forearm = median_link_lengths(recording)
+    assert 0.25 < upper_arm < 0.4  # the limbs of a person, in metres
+    assert 0.2 < forearm < 0.35
+    assert recording.keypoint("r_acromion")[0, 2] > recording.keypoint("r_radius_styloid")[0, 2]  # arm hangs
