@@ -2,10 +2,10 @@
 
 from invdyn.inference.bootstrap import Bootstrap
 from invdyn.inference.controlled import Controlled
-from invdyn.inference.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.infer import METHODS, free_parameters, infer
 from invdyn.inference.initialise import Problem, arm_problem
+from invdyn.inference.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.nested import OuterWeights, outer_weights
 from invdyn.inference.particle_filter import FilterResult, ParticleFilter
 from invdyn.inference.posterior import load_posterior, pooled, save_posterior, summarise

@@ -100,7 +100,7 @@ class Bridge:
         return torch.where(accept[..., None, None], proposed, stretch[..., :-1, :])
 
     def _log_omega(self, t: int, stretch: Tensor, known: Tensor) -> Tensor:
-        """log ω of stretches (…, ℓ + 2, D); see the top of the file."""
+        """Log ω of stretches (…, ℓ + 2, D); see the top of the file."""
         middle = stretch[..., 1:-1, :]
         rows = torch.arange(t + 1, t + self.block + 1)
         emission = self.model.emission(middle, rows)

@@ -58,7 +58,7 @@ class Controlled(Proposal):
         return gaussian_mean(before) - self.path[t]
 
     def _integral(self, t: int, prediction: Tensor) -> Tensor:
-        """log ∫ N(x_t; x̄_t + prediction, Q_t) ψ_t(x_t) dx_t, shape (…)."""
+        """Log ∫ N(x_t; x̄_t + prediction, Q_t) ψ_t(x_t) dx_t, shape (…)."""
         misfit = prediction @ self._A[t].mT - self._alpha[t]
         return self._log_n[t] - 0.5 * misfit.square().sum(-1)
 
@@ -102,7 +102,7 @@ class Controlled(Proposal):
         return MultivariateNormal(loc, scale_tril=self._root[t], validate_args=False)
 
     def log_twist(self, state, t: int) -> Tensor:
-        """log ψ̃_t(x_t) of the particles in Pyro's state; zero at the last row."""
+        """Log ψ̃_t(x_t) of the particles in Pyro's state; zero at the last row."""
         if t + 1 >= self.num_steps:
             return state["x"].new_zeros(state["x"].shape[:-1])
         return self._integral(t + 1, self._prediction(t + 1, state["x"]))

@@ -103,7 +103,10 @@ def arm_problem(
         body = body.with_values(length=observed_lengths(recording, body))
     values = {**_start_values(body, recording.time, observations, emission), **(parameters or {})}
     options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
-    model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
+    try:
+        model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
+    except KeyError as error:
+        raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = ArmModel(
             body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options
@@ -172,7 +175,7 @@ def _start_values(
         sd = np.clip(1.5 * noise.max() / parameters.length.numpy(), 1e-6, 1.0)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
-    values["noise.velocity"] = 1e-2
+    values["noise.velocity"] = 1e-3
     candidates = joint_angle_candidates(time, observations, emission, parameters, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
@@ -185,7 +188,9 @@ def _start_values(
             tips = dynamics_for(body.num_joints).keypoints(torch.as_tensor(middle), parameters)
             off = rows[:, :points] - tips[:, emission.tips].flatten(-2).numpy()
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).reshape(-1, 2).max(axis=1)
-            values["emission.keypoint_scale"] = np.clip(misfit, values["emission.keypoint_scale"], 0.3 * reach)
+            values["emission.keypoint_scale"] = np.clip(
+                misfit, values["emission.keypoint_scale"], 0.3 * reach
+            )
     return values
 
 

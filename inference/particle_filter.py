@@ -20,6 +20,7 @@ Shapes: M filters × N particles in one tensor (M, N, …); with ``num_filters=N
 plain Pyro shapes (N, …).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -114,8 +115,7 @@ class ParticleFilter(SMCFilter):
 
     def _restart(self, keep: int) -> None:
         # float64 for weights and evidence, whatever the states' type.
-        self._log_weights = torch.full(self.batch, -torch.tensor(float(self.num_particles)).log().item())
-        self._log_weights = self._log_weights.double()
+        self._log_weights = torch.full(self.batch, -math.log(self.num_particles), dtype=torch.float64)
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
         self.ancestors = torch.arange(self.num_particles).expand(self.batch)
         self._log_twist: Tensor | None = None
@@ -168,7 +168,7 @@ class ParticleFilter(SMCFilter):
                 self._log_twist = self._log_twist.gather(-1, index)
 
     def _trace_log_weight(self, model_trace, guide_trace) -> Tensor:
-        """log p(x, y) − log q(x) per particle, from the traces of one step."""
+        """Log p(x, y) − log q(x) per particle, from the traces of one step."""
         model_trace, guide_trace = prune_subsample_sites(model_trace), prune_subsample_sites(guide_trace)
         model_trace.compute_log_prob()
         guide_trace.compute_log_prob()
@@ -181,19 +181,16 @@ class ParticleFilter(SMCFilter):
                 .sum(-1)
             )
 
-        total = torch.zeros(self.batch)
+        terms = []
         for name, site in guide_trace.nodes.items():
             if site["type"] == "sample" and not site["is_observed"]:
-                total = total - per_particle(site["log_prob"])
-                total = total + per_particle(model_trace.nodes[name]["log_prob"])
-        for name, site in model_trace.nodes.items():
-            if site["type"] != "sample":
-                continue
-            if site["is_observed"]:
-                total = total + per_particle(site["log_prob"])
-            elif name not in guide_trace.nodes:
-                raise ValueError(f"the model samples {name!r} but the guide does not: add it to the guide")
-        return total
+                target = model_trace.nodes[name]["log_prob"]
+                terms += [per_particle(target), -per_particle(site["log_prob"])]
+        for site in model_trace.nodes.values():
+            # A latent site that the guide leaves out was drawn from the model itself: its ratio is one.
+            if site["type"] == "sample" and site["is_observed"]:
+                terms.append(per_particle(site["log_prob"]))
+        return sum(terms, start=torch.zeros(())).expand(self.batch)
 
     # -- the fast way in -----------------------------------------------------------------------
     @torch.no_grad()
@@ -233,7 +230,8 @@ class ParticleFilter(SMCFilter):
                 twist = particles["log_twist"]
             self._weigh(increment)
             if self._history.keep:
-                kept = (particles["x"], self._log_weights.to(particles["x"].dtype), self._parents.int())
+                x = particles["x"]
+                kept = (x, self._log_weights.to(x.dtype), self._parents.to(x.device, torch.int32))
                 self._history.add_row((*kept, *([twist] if "log_twist" in particles else [])))
             index = self._maybe_resample(last=t == rows - 1)
             if index is not None:
@@ -260,7 +258,7 @@ class ParticleFilter(SMCFilter):
 
     # -- weights, evidence, resampling: shared -------------------------------------------------
     def _weigh(self, increment: Tensor) -> None:
-        log_weights = self._log_weights + increment.double()
+        log_weights = self._log_weights.to(increment.device) + increment.double()
         total = log_weights.logsumexp(-1)
         if not bool(torch.isfinite(total).all()):
             raise SMCFailed(
@@ -269,7 +267,7 @@ class ParticleFilter(SMCFilter):
                 "noise scale, more particles or the controlled guide"
             )
         self._log_weights = log_weights - total.unsqueeze(-1)
-        self.log_evidence = self.log_evidence + total
+        self.log_evidence = self.log_evidence.to(total.device) + total
         self._history.increments.append(total)
 
     def _maybe_resample(self, last: bool = False) -> Tensor | None:
@@ -287,8 +285,8 @@ class ParticleFilter(SMCFilter):
             self._parents = self.ancestors = identity
             return None
         index = torch.where(need.unsqueeze(-1), resample(self._log_weights, self.resampling), identity)
-        uniform = -torch.tensor(float(self.num_particles), dtype=torch.float64).log()
-        self._log_weights = torch.where(need.unsqueeze(-1), uniform.to(size.device), self._log_weights)
+        uniform = -math.log(self.num_particles)
+        self._log_weights = torch.where(need.unsqueeze(-1), uniform, self._log_weights)
         self.state._log_weights = self._log_weights
         self._parents = self.ancestors = index
         return index
@@ -300,7 +298,7 @@ class FilterState(SMCState):
     def __init__(self, batch: tuple[int, ...]):
         super().__init__(batch[-1])
         self._batch = tuple(batch)
-        self._log_weights = torch.full(batch, -float(torch.tensor(float(batch[-1])).log())).double()
+        self._log_weights = torch.full(batch, -math.log(batch[-1]), dtype=torch.float64)
 
     def __setitem__(self, key, value):
         """Store a tensor whose leading dimensions are the batch; guides may not write."""

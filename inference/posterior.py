@@ -132,7 +132,7 @@ def to_inference_data(
 def _units(length: str) -> dict[str, str]:
     torque = "N·m" if length == "m" else f"kg·({length})²/s²"
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
-    units |= {name: torque for name in ("torque", "residual_torque", "command", "truth_torque")}
+    units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
     units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²", "log_evidence": "nat"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}

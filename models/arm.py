@@ -21,7 +21,7 @@ import torch
 from pyro.distributions import Distribution, MultivariateNormal, Normal
 from torch import Tensor
 
-from invdyn.models.body import Body, BodyParameters
+from invdyn.models.body import Body, BodyParameters, Learned
 from invdyn.models.dynamics import dynamics_for
 from invdyn.models.emission import Emission
 from invdyn.models.integrators import INTEGRATORS
@@ -48,8 +48,8 @@ class ArmModel(StateSpaceModel):
             "initial.angle", "initial.angle_scale", "initial.velocity",
             "initial.velocity_scale" (K,), "emission.…", "body.length" … (K,).
 
-    Raises ValueError for an unknown integrator, times that do not increase, or a command of the
-    wrong shape; KeyError for an unknown parameter.
+    Raises ValueError for an unknown integrator, times that do not increase, a command or a parameter of
+    the wrong shape; KeyError for an unknown parameter.
     """
 
     def __init__(
@@ -94,7 +94,11 @@ class ArmModel(StateSpaceModel):
             if name in self.parameters:
                 value = torch.as_tensor(value, dtype=torch.float64)
                 own = self.parameters[name]
-                shaped[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
+                try:
+                    shaped[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
+                except RuntimeError:
+                    expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
+                    raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
             else:
                 shaped[name] = value  # replace() says which names exist
         self.parameters = self.replace(**shaped).parameters
@@ -142,9 +146,15 @@ class ArmModel(StateSpaceModel):
 
     def sampled(self) -> "ArmModel":
         """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
-        values = self.body.sample(dtype=self.dtype, device=self.device)._asdict()
-        model = self.replace(**{f"body.{name}": value for name, value in values.items()})
-        return super(ArmModel, model).sampled()
+        drawn = self.body.sample(dtype=self.dtype, device=self.device)._asdict()
+        values = {}
+        for name in ("length", "mass", "com", "inertia"):
+            free = [isinstance(getattr(link, name), Distribution | Learned) for link in self.body.links]
+            if any(free):
+                # Plain numbers stand as the model has them: they may have been replaced.
+                free = torch.tensor(free, device=self.device)
+                values[f"body.{name}"] = torch.where(free, drawn[name], self.parameters[f"body.{name}"])
+        return super(ArmModel, self.replace(**values)).sampled()
 
     # -- the three distributions ---------------------------------------------------------------
     def initial(self) -> Distribution:
@@ -186,7 +196,7 @@ class ArmModel(StateSpaceModel):
             return self.dynamics.forward(q, qd, torque, body)
 
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, dt, self.substeps)
-        return torch.cat([z_next, q, qd], -1)
+        return join(z_next, q, qd)
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """State (..., D) → torque state z (..., Z), angles (..., K), velocities (..., K)."""

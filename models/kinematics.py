@@ -13,7 +13,6 @@ Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s)
 """
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
@@ -23,10 +22,12 @@ AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb."""
 
 
-def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) -> np.ndarray:
-    """Measured absolute link angles (T, K), rad, NaN where a link was not seen.
+def link_angles(
+    observations: Tensor, emission: Emission, body: BodyParameters
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measured absolute link angles (T, K), rad, NaN where a link was not seen; and which are wrapped.
 
-    Those of encoders (whole turns counted) where they exist, else of the camera, in (−π, π].
+    Those of encoders (whole turns counted) where they exist, else of the camera: wrapped, in (−π, π].
     """
     rows = observations.detach().cpu().double().numpy()
     joints = body.length.shape[-1]
@@ -38,19 +39,25 @@ def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) 
         tips[:, np.asarray(emission.tips) + 1] = rows[:, :points].reshape(len(rows), -1, 2)
         along = np.diff(tips, axis=1)
         absolute = np.arctan2(along[..., 1], along[..., 0])
-    if emission.num_encoders:
-        encoders = np.cumsum(rows[:, points:], axis=1)
-        absolute = np.where(np.isfinite(encoders), encoders, absolute)
-    return absolute
+    if not emission.num_encoders:
+        return absolute, np.ones(absolute.shape, dtype=bool)
+    encoders = np.cumsum(rows[:, points:], axis=1)
+    unread = np.isnan(encoders)
+    return np.where(unread, absolute, encoders), unread
 
 
 def smooth_angles(
-    time: np.ndarray, measured: np.ndarray, sd: np.ndarray, agility=AGILITY, wrap: bool = True
+    time: np.ndarray,
+    measured: np.ndarray,
+    sd: np.ndarray,
+    agility=AGILITY,
+    wrap: bool | np.ndarray = True,
 ) -> np.ndarray:
     """Smoothed angles (C, T, K) of ``measured`` (T, K) with noise ``sd`` (K,), for each agility.
 
-    ``wrap=False`` takes whole turns as measured.
+    ``wrap``, one for all or (T, K): whether an angle is known but for whole turns, as a camera's is.
     """
+    wrap = np.broadcast_to(wrap, measured.shape)
     q = np.asarray(agility, dtype=float)[:, None] ** 2
     steps, links = measured.shape
     shape = (len(agility), links)
@@ -68,8 +75,8 @@ def smooth_angles(
             )
         predicted[t] = angle, rate, *P
         innovation = measured[t] - angle
-        if wrap:
-            innovation = (innovation + np.pi) % (2 * np.pi) - np.pi
+        wrapped = (innovation + np.pi) % (2 * np.pi) - np.pi
+        innovation = np.where(wrap[t], wrapped, innovation)
         seen = np.isfinite(innovation)
         gain = np.where(seen, P[:2] / (P[0] + sd**2), 0.0)
         innovation = np.where(seen, innovation, 0.0)
@@ -102,8 +109,8 @@ def joint_angle_candidates(
 
     ``sd`` (K,): noise of the measured link angles, rad.
     """
-    absolute = link_angles(observations, emission, body)
+    absolute, wrapped = link_angles(observations, emission, body)
     if not np.isfinite(absolute).any(axis=0).all():
         return None
-    smooth = smooth_angles(time, absolute, sd, wrap=not emission.num_encoders)
+    smooth = smooth_angles(time, absolute, sd, wrap=wrapped)
     return np.diff(smooth, axis=-1, prepend=0.0)

@@ -9,6 +9,7 @@ import torch
 from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
 
+from invdyn.models.shapes import apply
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -16,6 +17,7 @@ class LinearGaussian(StateSpaceModel):
     """See the top of the file. Covariances must be positive definite (ValueError otherwise)."""
 
     unconstrained = frozenset({"transition", "emission", "mean"})
+    roots = frozenset({"transition_root", "emission_root", "root"})
 
     def __init__(
         self,
@@ -54,11 +56,11 @@ class LinearGaussian(StateSpaceModel):
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
         """N(A x, Q)."""
         p = self.parameters
-        mean = state @ p["transition"].mT
+        mean = apply(p["transition"], state)
         return MultivariateNormal(mean, scale_tril=p["transition_root"], validate_args=False)
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """N(C x, R)."""
         p = self.parameters
-        mean = state @ p["emission"].mT
+        mean = apply(p["emission"], state)
         return MultivariateNormal(mean, scale_tril=p["emission_root"], validate_args=False)

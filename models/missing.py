@@ -19,14 +19,14 @@ def observe(name: str, emission: Distribution, observation: Tensor) -> None:
         pyro.sample(name, emission, obs=observation)
     elif bool(seen.any()):
         if isinstance(emission, Independent):
-            filled = torch.where(seen, observation, emission.base_dist.mean.detach())
+            filled = _filled(emission, observation, seen)
             pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled)
         else:
             pyro.sample(name, _marginal(emission, seen), obs=observation[seen])
 
 
 def observed_log_prob(emission: Distribution, observation: Tensor) -> Tensor:
-    """log p(y | x) over the entries that were seen; shape is the emission's batch shape.
+    """Log p(y | x) over the entries that were seen; shape is the emission's batch shape.
 
     ``observation`` (..., O) broadcasts against the emission. A correlated emission takes one
     row (O,), or rows (T, O) against a batch shape that ends in T.
@@ -36,7 +36,7 @@ def observed_log_prob(emission: Distribution, observation: Tensor) -> Tensor:
         return emission.log_prob(observation)
     if isinstance(emission, Independent):
         # The fill-in must be finite, or its gradient would be NaN even where masked.
-        filled = torch.where(seen, observation, emission.base_dist.mean.detach())
+        filled = _filled(emission, observation, seen)
         return (emission.base_dist.log_prob(filled) * seen).sum(-1)
     if observation.ndim == 1:
         if not bool(seen.any()):
@@ -49,6 +49,11 @@ def observed_log_prob(emission: Distribution, observation: Tensor) -> Tensor:
         )
     ]
     return torch.stack(rows, -1)
+
+
+def _filled(emission: Independent, observation: Tensor, seen: Tensor) -> Tensor:
+    # A heavy-tailed Student-t has no mean, and NaN would come through the mask.
+    return torch.where(seen, observation, emission.base_dist.mean.detach().nan_to_num())
 
 
 def _marginal(emission: Distribution, seen: Tensor) -> MultivariateNormal:

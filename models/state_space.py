@@ -36,6 +36,10 @@ class StateSpaceModel(ABC):
     state_dim: int
     observation_dim: int
     num_steps: int
+    unconstrained: frozenset[str] = frozenset()
+    """Parameters that may be negative; all others are positive, or square roots of covariances."""
+    roots: frozenset[str] = frozenset()
+    """Parameters that are lower-triangular square roots."""
 
     def __init__(self, parameters: Mapping[str, Tensor] | None = None):
         self.parameters: dict[str, Tensor] = dict(parameters or {})
@@ -83,7 +87,9 @@ class StateSpaceModel(ABC):
         """
         unknown = set(values) - set(self.parameters)
         if unknown:
-            raise KeyError(f"no parameter {sorted(unknown)}; this model has {sorted(self.parameters)}")
+            raise KeyError(
+                f"no parameter {', '.join(sorted(unknown))}; this model has {', '.join(sorted(self.parameters))}"
+            )
         other = copy.copy(self)
         other.parameters = {**self.parameters, **values}
         return other
@@ -96,7 +102,7 @@ class StateSpaceModel(ABC):
         return other
 
     def learn(self, names: Iterable[str]) -> "StateSpaceModel":
-        """Return the model in which these (positive) parameters are ``pyro.param`` in :meth:`sequence`."""
+        """Return the model in which these parameters are ``pyro.param`` in :meth:`sequence`."""
         names = tuple(names)
         self.replace(**{name: self.parameters.get(name) for name in names})
         other = copy.copy(self)
@@ -111,8 +117,15 @@ class StateSpaceModel(ABC):
         """Draw priors and look up learned parameters, as Pyro sites; return the model that has them."""
         drawn = {name: pyro.sample(name, prior) for name, prior in self.priors.items()}
         for name in self.learned:
-            drawn[name] = pyro.param(name, self.parameters[name], constraint=constraints.positive)
+            # A copy: Pyro would otherwise optimise the model's own tensor in place.
+            start = self.parameters[name].detach().clone()
+            drawn[name] = pyro.param(name, start, constraint=self._constraint(name))
         return self.replace(**drawn) if drawn else self
+
+    def _constraint(self, name: str) -> constraints.Constraint:
+        if name in self.roots:
+            return constraints.lower_cholesky
+        return constraints.real if name in self.unconstrained else constraints.positive
 
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------
     def init(self, state, observation: Tensor | None = None) -> None:
@@ -162,7 +175,7 @@ class StateSpaceModel(ABC):
         return torch.stack(states, -2), torch.stack(observations, -2)
 
     def log_joint(self, path: Tensor, observations: Tensor) -> Tensor:
-        """log p(x_{0:T}, y_{0:T}), shape (...), of paths (..., T, D); missing entries drop out."""
+        """Log p(x_{0:T}, y_{0:T}), shape (...), of paths (..., T, D); missing entries drop out."""
         rows = torch.arange(path.shape[-2], device=path.device)
         total = self.initial().log_prob(path[..., :1, :]).squeeze(-1)
         total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)

@@ -3,13 +3,29 @@
 import os
 from pathlib import Path
 
+import pyro
 import pytest
+import torch
+
+# One thread: the suite shares its machine, and sums do not depend on how work was split.
+torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
-    """The folder of real recordings; a test that asks for it is skipped, and says so, when there is none."""
+    """The folder of real recordings.
+
+    A test that asks for it is skipped, and says so, when there is none; with INVDYN_REQUIRE_DATA=1 it fails.
+    """
     folder = os.environ.get("INVDYN_DATA")
     if not folder:
-        pytest.skip("needs real recordings: set INVDYN_DATA")
+        stop = pytest.fail if os.environ.get("INVDYN_REQUIRE_DATA") == "1" else pytest.skip
+        stop("needs real recordings: set INVDYN_DATA")
     return Path(folder).expanduser()
+
+
+@pytest.fixture(autouse=True)
+def _seeded():
+    """Every test starts from the same seed and an empty parameter store."""
+    torch.manual_seed(0)
+    pyro.clear_param_store()

@@ -9,7 +9,8 @@ obey dz = F z dt + b dβ, where F is the companion matrix of (s + κ)^(ν+1/2) a
 
 Q is ill-conditioned for κδ ≪ 1 (entries fall as δ⁵), so its *square root* is computed: Gauss–Legendre
 nodes turn the integral into a sum of outer products, and a QR of the stacked factors is the
-triangular root, with no subtraction anywhere.
+triangular root, with no subtraction anywhere. Noise older than 20/κ is forgotten (e^−40), so the
+integral ends there: a long gap in the recording needs no more nodes than a frame.
 
 Parameters (..., K): "torque.scale" σ (N·m, marginal sd), "torque.lengthscale" ℓ (s).
 z holds all torques, then all first derivatives (N·m/s), then all second ones.
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from invdyn.models.torques.base import Parameters, TorqueProcess, from_torques
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
 class Matern(TorqueProcess):
@@ -76,11 +77,13 @@ class Matern(TorqueProcess):
         rate = self._rate(parameters)
         spectral = self._spectral_density(rate, parameters["torque.scale"])
         rate, dt, spectral = torch.broadcast_tensors(rate, dt, spectral)
+        dt = torch.minimum(dt, 20 / rate)
         nodes = torch.as_tensor((_NODES + 1) / 2, dtype=rate.dtype, device=rate.device)
         weights = torch.as_tensor(_WEIGHTS / 2, dtype=rate.dtype, device=rate.device)
         columns = self._propagator(rate.unsqueeze(-1), dt.unsqueeze(-1) * nodes)[..., -1]  # A(s) b
         factors = columns * torch.sqrt(spectral * dt)[..., None, None] * weights.sqrt()[:, None]
-        upper = torch.linalg.qr(factors, mode="r").R  # (..., K, n, n), QᵀQ-free root of Σ fᵀf
+        # Reduced, as torch cannot differentiate mode="r".
+        upper = torch.linalg.qr(factors, mode="reduced").R  # (..., K, n, n), UᵀU = Σ fᵀf
         lower = upper.mT * torch.sign(upper.diagonal(dim1=-2, dim2=-1)).unsqueeze(-2)
         return self._interleave(lower)
 

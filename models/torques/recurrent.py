@@ -15,12 +15,8 @@ Parameters: "torque.decay" λ (K,) 1/s, "torque.scale" σ (K,) N·m/√s, "torqu
 import torch
 from torch import Tensor
 
-from invdyn.models.shapes import join
+from invdyn.models.shapes import apply, join
 from invdyn.models.torques.base import Parameters, TorqueProcess, from_torques
-
-
-def _apply(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
 
 
 class Recurrent(TorqueProcess):
@@ -59,12 +55,12 @@ class Recurrent(TorqueProcess):
         """E[(τ, h)_t], (..., K + H)."""
         size, decay = parameters["torque.size"], parameters["torque.decay"]
         torque, hidden = z[..., : -self.hidden], z[..., -self.hidden :]
-        drive = _apply(parameters["torque.recurrent"], hidden)
-        drive = drive + _apply(parameters["torque.input"], torque / size)
+        drive = apply(parameters["torque.recurrent"], hidden)
+        drive = drive + apply(parameters["torque.input"], torque / size)
         hidden = torch.tanh(drive + parameters["torque.bias"])
         pull = decay * dt
-        torque = (1 - pull) * torque + pull * size * _apply(parameters["torque.output"], hidden)
-        return torch.cat([torque, hidden], -1)
+        torque = (1 - pull) * torque + pull * size * apply(parameters["torque.output"], hidden)
+        return join(torque, hidden)
 
     def _sds(self, torque: Tensor, parameters: Parameters) -> Tensor:
         hidden = parameters["torque.hidden_noise"]
@@ -75,8 +71,8 @@ class Recurrent(TorqueProcess):
         return self._sds(dt**0.5 * parameters["torque.scale"], parameters)
 
     def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Of the torques as without the network; hidden units within ±1."""
-        decay = parameters["torque.decay"]
-        torque = parameters["torque.scale"] / torch.sqrt(2 * decay)
+        """Of the torques as without the network, that is of the discrete chain; hidden units within ±1."""
+        factor = 1 - parameters["torque.decay"] * dt
+        torque = dt**0.5 * parameters["torque.scale"] / torch.sqrt(1 - factor**2)
         wide = {"torque.hidden_noise": torch.ones_like(parameters["torque.hidden_noise"])}
         return self._sds(torque, wide)

@@ -1,0 +1,443 @@
+"""Evidence, weights and ancestors against Kalman, under every scheme of resampling."""
+
+import math
+
+import numpy as np
+import oracles
+import pyro
+import pyro.distributions as dist
+import pytest
+import torch
+from pyro.infer import SMCFilter
+from pyro.infer.smcfilter import SMCFailed
+
+from invdyn.inference import RESAMPLERS, Bootstrap, Controlled, ParticleFilter, genealogy
+from invdyn.models import LinearGaussian
+
+F32, F64 = torch.float32, torch.float64
+STEPS = 10
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return oracles.random_chain(seed=5, noise=6.0)
+
+
+@pytest.fixture(scope="module")
+def y(chain):
+    return oracles.with_gaps(chain.simulate(STEPS, seed=5)[1])
+
+
+def assert_unbiased(log_evidence, exact, z=4.0):
+    """E[Ẑ]/Z = 1 within z standard errors, and these are small enough to notice a bias of a few percent."""
+    ratio = torch.exp(log_evidence - exact)
+    error = ratio.std().item() / math.sqrt(len(ratio))
+    assert error < 0.03
+    assert abs(ratio.mean().item() - 1) < z * error
+
+
+class Ahead(Bootstrap):
+    """The bootstrap guide with a shifted, wider proposal and a twist, both arbitrary: weights must undo them."""
+
+    def conditional_initial(self):
+        first = self.model.initial()
+        return dist.MultivariateNormal(first.loc + 0.2, scale_tril=1.3 * first.scale_tril)
+
+    def conditional(self, t, state):
+        step = self.model.transition(state, t)
+        return dist.MultivariateNormal(step.loc - 0.1, scale_tril=1.2 * step.scale_tril)
+
+    def log_twist(self, state, t):
+        x = state["x"]
+        twist = 0.3 * torch.sin(x).sum(-1)
+        return torch.zeros_like(twist) if t == STEPS - 1 else twist
+
+    def _twisted(self, t, particles, ratio):
+        return {**particles, "log_twist": self.log_twist(particles, t)}, ratio
+
+    def propose_initial(self, shape):
+        return self._twisted(0, *super(Bootstrap, self).propose_initial(shape))
+
+    def propose(self, t, particles):
+        return self._twisted(t, *super(Bootstrap, self).propose(t, particles))
+
+
+def run(particle_filter, y, way):
+    """Log-evidence (M,), by either of the two ways in."""
+    if way == "run":
+        return particle_filter.run(y).log_evidence
+    particle_filter.init(y[0])
+    for t in range(1, len(y)):
+        particle_filter.step(t, y[t])
+    return particle_filter.log_evidence
+
+
+@pytest.mark.parametrize("way", ["run", "steps"])
+@pytest.mark.parametrize("guide", [Bootstrap, Ahead])
+@pytest.mark.parametrize("dtype", [F32, F64])
+@pytest.mark.parametrize("scheme", RESAMPLERS)
+def test_evidence_is_unbiased_over_a_thousand_filters(chain, y, scheme, dtype, guide, way):
+    model = chain.model(STEPS, dtype)
+    filters = ParticleFilter(model, guide(model), 100, num_filters=1000, resampling=scheme)
+    log_evidence = run(filters, torch.as_tensor(y, dtype=dtype), way)
+    # adaptive: some rows resample in some of the filters and not in others
+    share = torch.stack(filters._history.resampled).double().mean(-1)
+    assert ((share > 0.02) & (share < 0.98)).any()
+    assert log_evidence.shape == (1000,)
+    assert log_evidence.dtype == F64
+    assert_unbiased(log_evidence, oracles.kalman(chain, y)[0])
+
+
+@pytest.mark.parametrize("threshold", [1e-6, 0.2, 1.0])
+def test_evidence_is_unbiased_whenever_it_resamples(chain, y, threshold):
+    model = chain.model(STEPS)
+    filters = ParticleFilter(model, Bootstrap(model), 300, num_filters=1000, ess_threshold=threshold)
+    result = filters.run(torch.as_tensor(y))
+    if threshold == 1.0:
+        seen = np.isfinite(y).any(-1)
+        assert result.resampled[:-1][seen[:-1]].all()
+    if threshold == 1e-6:
+        assert not result.resampled.any()
+    assert not result.resampled[-1].any()
+    assert_unbiased(result.log_evidence, oracles.kalman(chain, y)[0])
+
+
+@pytest.mark.parametrize("way", ["run", "steps"])
+@pytest.mark.parametrize("dtype", [F32, F64])
+@pytest.mark.parametrize("particles", [1, 20])
+def test_the_controlled_guide_is_exact_on_linear_models(chain, y, dtype, particles, way):
+    model = chain.model(STEPS, dtype)
+    y = torch.as_tensor(y, dtype=dtype)
+    filters = ParticleFilter(model, Controlled(model, y), particles, num_filters=3)
+    log_evidence = run(filters, y, way)
+    exact = oracles.kalman(chain, y.double().numpy())[0]
+    tolerance = 1e-9 if dtype == F64 else 1e-4
+    assert log_evidence.tolist() == pytest.approx([exact] * 3, abs=tolerance)
+
+
+def test_increments_are_those_of_the_kalman_filter(chain, y):
+    model = chain.model(STEPS)
+    result = ParticleFilter(model, Bootstrap(model), 20_000, num_filters=4).run(torch.as_tensor(y))
+    increments = oracles.kalman(chain, y)[1]
+    assert result.log_evidence_increment.shape == (STEPS, 4)
+    assert np.abs(result.log_evidence_increment.mean(-1).numpy() - increments).max() < 0.03
+    assert result.log_evidence.tolist() == pytest.approx(result.log_evidence_increment.sum(0).tolist())
+    # nothing seen, nothing learned
+    assert result.log_evidence_increment[1].abs().max() < 1e-12
+
+
+def test_filtered_moments_are_those_of_the_kalman_filter(chain, y):
+    model = chain.model(STEPS)
+    result = ParticleFilter(model, Ahead(model), 20_000, num_filters=4).run(torch.as_tensor(y))
+    untwisted = torch.softmax(result.log_weights - result.log_twist, -1)
+    mean = (untwisted.unsqueeze(-1) * result.states).sum(-2)
+    off = result.states - mean.unsqueeze(-2)
+    cov = torch.einsum("tmn,tmni,tmnj->tmij", untwisted, off, off)
+    _, _, means, covs = oracles.kalman(chain, y)
+    # 80,000 draws, an effective third of them: standard error of a mean 0.006 sd
+    sd = np.sqrt(np.diagonal(covs, axis1=1, axis2=2))
+    assert (np.abs(mean.mean(1).numpy() - means) < 0.04 * sd).all()
+    assert (np.abs(cov.mean(1).numpy() - covs) < 0.06 * sd[:, :, None] * sd[:, None, :]).all()
+
+
+def test_shapes_and_normalised_weights(chain, y):
+    model = chain.model(STEPS, F32)
+    result = ParticleFilter(model, Controlled(model, torch.as_tensor(y)), 7, num_filters=5).run(
+        torch.as_tensor(y, dtype=F32)
+    )
+    assert result.states.shape == (STEPS, 5, 7, 3)
+    assert result.states.dtype == F32
+    assert result.ess.shape == result.resampled.shape == (STEPS, 5)
+    assert result.log_weights.shape == result.log_twist.shape == result.ancestors.shape == (STEPS, 5, 7)
+    torch.testing.assert_close(result.log_weights.exp().sum(-1), torch.ones(STEPS, 5))
+    torch.testing.assert_close(
+        1 / result.log_weights.double().exp().square().sum(-1), result.ess, rtol=1e-5, atol=0
+    )
+    torch.testing.assert_close(result.log_twist[-1], torch.zeros(5, 7))
+
+
+def test_one_filter_of_plain_shapes_gives_what_a_stack_of_one_gives(chain, y):
+    model = chain.model(STEPS)
+    results = []
+    for count in (None, 1):
+        torch.manual_seed(5)
+        results.append(
+            ParticleFilter(model, Bootstrap(model), 50, num_filters=count).run(torch.as_tensor(y))
+        )
+    assert torch.equal(results[0].states, results[1].states)
+    assert torch.equal(results[0].log_evidence, results[1].log_evidence)
+    assert torch.equal(results[0].ancestors, results[1].ancestors)
+
+
+def test_a_filter_can_run_again(chain, y):
+    model = chain.model(STEPS)
+    y = torch.as_tensor(y)
+    particle_filter = ParticleFilter(model, Bootstrap(model), 50, num_filters=2)
+    results = []
+    for _ in range(2):
+        torch.manual_seed(5)
+        results.append(run(particle_filter, y, "run"))
+        torch.manual_seed(6)
+        results.append(run(particle_filter, y, "steps"))
+    assert torch.equal(results[0], results[2])
+    assert torch.equal(results[1], results[3])
+
+
+@pytest.mark.parametrize("guide", [Bootstrap, Controlled])
+def test_keep_keeps_the_last_rows_and_changes_nothing(chain, y, guide):
+    model, y = chain.model(STEPS), torch.as_tensor(y)
+    guide = guide(model) if guide is Bootstrap else guide(model, y)
+    results = {}
+    for keep in (None, 3, 0):
+        torch.manual_seed(5)
+        results[keep] = ParticleFilter(model, guide, 20, num_filters=4).run(y, keep=keep)
+    for name in ("states", "log_weights", "ancestors", "log_twist"):
+        full = getattr(results[None], name)
+        if full is not None:
+            assert torch.equal(getattr(results[3], name), full[-3:])
+    assert len(results[0].states) == 0
+    for result in results.values():
+        assert torch.equal(result.log_evidence, results[None].log_evidence)
+        assert result.ess.shape == (STEPS, 4)
+
+
+class Recorded(Bootstrap):
+    """Carries along where each particle has been: the ancestors' own account."""
+
+    def propose_initial(self, shape):
+        particles, ratio = super().propose_initial(shape)
+        return {**particles, "past": particles["x"].unsqueeze(-2)}, ratio
+
+    def propose(self, t, particles):
+        new, ratio = super().propose(t, particles)
+        return {**new, "past": torch.cat([particles["past"], new["x"].unsqueeze(-2)], -2)}, ratio
+
+
+def test_ancestors_lead_back_along_the_particles_own_past(chain, y):
+    model = chain.model(STEPS)
+    guide, pasts = Recorded(model), []
+
+    class Watched(ParticleFilter):
+        def _weigh(self, increment):
+            super()._weigh(increment)
+            pasts.append(self.guide.latest)
+
+    propose, propose_initial = guide.propose, guide.propose_initial
+
+    def watch(function):
+        def wrapped(*args):
+            particles, ratio = function(*args)
+            guide.latest = particles["past"]
+            return particles, ratio
+
+        return wrapped
+
+    guide.propose, guide.propose_initial = watch(propose), watch(propose_initial)
+    result = Watched(model, guide, 12, num_filters=6).run(torch.as_tensor(y))
+    assert result.resampled.any()
+    assert not result.resampled[:-1].all()
+    past = pasts[-1]  # (M, N, T, D)
+    index = torch.arange(12).expand(6, 12)
+    for t in range(STEPS - 1, -1, -1):
+        mine = result.states[t].gather(-2, index.unsqueeze(-1).expand(-1, -1, 3))
+        assert torch.equal(mine, past[..., t, :])
+        index = result.ancestors[t].long().gather(-1, index)
+    lines = genealogy(result, 40)
+    for m in range(6):
+        known = {tuple(line.flatten().tolist()) for line in past[m]}
+        assert {tuple(line.flatten().tolist()) for line in lines[m]} <= known
+
+
+def test_progress_counts_the_rows(chain, y):
+    model, told = chain.model(STEPS), []
+    ParticleFilter(model, Bootstrap(model), 5).run(torch.as_tensor(y), progress=lambda *n: told.append(n))
+    assert told == [(t + 1, STEPS) for t in range(STEPS)]
+
+
+@pytest.mark.parametrize("way", ["run", "steps"])
+def test_impossible_data_fail_and_name_the_row(chain, y, way):
+    model, y = chain.model(STEPS), torch.as_tensor(y).clone()
+    y[5] = torch.inf
+    filters = ParticleFilter(model, Bootstrap(model), 10, num_filters=2)
+    with pytest.raises(SMCFailed, match=r"2 filter.*row 5"), pyro.validation_enabled(False):
+        run(filters, y, way)
+
+
+def test_one_dead_filter_is_enough_to_fail():
+    class OneDead(Bootstrap):
+        def propose(self, t, particles):
+            new, ratio = super().propose(t, particles)
+            ratio[1] = -torch.inf
+            return new, ratio
+
+    model = oracles.random_chain().model(STEPS)
+    with pytest.raises(SMCFailed, match=r"1 filter.*row 1"):
+        ParticleFilter(model, OneDead(model), 10, num_filters=4).run(torch.zeros(STEPS, 2, dtype=F64))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"ess_threshold": 0.0}, {"ess_threshold": 1.1}, {"num_particles": 0}, {"num_filters": 0}],
+)
+def test_wrong_sizes_are_refused(wrong):
+    arguments = {"num_particles": 10, **wrong}
+    with pytest.raises(ValueError, match="expected"):
+        ParticleFilter(None, None, **arguments)
+
+
+# -- stock Pyro pairs ------------------------------------------------------------------------------
+class Tracked:
+    """A model as in Pyro's documentation: scalar sites, several a step, one that its guide leaves out."""
+
+    def __init__(self, left_out=False):
+        self.left_out = left_out
+
+    def init(self, state, y):
+        state["position"] = pyro.sample("position_0", dist.Normal(0.0, 2.0))
+        state["speed"] = pyro.sample("speed_0", dist.Normal(0.0, 1.0))
+        pyro.sample("y_0", dist.Normal(state["position"], 0.5), obs=y)
+
+    def step(self, state, t, y):
+        state["speed"] = pyro.sample(f"speed_{t}", dist.Normal(0.9 * state["speed"], 0.3))
+        if self.left_out:
+            state["wind"] = pyro.sample(f"wind_{t}", dist.Normal(0.0, 0.2))
+        drift = state["speed"] + (state["wind"] if self.left_out else 0.0)
+        state["position"] = pyro.sample(f"position_{t}", dist.Normal(state["position"] + drift, 0.3))
+        pyro.sample(f"y_{t}", dist.Normal(state["position"], 0.5), obs=y)
+
+
+class TrackedGuide:
+    def init(self, state, y):
+        pyro.sample("position_0", dist.Normal(0.5 * y, 1.5))
+        pyro.sample("speed_0", dist.Normal(0.0, 1.2))
+
+    def step(self, state, t, y):
+        pyro.sample(f"speed_{t}", dist.Normal(0.8 * state["speed"], 0.4))
+        pyro.sample(f"position_{t}", dist.Normal(0.5 * (state["position"] + y), 0.6))
+
+
+def tracked_chain(left_out):
+    """The same model as a chain over (position, speed)."""
+    A = np.array([[1.0, 0.9], [0.0, 0.9]])
+    root = np.array([[0.3, 0.3], [0.0, 0.3]])
+    Q = root @ root.T
+    Q[0, 0] += 0.04 * left_out
+    return oracles.Chain(A, Q, np.array([[1.0, 0.0]]), np.array([[0.25]]), np.zeros(2), np.diag([4.0, 1.0]))
+
+
+OBSERVED = [0.4, 1.1, 0.9, 1.7, 2.9, 3.1]
+
+
+def feed(smc):
+    smc.init(torch.tensor(OBSERVED[0]))
+    for t, value in enumerate(OBSERVED[1:], 1):
+        smc.step(t, torch.tensor(value))
+
+
+@pytest.mark.parametrize("left_out", [False, True])
+@pytest.mark.parametrize("filters", [None, 1000])
+def test_a_stock_pair_runs_unchanged_with_the_right_evidence(filters, left_out):
+    smc = ParticleFilter(Tracked(left_out), TrackedGuide(), 200, 0, num_filters=filters)
+    feed(smc)
+    exact = oracles.kalman(tracked_chain(left_out), np.array(OBSERVED)[:, None])[0]
+    if filters is None:
+        assert smc.state["position"].shape == (200,)
+        assert smc.log_evidence.item() == pytest.approx(exact, abs=1.0)
+        empirical = smc.get_empirical()["position"]
+        assert empirical.mean.item() == pytest.approx(3.1, abs=0.6)
+    else:
+        assert smc.state["position"].shape == (1000, 200)
+        assert_unbiased(smc.log_evidence, exact)
+
+
+def test_weights_are_those_of_stock_smc_filter():
+    states = []
+    for kind in (SMCFilter, ParticleFilter):
+        torch.manual_seed(1)
+        # a threshold that is never met: afterwards the two resamplers would part ways
+        smc = kind(Tracked(), TrackedGuide(), 30, 0, ess_threshold=1e-3)
+        feed(smc)
+        states.append(smc.state)
+    stock, ours = states
+    for name in ("position", "speed"):
+        assert torch.equal(stock[name], ours[name])
+    torch.testing.assert_close(
+        torch.log_softmax(stock._log_weights, -1), ours._log_weights.float(), rtol=0, atol=2e-5
+    )
+
+
+@pytest.mark.parametrize("num_filters", [None, 3])
+def test_plates_inside_the_model(num_filters):
+    """max_plate_nesting as in Pyro: a plate of three sensors right of the particles."""
+
+    class Sensors:
+        def init(self, state, y):
+            state["x"] = pyro.sample("x_0", dist.Normal(0.0, 1.0))
+            with pyro.plate("sensors", 3, dim=-1):
+                pyro.sample("y_0", dist.Normal(state["x"], 0.5), obs=y)
+
+        def step(self, state, t, y):
+            state["x"] = pyro.sample(f"x_{t}", dist.Normal(0.8 * state["x"], 0.6))
+            with pyro.plate("sensors", 3, dim=-1):
+                pyro.sample(f"y_{t}", dist.Normal(state["x"], 0.5), obs=y)
+
+    class Guide:
+        def init(self, state, y):
+            pyro.sample("x_0", dist.Normal(y.mean(), 0.5))
+
+        def step(self, state, t, y):
+            pyro.sample(f"x_{t}", dist.Normal(y.mean(), 0.5))
+
+    one = np.ones((1, 1))
+    chain = oracles.Chain(
+        0.8 * one, 0.36 * one, np.ones((3, 1)), 0.25 * np.eye(3), np.zeros(1), np.ones((1, 1))
+    )
+    y = chain.simulate(5, seed=1)[1]
+    smc = ParticleFilter(Sensors(), Guide(), 5000, 1, num_filters=num_filters)
+    smc.init(torch.as_tensor(y[0]))
+    for t in range(1, 5):
+        smc.step(t, torch.as_tensor(y[t]))
+    exact = oracles.kalman(chain, y)[0]
+    # sd of log Ẑ is 0.03
+    assert np.asarray(smc.log_evidence) == pytest.approx(np.full(smc.log_evidence.shape, exact), abs=0.15)
+
+
+def test_a_guide_cannot_write_and_states_must_have_the_particles_shape():
+    class Writes(TrackedGuide):
+        def init(self, state, y):
+            state["mine"] = torch.zeros(10)
+
+    class Scalar(Tracked):
+        def init(self, state, y):
+            super().init(state, y)
+            state["constant"] = torch.zeros(3)
+
+    with pytest.raises(RuntimeError, match="only the model can"):
+        ParticleFilter(Tracked(), Writes(), 10).init(torch.tensor(0.0))
+    with pytest.raises(ValueError, match=r"state\['constant'\].*\(10,\)"):
+        ParticleFilter(Scalar(), TrackedGuide(), 10).init(torch.tensor(0.0))
+
+
+def test_a_model_and_its_proposal_run_in_the_stock_filter(chain, y):
+    """The other direction: our pairs are Pyro pairs."""
+    model, y = chain.model(STEPS, F32), torch.as_tensor(y, dtype=F32)
+    smc = SMCFilter(model, Bootstrap(model), 500, 0)
+    smc.init(y[0])
+    for t in range(1, STEPS):
+        smc.step(t, y[t])
+    probs = torch.softmax(smc.state._log_weights, -1)
+    mean = (probs.unsqueeze(-1) * smc.state["x"]).sum(0)
+    _, _, means, covs = oracles.kalman(chain, y.double().numpy())
+    # an ESS of at least a few dozen
+    assert (np.abs(mean.numpy() - means[-1]) < 0.6 * np.sqrt(np.diag(covs[-1]))).all()
+
+
+@pytest.mark.slow
+def test_evidence_stays_unbiased_over_a_long_run_with_rare_resampling():
+    one = np.ones((1, 1))
+    chain = oracles.Chain(0.95 * one, 0.1 * one, one, 0.5 * one, np.zeros(1), one)
+    y = oracles.with_gaps(chain.simulate(200, seed=2)[1])
+    model = chain.model(200)
+    assert isinstance(model, LinearGaussian)
+    result = ParticleFilter(model, Bootstrap(model), 1000, num_filters=1000).run(torch.as_tensor(y), keep=0)
+    assert_unbiased(result.log_evidence, oracles.kalman(chain, y)[0])
