@@ -31,7 +31,8 @@ class Controlled(Proposal):
     Args:
         model: with Gaussian transition noise whose covariance does not depend on the state.
         observations: (T, O), NaN where missing.
-        smoother: a Gauss–Newton result to reuse; computed when not given.
+        smoother: whose factors to twist by: Gauss–Newton's, or refitted ones (:mod:`.iterated`);
+            Gauss–Newton's are computed when not given.
     """
 
     def __init__(
@@ -49,8 +50,11 @@ class Controlled(Proposal):
         self.num_steps = len(self.path)
         self._gain, self._offset = rows(factors.gain), rows(factors.offset)
         self._root = rows(_triangular(factors.root))
-        self._U, self._b, self._log_c = rows(factors.U), rows(factors.b), rows(factors.log_c)
-        self._A, self._alpha, self._log_n = rows(factors.A), rows(factors.alpha), rows(factors.log_n)
+        # Each ψ_t may be scaled at will: with ∫N ψ_t = exp(−½|A m − α|²) a long recording's log-evidence
+        # is summed row by row, and not as the difference of two large numbers in float32.
+        self._U, self._b = rows(factors.U), rows(factors.b)
+        self._A, self._alpha = rows(factors.A), rows(factors.alpha)
+        self._log_c = rows(factors.log_c - factors.log_n)
 
     def _prediction(self, t: int, state: Tensor | None) -> Tensor:
         """f(x_{t−1}) − x̄_t, shape (…, D); the prior mean for t = 0."""
@@ -58,9 +62,9 @@ class Controlled(Proposal):
         return gaussian_mean(before) - self.path[t]
 
     def _integral(self, t: int, prediction: Tensor) -> Tensor:
-        """Log ∫ N(x_t; x̄_t + prediction, Q_t) ψ_t(x_t) dx_t, shape (…)."""
+        """Log ∫ N(x_t; x̄_t + prediction, Q_t) ψ_t(x_t) dx_t, shape (…), with ψ_t scaled as above."""
         misfit = prediction @ self._A[t].mT - self._alpha[t]
-        return self._log_n[t] - 0.5 * misfit.square().sum(-1)
+        return -0.5 * misfit.square().sum(-1)
 
     def _log_psi(self, t: int, deviation: Tensor) -> Tensor:
         misfit = deviation @ self._U[t].mT - self._b[t]

@@ -27,7 +27,8 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         Free("torque.scale"),
         Free("torque.decay", sd=1.0),
         Free("torque.lengthscale", sd=1.0),
-        Free("emission.keypoint_scale"),
+        # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
+        Free("emission.keypoint_scale", tied=True),
         Free("emission.confidence_slope", tied=True),
         Free("emission.angle_scale", tied=True),
         Free("emission.df", sd=1.0),

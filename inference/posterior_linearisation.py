@@ -12,6 +12,8 @@ posterior is narrow this is the tangent; where it is wide ψ follows the bend an
 which is what lowers the variance of log Ẑ in noisy settings.
 """
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -33,22 +35,35 @@ def posterior_linearisation(
 ) -> GaussianSmoother:
     """Refine a Gauss–Newton result; its path (T, D) becomes the approximate posterior mean.
 
-    ``log_evidence`` of the result is that of the refitted linear model.
+    A fixed-point iteration, kept up only while it contracts: where the posterior is very wide a pass
+    can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model.
     """
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
+    change = math.inf
     for _ in range(iterations):
-        linear = fit_linear(model, observations, smoother.path, smoother.covariance())
-        shift = forward_mean(solve(linear), linear.m0)
-        path = smoother.path + torch.as_tensor(shift)
-        # Coordinates are deviations from the path that was fitted along: move them to the new one.
-        linear = _recentred(linear, shift)
-        factors = solve(linear)
-        evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
-        with torch.no_grad():
-            joint = model.log_joint(path, observations)
-        smoother = GaussianSmoother(path, factors, linear, evidence, joint, smoother.converged)
+        try:
+            refined = _one_pass(model, observations, smoother)
+        except (np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            break  # a covariance that overflowed: the previous pass is the better answer
+        moved = abs((refined.log_evidence - smoother.log_evidence).item())
+        if not moved <= change:
+            break
+        smoother, change = refined, moved
     return smoother
+
+
+def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
+    linear = fit_linear(model, observations, smoother.path, smoother.covariance())
+    shift = forward_mean(solve(linear), linear.m0)
+    path = smoother.path + torch.as_tensor(shift)
+    # Coordinates are deviations from the path that was fitted along: move them to the new one.
+    linear = _recentred(linear, shift)
+    factors = solve(linear)
+    evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
+    with torch.no_grad():
+        joint = model.log_joint(path, observations)
+    return GaussianSmoother(path, factors, linear, evidence, joint, smoother.converged)
 
 
 def fit_linear(

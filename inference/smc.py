@@ -14,6 +14,7 @@ from invdyn.inference.bootstrap import Bootstrap
 from invdyn.inference.controlled import Controlled
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.initialise import Problem
+from invdyn.inference.iterated import iterate
 from invdyn.inference.particle_filter import FilterResult, ParticleFilter
 from invdyn.inference.posterior import to_inference_data
 from invdyn.inference.posterior_linearisation import posterior_linearisation
@@ -25,11 +26,16 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class SMCOptions:
-    """M filters, N particles each, R smoothed trajectories of each."""
+    """M filters, N particles each, R smoothed trajectories of each.
+
+    The controlled guide is refitted ``refits`` times on pilot runs of the same size; 0 takes the
+    linearised model's factors as they are.
+    """
 
     num_filters: int = 64
     num_particles: int = 100
     num_draws: int = 4
+    refits: int = 3
     ess_threshold: float = 0.5
     resampling: str = "systematic"
     dtype: torch.dtype = torch.float32
@@ -37,9 +43,28 @@ class SMCOptions:
 
 
 def gaussian_smoother(model: StateSpaceModel, observations: torch.Tensor, start=None) -> GaussianSmoother:
-    """Gauss–Newton, then linearised over the posterior: what the controlled guide and the smoother use."""
+    """Gauss–Newton, then linearised over the posterior."""
     smoother = gauss_newton(model, observations, start=start)
     return posterior_linearisation(model, observations, smoother)
+
+
+def adapted_smoother(
+    model: StateSpaceModel, observations: torch.Tensor, options: SMCOptions, start=None
+) -> GaussianSmoother:
+    """What the controlled guide and the smoother use: factors refitted on pilot runs (:mod:`.iterated`).
+
+    The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
+    guides the steadier filters. Random numbers are torch's own (global seed).
+    """
+    mode = gauss_newton(model, observations, start=start)
+    around = posterior_linearisation(model, observations, mode, iterations=1)
+    if options.refits == 0 or options.num_filters == 1:
+        return around
+
+    def pilot(smoother: GaussianSmoother) -> FilterResult:
+        return run_filters(model, observations, options, smoother=smoother)
+
+    return iterate(model, observations, [mode, around], pilot, iterations=options.refits)
 
 
 def run_filters(
@@ -58,7 +83,7 @@ def run_filters(
     if guide == "bootstrap":
         proposal = Bootstrap(fast)
     else:
-        proposal = Controlled(fast, observations, smoother or gaussian_smoother(model, observations))
+        proposal = Controlled(fast, observations, smoother or adapted_smoother(model, observations, options))
     particle_filter = ParticleFilter(
         fast,
         proposal,
@@ -99,7 +124,9 @@ def smc(
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        smoother = gaussian_smoother(model, observations, start)
+        smoother = None
+        if guide == "controlled":
+            smoother = adapted_smoother(model, observations, options, start)
         result = run_filters(
             model, observations, options, guide=guide, smoother=smoother, progress=stage("filter")
         )

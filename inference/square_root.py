@@ -88,8 +88,6 @@ def backward(
     C, s = np.zeros((*batch, steps - 1, extra, dim)), np.zeros((*batch, steps - 1, extra))
     inner, width = extra + dim, extra + dim + 1
     fold = np.zeros((*batch, inner + max(rows, 1), width))
-    eliminate = np.zeros((*batch, 2 * dim, 2 * dim + 1))
-    eliminate[..., np.arange(dim), np.arange(dim)] = 1.0
     carried = np.zeros(batch)
     for t in range(steps - 1, -1, -1):
         fold[...] = 0.0
@@ -114,21 +112,14 @@ def backward(
                 triangle[..., :extra, extra:inner],
             )
             s[..., t, :] = triangle[..., :extra, inner]
-            log_c[..., t] -= _log_abs_det(S[..., t, :, :])
+            log_c[..., t] -= log_abs_det(S[..., t, :, :])
 
-        eliminate[..., dim:, :dim] = U[..., t, :, :] @ L[..., t, :, :]
-        eliminate[..., dim:, dim : 2 * dim] = U[..., t, :, :]
-        eliminate[..., dim:, 2 * dim] = b[..., t, :]
-        triangle = np.linalg.qr(eliminate, mode="r")
-        R[..., t, :, :] = triangle[..., :dim, :dim]
-        B[..., t, :, :] = triangle[..., :dim, dim : 2 * dim]
-        r[..., t, :] = triangle[..., :dim, 2 * dim]
-        A[..., t, :, :] = triangle[..., dim:, dim : 2 * dim]
-        alpha[..., t, :] = triangle[..., dim:, 2 * dim]
-        carried = log_n[..., t] = log_c[..., t] - _log_abs_det(R[..., t, :, :])
+        R[..., t, :, :], B[..., t, :, :], r[..., t, :], A[..., t, :, :], alpha[..., t, :] = eliminate(
+            U[..., t, :, :], b[..., t, :], L[..., t, :, :]
+        )
+        carried = log_n[..., t] = log_c[..., t] - log_abs_det(R[..., t, :, :])
 
-    root = L @ np.linalg.inv(R)
-    gain, offset = np.eye(dim) - root @ B, _apply(root, r)
+    gain, offset, root = conditional(R, B, r, L)
     spread = np.zeros((*batch, steps - 1, dim, 0))
     if extra:
         spread = V @ np.linalg.inv(S)
@@ -136,6 +127,26 @@ def backward(
     misfit = _apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
     log_evidence = log_n[..., 0] - 0.5 * (misfit**2).sum(-1)
     return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, spread, log_evidence)
+
+
+def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Integrate ψ(x) = exp(−½|U x − b|²) over x = m + L w: the first decomposition's R, B, r, A, α."""
+    dim = b.shape[-1]
+    stacked = np.zeros((*b.shape[:-1], 2 * dim, 2 * dim + 1))
+    stacked[..., np.arange(dim), np.arange(dim)] = 1.0
+    stacked[..., dim:, :dim] = U @ L
+    stacked[..., dim:, dim : 2 * dim] = U
+    stacked[..., dim:, 2 * dim] = b
+    triangle = np.linalg.qr(stacked, mode="r")
+    top, bottom = triangle[..., :dim, :], triangle[..., dim:, dim:]
+    R, B, r = top[..., :dim], top[..., dim : 2 * dim], top[..., 2 * dim]
+    return R, B, r, bottom[..., :dim], bottom[..., dim]
+
+
+def conditional(R: np.ndarray, B: np.ndarray, r: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Gain, offset and root of x = m + L w given m, from :func:`eliminate`'s R, B and r."""
+    root = L @ np.linalg.inv(R)
+    return np.eye(L.shape[-1]) - root @ B, _apply(root, r), root
 
 
 def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
@@ -165,7 +176,7 @@ def _square(root: np.ndarray) -> np.ndarray:
     return root @ np.swapaxes(root, -1, -2)
 
 
-def _log_abs_det(triangle: np.ndarray) -> np.ndarray:
+def log_abs_det(triangle: np.ndarray) -> np.ndarray:
     return np.log(np.abs(np.diagonal(triangle, axis1=-2, axis2=-1))).sum(-1)
 
 

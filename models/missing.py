@@ -96,11 +96,11 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
 
 def _correlated_rows(emission, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
     size = observation.shape[-1]
-    covariance = emission.covariance_matrix.expand(*observation.shape[:-1], size, size)
+    covariance = emission.covariance_matrix
     pair = seen.unsqueeze(-1) & seen.unsqueeze(-2)
     # Missing entries become independent unit ones, whose rows are then struck out.
     covariance = torch.where(pair, covariance, torch.eye(size, dtype=covariance.dtype))
     tril = torch.linalg.cholesky(covariance)
     whitening = torch.linalg.solve_triangular(tril, torch.diag_embed(seen.to(covariance.dtype)), upper=False)
     constant = -torch.log(tril.diagonal(dim1=-2, dim2=-1)).sum(-1)
-    return whitening, constant - 0.5 * math.log(2 * math.pi) * seen.sum(-1)
+    return whitening, constant - 0.5 * math.log(2 * math.pi) * seen.sum(-1, dtype=constant.dtype)

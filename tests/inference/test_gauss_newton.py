@@ -1,0 +1,194 @@
+"""The Gauss–Newton smoother: exact on linear models, and convergent on arms from sharp to blurred."""
+
+import math
+
+import numpy as np
+import oracles
+import pyro.distributions as dist
+import pytest
+import torch
+
+from invdyn.inference import gauss_newton
+from invdyn.inference.gauss_newton import jacobian
+from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
+
+F64 = torch.float64
+LENGTHS = (0.35, 0.3)
+
+
+def body(gravity=(0.0, -9.81)):
+    links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=x, mass=1.5 - 0.5 * k) for k, x in enumerate(LENGTHS)]
+    return Body("arm", links, gravity=gravity)
+
+
+def arm(steps, noise, *, stiff=1e-3, dt=0.02, **options):
+    parameters = {
+        "noise.angle": stiff,
+        "noise.velocity": 0.05,
+        "initial.angle": [-1.2, 0.5],
+        "initial.angle_scale": 0.4,
+        "initial.velocity_scale": 1.0,
+        "torque.scale": 10.0,
+        **options.pop("parameters", {}),
+    }
+    emission = options.pop("emission", Emission([0, 1]))
+    if emission.tips:
+        parameters["emission.keypoint_scale"] = noise
+    return ArmModel(body(), dt * np.arange(steps), emission, parameters=parameters, **options)
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 1e-8])
+def test_linear_models_are_solved_in_one_step(sharpness):
+    chain = oracles.random_chain(seed=2, noise=sharpness)
+    y = oracles.with_gaps(chain.simulate(30, seed=2)[1])
+    smoother = gauss_newton(chain.model(30), torch.as_tensor(y), max_iterations=1)
+    means, covs = oracles.rts(chain, y)
+    assert smoother.path.numpy() == pytest.approx(means, abs=1e-8)
+    assert smoother.covariance().numpy() == pytest.approx(covs, abs=1e-8)
+    assert smoother.log_evidence.item() == pytest.approx(oracles.kalman(chain, y)[0], rel=1e-9)
+    joint = chain.model(30).log_joint(smoother.path, torch.as_tensor(y))
+    assert smoother.log_joint.item() == pytest.approx(joint.item(), rel=1e-12)
+    assert bool(gauss_newton(chain.model(30), torch.as_tensor(y)).converged)
+
+
+def test_many_parameter_sets_of_a_linear_model_are_a_loop():
+    chain = oracles.random_chain(seed=2)
+    y = torch.as_tensor(oracles.with_gaps(chain.simulate(12, seed=2)[1]))
+    model = chain.model(12)
+    factors = torch.tensor([1.0, 1.3, 0.6], dtype=F64)
+    stacked = model.replace(
+        **{name: value * factors.reshape(3, 1, *[1] * value.ndim) for name, value in model.parameters.items()}
+    )
+    found = gauss_newton(stacked, y, start=torch.zeros(3, 12, 3, dtype=F64))
+    for i, factor in enumerate(factors):
+        alone = gauss_newton(model.replace(**{k: v * factor for k, v in model.parameters.items()}), y)
+        torch.testing.assert_close(found.path[i], alone.path, rtol=1e-8, atol=1e-8)
+        torch.testing.assert_close(found.log_evidence[i], alone.log_evidence)
+        torch.testing.assert_close(found.covariance()[i], alone.covariance(), rtol=1e-8, atol=1e-8)
+
+
+def test_jacobian():
+    matrix = torch.randn(3, 4, 2, 5, dtype=F64)
+
+    def function(x):
+        return torch.sin(matrix @ x.unsqueeze(-1)).squeeze(-1)
+
+    x = torch.randn(3, 4, 5, dtype=F64)
+    value, slope = jacobian(function, x)
+    torch.testing.assert_close(value, function(x))
+    expected = torch.cos(matrix @ x.unsqueeze(-1)) * matrix
+    torch.testing.assert_close(slope, expected)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2, 0.1, 0.5])
+def test_an_arm_from_sharp_to_blurred(noise):
+    """σ_y over the arm's reach from 1e-4 to 0.5."""
+    model = arm(120, noise * sum(LENGTHS))
+    truth, y = model.simulate()
+    smoother = gauss_newton(model, y)
+    assert bool(smoother.converged)
+    assert_stationary(model, y, smoother)
+    sd = smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt()
+    z = (truth - smoother.path) / sd
+    # the Gaussian around the mode fits the truth; dozens of independent ones among 720
+    assert 0.7 < z.square().mean().sqrt().item() < 1.4
+    assert math.isfinite(smoother.log_evidence.item())
+
+
+def assert_stationary(model, y, smoother):
+    """No step along the model's own gradient gains what could be noticed: gᵀ H⁻¹ g / 2 in nats."""
+    path = smoother.path.clone().requires_grad_()
+    model.log_joint(path, y).backward()
+    cov = smoother.covariance()
+    # one row at a time: the gain of moving that row alone is at most ½ gᵀ P g
+    gain = 0.5 * torch.einsum("ti,tij,tj->t", path.grad, cov, path.grad)
+    assert gain.max() < 0.05
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.05])
+def test_stiff_dynamics(noise):
+    """Angles that slip by 1e-6 rad a row: the homotopy has to find the way."""
+    model = arm(100, noise, stiff=1e-6, parameters={"noise.velocity": 1e-4})
+    truth, y = model.simulate()
+    smoother = gauss_newton(model, y)
+    assert bool(smoother.converged)
+    # at least as likely as the truth
+    assert smoother.log_joint > model.log_joint(truth, y)
+    assert_stationary(model, y, smoother)
+
+
+def test_from_a_start_that_is_far_off():
+    model = arm(60, 0.005)
+    _, y = model.simulate()
+    best = gauss_newton(model, y)
+    away = best.path + 0.2 * torch.randn(model.state_dim, dtype=F64)
+    again = gauss_newton(model, y, start=away, max_iterations=100)
+    torch.testing.assert_close(again.log_joint, best.log_joint, rtol=0, atol=0.02)
+
+
+def test_ten_thousand_rows():
+    model = arm(10_000, 0.01)
+    truth, y = model.simulate()
+    y[3000:3040] = torch.nan
+    y[::7, 1] = torch.nan
+    smoother = gauss_newton(model, y)
+    assert bool(smoother.converged)
+    z = (truth - smoother.path) / smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt()
+    assert 0.9 < z.square().mean().sqrt().item() < 1.1
+
+
+def test_other_emissions_and_torques():
+    for emission, noise in (
+        (Emission([], 2), 1.0),
+        (Emission([1]), 0.01),
+        (Emission([0, 1], 2), 0.01),
+        (Emission([0, 1], family="student_t"), 0.01),
+    ):
+        model = arm(60, noise, emission=emission, torque=Matern32(), parameters={"torque.scale": 3.0})
+        truth, y = model.simulate()
+        y[10:14] = torch.nan
+        smoother = gauss_newton(model, y)
+        assert bool(smoother.converged)
+        assert smoother.log_joint > model.log_joint(truth, y)
+
+
+def test_student_t_shrugs_off_stray_detections():
+    model = arm(80, 0.005, emission=Emission([0, 1], family="student_t"))
+    truth, y = model.simulate()
+    clean = gauss_newton(model, y).path
+    y[20, 2:] += 0.5
+    y[50, :2] -= 0.4
+    smoother = gauss_newton(model, y)
+    assert bool(smoother.converged)
+    joints = slice(2, 4)
+    assert (smoother.path - clean)[:, joints].abs().max() < 0.05
+    gaussian = arm(80, 0.005)
+    assert (gauss_newton(gaussian, y).path - clean)[:, joints].abs().max() > 0.05
+    assert (smoother.path - truth)[:, joints].abs().max() < 0.1
+
+
+def test_a_start_without_density_is_refused():
+    model = oracles.random_chain().model(5)
+    y = torch.zeros(5, 2, dtype=F64)
+    with pytest.raises(ValueError, match="no finite density"):
+        gauss_newton(model, y, start=torch.full((5, 3), torch.inf, dtype=F64))
+
+
+def test_other_noise_than_gaussian_is_refused():
+    class Jumps(StateSpaceModel):
+        state_dim = observation_dim = 1
+        num_steps = 4
+
+        def initial(self):
+            return dist.Normal(torch.zeros(1, dtype=F64), 1.0).to_event(1)
+
+        def transition(self, state, t):
+            return dist.Laplace(state, self.parameters["scale"]).to_event(1)
+
+        def emission(self, state, t):
+            return dist.Normal(state, 1.0).to_event(1)
+
+    model = Jumps({"scale": torch.ones(1, dtype=F64)})
+    with pytest.raises(TypeError, match="bootstrap guide"):
+        gauss_newton(model, torch.zeros(4, 1, dtype=F64))
+    assert isinstance(oracles.random_chain().model(3), LinearGaussian)
