@@ -1,8 +1,8 @@
 """What a run costs: time and memory of the controlled filter against rows T, particles N and filters M.
 
-The paper's planar arm (see planar_paper.py, ε .1), every size in a process of its own. Seconds of the filter alone,
-and, beside it, of building its guide (Gauss–Newton smoother, once for all filters); the process's peak resident
-memory (ru_maxrss) above what it had before it began.
+The paper's planar arm (see planar_paper.py, ε .1), every size in a process of its own. Seconds of the
+filter alone, and, beside it, of the Gauss–Newton smoother that its guide is made of (once for all filters,
+without the refits on pilot runs, which are more runs of the same filter); the process's peak resident memory (ru_maxrss) above what it had before it began.
 
     python benchmarks/cost.py                          the sweeps; a table, and docs/cost.png
     python benchmarks/cost.py --one 200 1000 64        one size: T N M
@@ -38,13 +38,20 @@ def measure(rows: int, particles: int, filters: int, keep: int | None, threads: 
     import torch
     from planar_paper import paper_problem
 
-    from invdyn.inference import SMCOptions, backward_simulation, gaussian_smoother, outer_weights, run_filters
+    from invdyn.inference import (
+        SMCOptions,
+        backward_simulation,
+        gaussian_smoother,
+        outer_weights,
+        run_filters,
+    )
 
     torch.set_num_threads(threads)
     torch.manual_seed(0)
     small = paper_problem(0.1, seed=0, num_frames=20)
     # Once small, so that imports, derivation and the allocator's first pages are not counted.
-    run_filters(small.model, small.observations, SMCOptions(2, 10))
+    smoother = gaussian_smoother(small.model, small.observations)
+    run_filters(small.model, small.observations, SMCOptions(2, 10), smoother=smoother)
     before = peak_mb()
     problem = paper_problem(0.1, seed=0, num_frames=rows)
     model, observations = problem.model, problem.observations
@@ -92,12 +99,18 @@ def draw(sweeps: dict[str, list[dict[str, float]]]) -> None:
         for column, (letter, rows) in enumerate(sweeps.items()):
             x = [row[letter] for row in rows]
             fixed = ", ".join(f"{other} = {rows[0][other]:g}" for other in "TNM" if other != letter)
-            for place, (name, color, unit) in enumerate((("filter s", BLUE, "s"), ("memory MB", GREEN, "MB"))):
+            for place, (name, color, unit) in enumerate(
+                (("filter s", BLUE, "s"), ("memory MB", GREEN, "MB"))
+            ):
                 panel, y = axes[place, column], [row[name] for row in rows]
-                panel.loglog(x, [y[-1] * each / x[-1] for each in x], color=GREY, linewidth=0.9, dashes=(4, 2))
+                panel.loglog(
+                    x, [y[-1] * each / x[-1] for each in x], color=GREY, linewidth=0.9, dashes=(4, 2)
+                )
                 panel.loglog(x, y, ".-", color=color, label=name.split()[0])
                 if letter == "T" and place == 0:
-                    panel.loglog(x, [row["guide s"] for row in rows], ".-", color=VERMILION, label="its guide, once")
+                    panel.loglog(
+                        x, [row["guide s"] for row in rows], ".-", color=VERMILION, label="its guide, once"
+                    )
                 if column == 0:
                     panel.set_ylabel(unit)
                     panel.legend(loc="upper left")
@@ -105,7 +118,9 @@ def draw(sweeps: dict[str, list[dict[str, float]]]) -> None:
             axes[1, column].set_xlabel(NAMES[letter])
             axes[1, column].set_xticks(x, [f"{each:g}" for each in x])
             axes[1, column].minorticks_off()
-    figure.suptitle("controlled filter: time and memory; dashed: proportional", x=0.01, ha="left", fontsize=9.5)
+    figure.suptitle(
+        "controlled filter: time and memory; dashed: proportional", x=0.01, ha="left", fontsize=9.5
+    )
     FIGURE.parent.mkdir(exist_ok=True)
     figure.savefig(FIGURE, dpi=110)
 
@@ -121,7 +136,9 @@ def main() -> None:
         print(json.dumps({name: round(value, 3) for name, value in row.items()}, ensure_ascii=False))
         return
     sweeps: dict[str, list[dict[str, float]]] = {}
-    print("| T | N | M | filter s | µs a particle-step | guide s | memory MB |\n|---|---|---|---|---|---|---|")
+    print(
+        "| T | N | M | filter s | µs a particle-step | guide s | memory MB |\n|---|---|---|---|---|---|---|"
+    )
     for letter, sizes in SWEEPS.items():
         sweeps[letter] = []
         for size in sizes:
@@ -133,7 +150,10 @@ def main() -> None:
     for letter, rows in sweeps.items():
         x = [row[letter] for row in rows]
         time_, memory = (slope(x, [row[name] for row in rows]) for name in ("filter s", "memory MB"))
-        print(f"\n{NAMES[letter]}: from {x[-2]} to {x[-1]}, time grows as {letter}^{time_:.2f}, memory as {letter}^{memory:.2f}")
+        print(
+            f"\n{NAMES[letter]}: from {x[-2]} to {x[-1]}, time grows as {letter}^{time_:.2f}, "
+            f"memory as {letter}^{memory:.2f}"
+        )
     draw(sweeps)
     print(f"\n{FIGURE.relative_to(Path.cwd()) if FIGURE.is_relative_to(Path.cwd()) else FIGURE}")
 

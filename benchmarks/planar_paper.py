@@ -1,13 +1,14 @@
-"""The planar arm of Biderman et al. (2020), simulated: how healthy is the sampler, and are its intervals right?
+"""The simulated planar arm of Biderman et al. (2020): is the sampler healthy, are its intervals right?
 
-Setting: step .03 s, 200 rows, OU torque with σ_τ 20 in the printed scaling and λ 6, keypoint variance .05, links
-of 1 m, .5 and .3 kg, gravity 1, all parameters known. Angles and velocities start from N(0, 1), torques from their
-stationary law, whose sd is 1.05 N·m. The noise ε of angles and
-velocities is read as a standard deviation of .01 and of .1 per step.
+Setting: step .03 s, 200 rows, OU torque with σ_τ 20 in the printed scaling and λ 6, keypoint variance .05,
+links of 1 m, .5 and .3 kg, gravity 1, all parameters known. Angles and velocities start from N(0, 1),
+torques from their stationary law, whose sd is 1.05 N·m. The noise ε of angles and velocities is read as a
+standard deviation of .01 and of .1 per step.
 
-For each seed: 64 filters of 100 particles with the controlled guide, 8 smoothed trajectories of each; beside it 64
-bootstrap filters of 1,000 particles. Outer ESS of the 64 filters; the sd over them of log Ẑ; the share of the 2 × 200
-true torques that lie inside the smoothed 90 % intervals; seconds of wall time (simulation excluded).
+For each seed: 64 filters of 100 particles with the controlled guide, 8 smoothed trajectories of each;
+beside it 64 bootstrap filters of 1,000 particles. Outer ESS of the 64 filters; the sd over them of log Ẑ;
+the share of the 2 × 200 true torques that lie inside the smoothed 90 % intervals; seconds of wall time
+(simulation excluded).
 
     python benchmarks/planar_paper.py [--seeds 20] [--epsilon .01 .1]
 """
@@ -33,7 +34,9 @@ def paper_problem(epsilon: float, seed: int, num_frames: int = 200) -> Problem:
     model = paper_arm(body, num_frames)
     ones = {"initial.angle_scale": 1.0, "initial.velocity_scale": 1.0}
     slack = {"noise.angle": epsilon, "noise.velocity": epsilon}
-    parameters = {name: model.parameters[name].new_full((2,), value) for name, value in (ones | slack).items()}
+    parameters = {
+        name: model.parameters[name].new_full((2,), value) for name, value in (ones | slack).items()
+    }
     model = model.replace(**parameters)
     recording, truth = record(model, seed)
     return Problem(model, torch.as_tensor(recording.keypoints.reshape(num_frames, -1)), recording, truth)

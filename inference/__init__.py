@@ -6,6 +6,7 @@ from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.infer import METHODS, free_parameters, infer
 from invdyn.inference.initialise import Problem, arm_problem
 from invdyn.inference.marginal_likelihood import Fit, Free, fit
+from invdyn.inference.mechanics import mechanics
 from invdyn.inference.nested import OuterWeights, outer_weights
 from invdyn.inference.particle_filter import FilterResult, ParticleFilter
 from invdyn.inference.posterior import load_posterior, pooled, save_posterior, summarise
@@ -39,6 +40,7 @@ __all__ = [
     "genealogy",
     "infer",
     "load_posterior",
+    "mechanics",
     "outer_weights",
     "pooled",
     "posterior_linearisation",

@@ -80,6 +80,7 @@ class Bridge:
         # −½|A m_i − α|² for all pairs of draws and particles.
         reach = (first @ self._get("A", 1, t).mT).unsqueeze(-3) - target.unsqueeze(-2)
         logits = log_weights.unsqueeze(-2) - 0.5 * reach.square().sum(-1)
+        logits = logits.nan_to_num(nan=-torch.inf, neginf=-torch.inf)  # particles that overflowed
         uniform = torch.rand_like(logits).clamp_min(torch.finfo(logits.dtype).tiny)
         index = (logits - torch.log(-torch.log(uniform))).argmax(-1).unsqueeze(-1)
 

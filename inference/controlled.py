@@ -35,9 +35,7 @@ class Controlled(Proposal):
             Gauss–Newton's are computed when not given.
     """
 
-    def __init__(
-        self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother | None = None
-    ):
+    def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother | None = None):
         super().__init__(model)
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path

@@ -7,8 +7,9 @@ import arviz as az
 
 from invdyn.inference.initialise import Problem, arm_problem
 from invdyn.inference.marginal_likelihood import Free, fit
+from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.smc import Progress, SMCOptions, smc
-from invdyn.models import Body, TorqueProcess
+from invdyn.models import Body, Learned, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 METHODS: dict[str, Callable[..., az.InferenceData]] = {
@@ -18,7 +19,7 @@ METHODS: dict[str, Callable[..., az.InferenceData]] = {
 
 
 def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
-    """Parameters to fit when not ``given``: σ_y, the torque process, and lengths if asked for.
+    """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
 
     Not the dynamics' own noise ε: white noise on a velocity is a white torque by another name, and where it is
     free it takes torque away from τ (on the DFKI arm the evidence likes that, and the error doubles).
@@ -33,8 +34,15 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         Free("emission.angle_scale", tied=True),
         Free("emission.df", sd=1.0),
     ]
-    if learn_lengths:
-        wanted.append(Free("body.length", sd=0.3))
+    body = problem.model.body
+    for quantity in ("length", "mass", "com", "inertia"):
+        entries = tuple(
+            k for k, link in enumerate(body.links) if isinstance(getattr(link, quantity), Learned)
+        )
+        if learn_lengths and quantity == "length":
+            entries = tuple(range(body.num_joints))
+        if entries:
+            wanted.append(Free(f"body.{quantity}", sd=0.3, entries=entries))
     return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
 
 
@@ -62,7 +70,8 @@ def infer(
 
     Args:
         recording: planar keypoints, encoders, or both.
-        body: in the recording's length unit.
+        body: in the recording's length unit; its priors and uncertainties are integrated out, its
+            learned scalars learned.
         method: a key of ``METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.
@@ -83,6 +92,7 @@ def infer(
     """
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
+    body = body.with_uncertainty()
     problem = arm_problem(
         recording,
         body,
@@ -109,6 +119,7 @@ def infer(
         "torque_process": type(problem.model.torque).__name__,
     }
     options = SMCOptions(num_filters, num_particles, num_draws)
-    return METHODS[method](
-        problem, options=options, start=fitted.path, seed=seed, settings=record, progress=progress
-    )
+    run = METHODS[method]
+    if body.has_priors:
+        run = partial(over_bodies, run)
+    return run(problem, options=options, start=fitted.path, seed=seed, settings=record, progress=progress)

@@ -78,7 +78,8 @@ def arm_problem(
         command = np.zeros((recording.num_frames, joints))
     if command is not None and not np.isfinite(command).all():
         raise InputError(
-            f"{recording.name}: the commanded torque is missing at frame {int(np.argwhere(~np.isfinite(command))[0][0])}: "
+            f"{recording.name}: the commanded torque is missing at frame "
+            f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
             "fill it in, or pass --hide-torque to treat torques as unknown"
         )
     columns = [recording.keypoints[:, p] for p, _ in tips]
@@ -88,7 +89,8 @@ def arm_problem(
     if not rows:
         raise InputError(
             f"{recording.name} has neither a keypoint nor an angle of body '{body.name}': "
-            f"expected keypoints among {', '.join(body.keypoint_names)}, got {', '.join(recording.keypoint_names) or 'none'}"
+            f"expected keypoints among {', '.join(body.keypoint_names)}, "
+            f"got {', '.join(recording.keypoint_names) or 'none'}"
         )
     observations = torch.as_tensor(np.concatenate(rows, axis=1))
     confidence = None if recording.confidence is None else recording.confidence[:, [p for p, _ in tips]]
@@ -115,7 +117,7 @@ def arm_problem(
 
 
 def observed_lengths(recording: Recording, body: Body) -> list[float]:
-    """Median distance between neighbouring joints, (K,), in the recording's unit; the body's own where unseen."""
+    """Median distance between neighbouring joints, (K,), the recording's unit; the body's own where unseen."""
     start = np.broadcast_to(np.asarray(body.base), (recording.num_frames, 2))
     lengths = []
     for link in body.links:
@@ -138,8 +140,8 @@ def _tips(recording: Recording, body: Body) -> list[tuple[int, int]]:
     strange = [name for name in recording.keypoint_names if name not in known]
     if strange:
         raise InputError(
-            f"{recording.name}: keypoint {strange[0]!r} is not of body '{body.name}', which has {', '.join(known)}: "
-            "rename the body's tips or leave the keypoint out"
+            f"{recording.name}: keypoint {strange[0]!r} is not of body '{body.name}', "
+            f"which has {', '.join(known)}: rename the body's tips or leave the keypoint out"
         )
     names = body.keypoint_names
     return [(p, names.index(name)) for p, name in enumerate(recording.keypoint_names) if name in names]
@@ -151,8 +153,8 @@ def _in_order(recording: Recording, body: Body, values: np.ndarray | None, what:
         return None
     if set(recording.joint_names) != set(body.joint_names):
         raise InputError(
-            f"{recording.name}: {what} are of joints {', '.join(recording.joint_names)}, but body '{body.name}' has "
-            f"{', '.join(body.joint_names)}"
+            f"{recording.name}: {what} are of joints {', '.join(recording.joint_names)}, "
+            f"but body '{body.name}' has {', '.join(body.joint_names)}"
         )
     return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
@@ -188,9 +190,7 @@ def _start_values(
             tips = dynamics_for(body.num_joints).keypoints(torch.as_tensor(middle), parameters)
             off = rows[:, :points] - tips[:, emission.tips].flatten(-2).numpy()
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).reshape(-1, 2).max(axis=1)
-            values["emission.keypoint_scale"] = np.clip(
-                misfit, values["emission.keypoint_scale"], 0.3 * reach
-            )
+            values["emission.keypoint_scale"] = np.clip(misfit, noise, 0.3 * reach)
     return values
 
 
@@ -215,7 +215,6 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     path = paths[len(paths) // 2]
     rows = torch.arange(1, model.num_steps)
     joints = model.body.num_joints
-    _, _, speed = model.split(path)
     limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(
         model._link_angle_sd(model.body_parameters())
     )

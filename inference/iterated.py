@@ -9,14 +9,14 @@ programming). The best ψ_t, whose filter has no variance at all, satisfies
 with an integral in closed form for a Gaussian ψ_{t+1} and the exact f. A linearised model's ψ_t
 solves it for its own f and g only, and its tails are too light where the posterior bends: now and
 then one filter finds what is missed there and outweighs all others. So, backwards in time, the
-difference to the factor so far is regressed on the particles of a pilot run, whitened by
+difference to the factor so far is regressed on the particles of pilot runs, whitened by
 z = S⁻¹ (x − m):
 
     V_t − log ψ_t ≈ c + lᵀz + ½ zᵀH z         least squares with a small ridge towards no change,
 
 and added to it; precisions stay positive by a floor. The particles that it is fitted on are drawn
-half evenly and half by their weight over all filters, so that a region which only one filter has found
-counts as much as its posterior mass. For a linear-Gaussian model V_t = log ψ_t, and nothing changes.
+half evenly and half by their weight over all filters, so that a region which only one filter has
+found counts by its posterior mass. For a linear-Gaussian model V_t = log ψ_t, and nothing changes.
 
 The evidence stays unbiased: the factors come from pilot runs, and the filters that use them
 afterwards draw fresh random numbers.
@@ -50,44 +50,44 @@ def iterate(
     smoothers: Sequence[GaussianSmoother],
     pilot: Callable[[GaussianSmoother], FilterResult],
     *,
-    iterations: int = 3,
+    iterations: int = 2,
     num_points: int = 3000,
 ) -> GaussianSmoother:
-    """Return the smoother whose factors give the steadiest filters, its factors refitted to the model.
+    """Return the smoother whose factors guide the steadiest filters, its factors refitted to the model.
 
-    The smoother whose pilot run has the smallest spread of log Ẑ is refitted ``iterations`` times; the
-    factors with the smallest spread of all are kept. Random numbers are torch's own (global seed).
+    The smoother whose pilot run has the smallest spread of log Ẑ is refitted ``iterations`` times, on the
+    particles of all pilot runs so far. The last refit is kept unless its own pilot is less steady than
+    that of the smoother it started from. Random numbers are torch's own (global seed).
 
     Args:
         model: with Gaussian transition noise whose covariance does not depend on the state.
         observations: (T, O), NaN where missing.
         smoothers: to start from, unbatched: Gauss–Newton's and posterior linearisations'.
         pilot: runs at least two filters, guided by a smoother's factors, and keeps all rows.
-        iterations: refits; each costs a pilot run and about as much again.
+        iterations: refits; each costs a pilot run and about twice as much again.
         num_points: n, particles of a row that a fit uses.
 
-    Raises SMCFailed when the pilots of all smoothers fail.
+    Raises SMCFailed when the pilots of all smoothers fail, ValueError without a smoother.
     """
-    runs, failure = [], None
+    runs, failure = [], ValueError("expected at least one smoother to start from, got none")
     for smoother in smoothers:
         try:
             runs.append((smoother, pilot(smoother)))
         except SMCFailed as error:
             failure = error
     if not runs:
-        raise failure or ValueError("expected at least one smoother to start from")
-    best, result = min(runs, key=lambda run: _spread(run[1]))
-    latest, least = best, _spread(result)
-    del runs
+        raise failure
+    start, first = min(runs, key=lambda run: _spread(run[1]))
+    results = [result for _, result in runs]
+    latest = start
     for _ in range(iterations):
-        latest = refit(model, observations, latest, result, num_points)
+        latest = refit(model, observations, latest, results, num_points)
         try:
-            result = pilot(latest)
+            results.append(pilot(latest))
         except SMCFailed:
-            break
-        if _spread(result) <= least:
-            best, least = latest, _spread(result)
-    return best
+            return start
+    # Not the smallest spread of all refits: a run that has missed a region looks the steadiest.
+    return latest if _spread(results[-1]) <= _spread(first) else start
 
 
 def _spread(result: FilterResult) -> float:
@@ -99,10 +99,10 @@ def refit(
     model: StateSpaceModel,
     observations: Tensor,
     smoother: GaussianSmoother,
-    result: FilterResult,
+    results: Sequence[FilterResult],
     num_points: int = 3000,
 ) -> GaussianSmoother:
-    """One backward sweep over the particles of ``result``, a run guided by ``smoother`` that kept all rows."""
+    """One backward sweep over the particles of ``results``, runs of the same model that kept all rows."""
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
     path, old = smoother.path, smoother.factors
@@ -110,9 +110,8 @@ def refit(
     U, b, log_c = old.U.copy(), old.b.copy(), old.log_c.copy()
     A, alpha, log_n = old.A.copy(), old.alpha.copy(), old.log_n.copy()
     R, B, r = np.empty_like(U), np.empty_like(U), np.empty_like(b)
-    outer = outer_weights(result.log_evidence.cpu()).log_weights
     for t in range(steps - 1, -1, -1):
-        state = _points(result, t, outer, num_points)
+        state = _points(results, t, num_points)
         value = np.zeros(len(state))
         if bool((~torch.isnan(observations[t])).any()):
             value += observed_log_prob(model.emission(state, t), observations[t]).numpy()
@@ -132,10 +131,12 @@ def refit(
     return replace(smoother, factors=factors)
 
 
-def _points(result: FilterResult, t: int, outer: Tensor, num_points: int) -> Tensor:
+def _points(results: Sequence[FilterResult], t: int, num_points: int) -> Tensor:
     """States (n, D) of row ``t``: half drawn evenly from all filters, half by weight."""
-    states = result.states[t].flatten(0, 1).cpu().double()
-    weights = (result.log_weights[t].cpu().double() + outer.unsqueeze(-1)).flatten().softmax(-1)
+    states = torch.cat([result.states[t].flatten(0, 1) for result in results]).cpu().double()
+    # Every Ẑ estimates the same evidence, so particles of all runs share one scale of weights.
+    log_weights = [result.log_weights[t] + result.log_evidence.unsqueeze(-1) for result in results]
+    weights = torch.cat([values.flatten() for values in log_weights]).cpu().double().softmax(0)
     mixed = 0.5 * weights + 0.5 / len(weights)
     return states[torch.multinomial(mixed, num_points, replacement=True)]
 

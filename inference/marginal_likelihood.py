@@ -30,14 +30,20 @@ PATIENCE = 6
 
 @dataclass(frozen=True)
 class Free:
-    """One parameter to be fitted: all of its entries separately, or ``tied`` to one common factor.
+    """One parameter to be fitted: its entries separately, or ``tied`` to one common factor.
 
-    ``sd`` is the prior's standard deviation of log(θ/θ_start).
+    ``sd`` is the prior's standard deviation of log(θ/θ_start); ``entries`` the flat indices that are
+    free, all of them by default.
     """
 
     name: str
     tied: bool = False
     sd: float = 2.0
+    entries: tuple[int, ...] | None = None
+
+    def indices(self, size: int) -> tuple[int, ...]:
+        """Flat indices of the free entries among ``size``."""
+        return tuple(range(size)) if self.entries is None else self.entries
 
 
 @dataclass
@@ -66,7 +72,7 @@ class _Objective:
         self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None
     ):
         self.model, self.observations, self.free = model, observations, tuple(free)
-        sizes = [1 if f.tied else model.parameters[f.name].numel() for f in self.free]
+        sizes = [1 if f.tied else len(f.indices(model.parameters[f.name].numel())) for f in self.free]
         self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
         self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
         self.path = start
@@ -77,10 +83,13 @@ class _Objective:
         values = {}
         for f, index in zip(self.free, self.slices, strict=True):
             start = self.model.parameters[f.name]
-            factor = torch.as_tensor(np.exp(phi[..., index])).to(start)
+            free = list(f.indices(start.numel()))
+            log_factor = np.zeros((*phi.shape[:-1], start.numel()))
+            log_factor[..., free] = phi[..., index]  # a tied factor broadcasts
+            factor = torch.as_tensor(np.exp(log_factor)).to(start)
             if phi.ndim == 2:
                 factor = factor.unsqueeze(-2)
-            values[f.name] = start * (factor if f.tied else factor.reshape(*factor.shape[:-1], *start.shape))
+            values[f.name] = start * factor.reshape(*factor.shape[:-1], *start.shape)
         return self.model.replace(**values)
 
     def value(self, phi: np.ndarray) -> float:

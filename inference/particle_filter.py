@@ -113,11 +113,12 @@ class ParticleFilter(SMCFilter):
         self.state = FilterState(self.batch)
         self._restart(keep=0)
 
-    def _restart(self, keep: int) -> None:
+    def _restart(self, keep: int, device: torch.device | str = "cpu") -> None:
         # float64 for weights and evidence, whatever the states' type.
-        self._log_weights = torch.full(self.batch, -math.log(self.num_particles), dtype=torch.float64)
+        uniform = -math.log(self.num_particles)
+        self._log_weights = torch.full(self.batch, uniform, dtype=torch.float64, device=device)
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
-        self.ancestors = torch.arange(self.num_particles).expand(self.batch)
+        self.ancestors = torch.arange(self.num_particles, device=device).expand(self.batch)
         self._log_twist: Tensor | None = None
         self._history = _History(keep)
         self._parents = self.ancestors
@@ -212,7 +213,7 @@ class ParticleFilter(SMCFilter):
         Raises SMCFailed when all particles of some filter have weight zero.
         """
         rows = len(observations)
-        self._restart(keep=rows if keep is None else keep)
+        self._restart(rows if keep is None else keep, observations.device)
         shape = self.batch if self.num_filters is not None else (1, *self.batch)
         if self.num_filters is None:
             self._log_weights, self.log_evidence = self._log_weights[None], self.log_evidence[None]
@@ -258,11 +259,13 @@ class ParticleFilter(SMCFilter):
 
     # -- weights, evidence, resampling: shared -------------------------------------------------
     def _weigh(self, increment: Tensor) -> None:
-        log_weights = self._log_weights.to(increment.device) + increment.double()
+        log_weights = self._log_weights + increment.double()
+        # A particle whose dynamics overflowed is out of reach of any data; it must not take its filter along.
+        log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
         total = log_weights.logsumexp(-1)
         if not bool(torch.isfinite(total).all()):
             raise SMCFailed(
-                f"all particles of {int((~torch.isfinite(total)).sum())} filter(s) have weight zero or NaN at "
+                f"all particles of {int((~torch.isfinite(total)).sum())} filter(s) have weight zero at "
                 f"row {len(self._history.increments)}: the observation is out of the model's reach; use a larger "
                 "noise scale, more particles or the controlled guide"
             )

@@ -16,6 +16,7 @@ them to equal weights: what tables and figures use.
 """
 
 import json
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -134,7 +135,8 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²", "log_evidence": "nat"}
+    units |= {"base": length, "gravity": f"{length}/s²", "log_evidence": "nat"}
+    units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}
 
 
@@ -144,7 +146,7 @@ def _constants(problem: Problem) -> dict:
     constants = {
         name: (["link"], getattr(body, name).detach()) for name in ("length", "mass", "com", "inertia")
     }
-    constants["base"] = (["space"], body.base.detach())
+    constants |= {name: (["space"], getattr(body, name).detach()) for name in ("base", "gravity")}
     if model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
     if truth is not None:
@@ -161,19 +163,53 @@ def _attributes(problem: Problem, outer: OuterWeights, method: str, seed: int, s
         "recording": problem.recording.name,
         "body": problem.model.body.name,
         "length_unit": problem.recording.length_unit,
-        "outer_ess": outer.ess,
-        "log_evidence": outer.log_evidence,
-        "log_evidence_sd": outer.log_evidence_sd,
-        "log_evidence_spread": outer.spread,
+        **_outer_attributes(outer),
         "settings": json.dumps(settings, sort_keys=True),
         "invdyn_version": version("invdyn"),
     }
 
 
+def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
+    return {
+        "outer_ess": outer.ess,
+        "log_evidence": outer.log_evidence,
+        "log_evidence_sd": outer.log_evidence_sd,
+        "log_evidence_spread": outer.spread,
+    }
+
+
+def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
+    """One posterior from several sets of filters of one recording, chains in order, outer weights made anew.
+
+    Where the parts' bodies differ, their length, mass, com and inertia become variables of the posterior.
+    """
+    body = ("length", "mass", "com", "inertia")
+    varies = any(not part["constant_data"][list(body)].equals(parts[0]["constant_data"][list(body)]) for part in parts)
+    groups = {}
+    for group in ("posterior", "posterior_predictive", "sample_stats"):
+        pieces = []
+        for part in parts:
+            piece = part[group]
+            if group == "posterior" and varies:
+                constant = part["constant_data"][list(body)]
+                over = {dim: piece.sizes[dim] for dim in ("chain", "draw")}
+                piece = piece.merge(constant.expand_dims(over))
+            pieces.append(piece)
+        joined = xr.concat(pieces, dim="chain", combine_attrs="override")
+        groups[group] = joined.assign_coords(chain=np.arange(joined.sizes["chain"]))
+    outer = outer_weights(torch.as_tensor(groups["sample_stats"]["log_evidence"].values))
+    groups["sample_stats"]["log_weight"] = (["chain"], outer.log_weights.numpy(), {"units": "nat"})
+    idata = az.InferenceData(
+        **groups, observed_data=parts[0]["observed_data"], constant_data=parts[0]["constant_data"]
+    )
+    idata.attrs.update(parts[0].attrs | _outer_attributes(outer) | {"seed": seed})
+    return idata
+
+
 def pooled(idata: az.InferenceData, seed: int = 0, group: str = "posterior") -> xr.Dataset:
     """Equally weighted draws of ``group`` with dims (sample, …): chains resampled by their outer weight."""
     data = idata[group]
-    count, draws = data.sizes["chain"], data.sizes["draw"]
+    draws = data.sizes["draw"]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values)

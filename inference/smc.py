@@ -35,7 +35,7 @@ class SMCOptions:
     num_filters: int = 64
     num_particles: int = 100
     num_draws: int = 4
-    refits: int = 3
+    refits: int = 2
     ess_threshold: float = 0.5
     resampling: str = "systematic"
     dtype: torch.dtype = torch.float32
@@ -127,9 +127,7 @@ def smc(
         smoother = None
         if guide == "controlled":
             smoother = adapted_smoother(model, observations, options, start)
-        result = run_filters(
-            model, observations, options, guide=guide, smoother=smoother, progress=stage("filter")
-        )
+        result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=stage("filter"))
         paths = backward_simulation(
             model, result, observations, options.num_draws, smoother=smoother, progress=stage("smooth")
         )

@@ -92,8 +92,8 @@ def backward_simulation(
 
 
 def _draw(logits: Tensor) -> Tensor:
-    """One index for each leading entry from unnormalised log-probabilities (…, N)."""
-    logits = logits.double()
+    """One index for each leading entry from unnormalised log-probabilities (…, N); NaN counts as zero."""
+    logits = logits.double().nan_to_num(nan=-torch.inf, neginf=-torch.inf)
     # Gumbel-max: no normalisation, and one pass however peaked the weights are.
     uniform = torch.rand_like(logits).clamp_min(torch.finfo(logits.dtype).tiny)
     return (logits - torch.log(-torch.log(uniform))).argmax(-1)

@@ -177,6 +177,7 @@ def _square(root: np.ndarray) -> np.ndarray:
 
 
 def log_abs_det(triangle: np.ndarray) -> np.ndarray:
+    """Log |det| of triangular matrices (…, D, D)."""
     return np.log(np.abs(np.diagonal(triangle, axis1=-2, axis2=-1))).sum(-1)
 
 

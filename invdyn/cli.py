@@ -111,6 +111,11 @@ def infer(
     ] = None,
     frames: Annotated[str, typer.Option(help="Which frames to use, such as 50:250.")] = ":",
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False,
+    torque: Annotated[
+        str,
+        typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
+    ] = "ornstein_uhlenbeck",
+    noise: Annotated[str, typer.Option(help="Observation noise: gaussian or student_t.")] = "gaussian",
     passive: Annotated[
         bool, typer.Option("--passive", help="No torque acts: the body moves freely.")
     ] = False,
@@ -125,14 +130,20 @@ def infer(
     """Infer the torques that moved a recorded body."""
     from invdyn.inference import METHODS
     from invdyn.inference import infer as run
+    from invdyn.models import FAMILIES, TORQUE_PROCESSES
     from invdyn.recordings import InputError
 
     from .inputs import frame_range, load_body, load_known, load_recording
     from .outputs import Outputs
     from .summary import summary_text
 
-    if method not in METHODS:
-        raise InputError(f"unknown method {method!r}: known are {', '.join(METHODS)}")
+    for what, given, known in (
+        ("method", method, METHODS),
+        ("torque process", torque, TORQUE_PROCESSES),
+        ("noise", noise, FAMILIES),
+    ):
+        if given not in known:
+            raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
     outputs.check(*(Path(name) for name in (recording, body, truth) if name is not None))
     arm = load_body(body)
@@ -153,6 +164,8 @@ def infer(
             seed=seed,
             learn_lengths=learn_lengths,
             truth=known,
+            torque=TORQUE_PROCESSES[torque](),
+            family=noise,
             passive=passive,
             hide_torque=hide_torque,
             progress=progress,

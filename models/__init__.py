@@ -3,7 +3,7 @@
 from invdyn.models.arm import ArmModel
 from invdyn.models.body import Body, BodyError, BodyParameters, Learned, Link
 from invdyn.models.dynamics import Dynamics, RecursiveDynamics, SymbolicDynamics, dynamics_for
-from invdyn.models.emission import Emission
+from invdyn.models.emission import FAMILIES, Emission
 from invdyn.models.integrators import INTEGRATORS
 from invdyn.models.linear_gaussian import LinearGaussian
 from invdyn.models.state_space import StateSpaceModel
@@ -18,6 +18,7 @@ from invdyn.models.torques import (
 )
 
 __all__ = [
+    "FAMILIES",
     "INTEGRATORS",
     "TORQUE_PROCESSES",
     "ArmModel",

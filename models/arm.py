@@ -98,7 +98,9 @@ class ArmModel(StateSpaceModel):
                     shaped[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
                 except RuntimeError:
                     expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-                    raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
+                    raise ValueError(
+                        f"parameter {name}: expected {expected}, got {tuple(value.shape)}"
+                    ) from None
             else:
                 shaped[name] = value  # replace() says which names exist
         self.parameters = self.replace(**shaped).parameters

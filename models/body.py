@@ -148,6 +148,11 @@ class Body:
         return len(self.links)
 
     @property
+    def has_priors(self) -> bool:
+        """Whether any scalar is a prior rather than a number."""
+        return any(isinstance(getattr(link, key), dist.Distribution) for link in self.links for key in QUANTITIES)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the K joints, from the base outwards."""
         return tuple(link.joint for link in self.links)

@@ -11,7 +11,15 @@ import torch
 from pyro.infer import SMCFilter
 from pyro.infer.smcfilter import SMCFailed
 
-from invdyn.inference import RESAMPLERS, Bootstrap, Controlled, ParticleFilter, genealogy
+from invdyn.inference import (
+    RESAMPLERS,
+    Bootstrap,
+    Controlled,
+    ParticleFilter,
+    backward_simulation,
+    gauss_newton,
+    genealogy,
+)
 from invdyn.models import LinearGaussian
 
 F32, F64 = torch.float32, torch.float64
@@ -273,6 +281,28 @@ def test_one_dead_filter_is_enough_to_fail():
     model = oracles.random_chain().model(STEPS)
     with pytest.raises(SMCFailed, match=r"1 filter.*row 1"):
         ParticleFilter(model, OneDead(model), 10, num_filters=4).run(torch.zeros(STEPS, 2, dtype=F64))
+
+
+class Overflows(Bootstrap):
+    """Half of the particles end as NaN at row 2, as when dynamics run away; they count as nothing."""
+
+    def propose(self, t, particles):
+        new, ratio = super().propose(t, particles)
+        if t == 2:
+            new["x"][:, ::2] = torch.nan
+        return new, ratio
+
+
+def test_particles_that_overflow_have_weight_zero(chain, y):
+    model = chain.model(STEPS)
+    result = ParticleFilter(model, Overflows(model), 400, num_filters=500).run(torch.as_tensor(y))
+    assert (result.log_weights[2, :, ::2] == -torch.inf).all()
+    assert_unbiased(result.log_evidence, oracles.kalman(chain, y)[0] - math.log(2))
+    assert torch.isfinite(genealogy(result, 10)).all()
+    assert torch.isfinite(backward_simulation(model, result, torch.as_tensor(y), 3)).all()
+    bridge = gauss_newton(model, torch.as_tensor(y))
+    draws = backward_simulation(model, result, torch.as_tensor(y), 3, smoother=bridge, block=2)
+    assert torch.isfinite(draws).all()
 
 
 @pytest.mark.parametrize(

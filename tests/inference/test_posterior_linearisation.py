@@ -97,9 +97,9 @@ def test_it_improves_on_the_tangent_where_the_posterior_is_wide(value):
     evidence, means, _ = by_quadrature(model, y)
     mode = gauss_newton(model, y)
     fitted = posterior_linearisation(model, y, mode, 3)
-    assert abs(fitted.log_evidence.item() - evidence) < 0.15
+    assert abs(fitted.log_evidence.item() - evidence) < 0.2
     off = np.abs(fitted.path.squeeze(-1).numpy() - means).max()
-    assert off < 0.15
+    assert off < 0.2
     assert off < np.abs(mode.path.squeeze(-1).numpy() - means).max() + 0.02
 
 

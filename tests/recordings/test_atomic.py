@@ -1,6 +1,7 @@
 import os
 
 import pytest
+
 from invdyn.recordings import atomic_path, check_writable, write_text
 
 

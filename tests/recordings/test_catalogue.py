@@ -3,6 +3,7 @@ import re
 
 import numpy as np
 import pytest
+
 from invdyn.recordings import (
     InputError,
     demo_frames,

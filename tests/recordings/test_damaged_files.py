@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from invdyn.recordings import InputError, load, read_sto, read_truth
 
 GOOD = {

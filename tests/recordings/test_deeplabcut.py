@@ -4,6 +4,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+
 from invdyn.recordings import InputError, load
 
 FRAMES, POINTS = 6, ("shoulder", "elbow", "wrist")

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from invdyn.recordings import InputError, Recording, load, read_keypoint_csv, write_keypoint_csv
 
 HEADER = "time,elbow_x,elbow_y,wrist_x,wrist_y"

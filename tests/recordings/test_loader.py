@@ -1,6 +1,7 @@
 import errno
 
 import pytest
+
 from invdyn.recordings import FORMATS, InputError, load
 from invdyn.recordings.formats import recognise
 

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+
 from invdyn.recordings import InputError, load
 
 FRAMES, POINTS, FPS = 6, ("shoulder", "elbow", "wrist"), 25.0

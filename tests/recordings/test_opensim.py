@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from invdyn.recordings import InputError, load, median_link_lengths, read_sto, write_moments, write_sto
 
 TIME = np.array([0.0, 0.1, 0.25])

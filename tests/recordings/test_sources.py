@@ -7,6 +7,7 @@ import threading
 import warnings
 
 import pytest
+
 from invdyn.recordings import InputError
 from invdyn.recordings.sources import Source, fetch, round_table
 

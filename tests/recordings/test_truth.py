@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from invdyn.recordings import InputError, Truth, read_truth, write_truth
 
 

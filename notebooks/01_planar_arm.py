@@ -1,0 +1,363 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Which torques moved this arm?
+#
+# A camera films an arm. A tracker marks its elbow and its wrist in every frame, a little wrong each time.
+# Which torques did the joints exert, and how sure can one be? This notebook follows [Biderman, Naesseth,
+# Wu, Abe, Mosberger, Sibener, Costa, Murray and Cunningham (2020)](https://arxiv.org/abs/2006.10204)
+# through their planar arm, first simulated, where the truth is known, then real, where it is not.
+#
+# It opens as a notebook in Jupyter with `jupytext` installed, and runs from top to bottom in about half a
+# minute.
+
+# %%
+# %matplotlib inline
+import warnings
+from importlib.resources import files
+from itertools import pairwise
+
+warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
+warnings.filterwarnings("ignore", "IProgress not found")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from IPython.display import display
+
+from invdyn.inference import (
+    Problem,
+    SMCOptions,
+    backward_simulation,
+    gaussian_smoother,
+    genealogy,
+    infer,
+    outer_weights,
+    pooled,
+    run_filters,
+    smc,
+)
+from invdyn.inputs import load_recording
+from invdyn.models import Body
+from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION, plot_posterior
+from invdyn.recordings import InputError, load, median_link_lengths
+from invdyn.simulate import paper_arm, record
+from invdyn.summary import torque_table
+
+plt.rcParams.update(STYLE | {"figure.constrained_layout.use": True, "figure.dpi": 90})
+plt.rcParams["axes.prop_cycle"] = plt.cycler(color=[BLUE, VERMILION, PURPLE])
+BODIES = files("invdyn.models") / "bodies"
+generator = torch.manual_seed(0)
+
+# %% [markdown]
+# ## The model
+#
+# The arm is two rigid links in a plane. Its state is $x = (\tau, \theta, \dot\theta)$: two torques, two
+# angles (the first against the horizontal, the second against the first link), two angular velocities.
+# Newton says
+#
+# $$ D(\theta)\,\ddot\theta + h(\theta, \dot\theta) + c(\theta) = \tau, $$
+#
+# with the inertia matrix $D$, Coriolis and centrifugal torques $h$ and the gravity load $c$. Nobody tells
+# us what $\tau$ does, so it is given a modest prior: it wanders and is pulled back to zero
+# (Ornstein–Uhlenbeck),
+#
+# $$ \dot\tau = -\lambda \tau + \sigma_\tau \eta, \qquad \lambda = 6 /\mathrm{s},\ \sigma_\tau = 20. $$
+#
+# Time goes in steps of $\delta = 0.03$ s, $x_t = x_{t-1} + \delta\,\dot x_{t-1}$ plus noise:
+# $\delta\sigma_\tau$ on each torque (the paper's scaling) and $\varepsilon = 0.01$ on angles and
+# velocities. The camera sees elbow and wrist with variance 0.05 on links of one metre: 22 cm of noise on
+# each coordinate. That is a bad camera.
+
+# %%
+body = Body.from_toml(BODIES / "paper_planar_arm.toml")
+model = paper_arm(body)
+model = model.replace(**{"initial.velocity_scale": torch.ones(2, dtype=torch.float64)})  # a calm start
+recording, truth = record(model, seed=4)
+observations = torch.as_tensor(recording.keypoints.reshape(len(recording.time), -1))
+problem = Problem(model, observations, recording, truth)
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2))
+for name, color in (("elbow", BLUE), ("wrist", VERMILION)):
+    left.plot(*recording.keypoint(name).T, ".", color=color, markersize=3, label=name)
+left.plot(0, 0, "o", color="black", markersize=5, label="shoulder, fixed")
+left.set(title="what the camera sees", xlabel="x (m)", ylabel="y (m)", aspect="equal")
+left.legend(loc="upper left", bbox_to_anchor=(1, 1))
+right.plot(truth.time, truth.torque, linewidth=1, label=truth.joint_names)
+right.set(title="what moved it (hidden from now on)", xlabel="time (s)", ylabel="torque (N·m)")
+right.legend()
+plt.show()
+
+# %% [markdown]
+# $D$, $h$ and $c$ come from the Lagrangian by computer algebra. They are plain functions of tensors, in
+# batches and with gradients; here is each along the true motion, and the check that they add up to the
+# torque.
+
+# %%
+parameters = body.parameters()
+q, qd, tau = (torch.as_tensor(values) for values in (truth.angle, truth.velocity, truth.torque))
+dynamics = model.dynamics
+qdd = dynamics.forward(q, qd, tau, parameters)
+sum_of_parts = (dynamics.inertia_matrix(q, parameters) @ qdd[..., None])[..., 0]
+sum_of_parts = sum_of_parts + dynamics.coriolis(q, qd, parameters) + dynamics.gravity_load(q, parameters)
+print(f"D θ̈ + h + c differs from τ by at most {(sum_of_parts - tau).abs().max():.1e} N·m")
+for name, value in {
+    "inertia  D θ̈": tau - dynamics.coriolis(q, qd, parameters) - dynamics.gravity_load(q, parameters),
+    "Coriolis h": dynamics.coriolis(q, qd, parameters),
+    "gravity  c": dynamics.gravity_load(q, parameters),
+}.items():
+    print(f"{name}: rms {value.square().mean(0).sqrt().numpy().round(2)} N·m at shoulder and elbow")
+
+# %% [markdown]
+# ## The bootstrap filter, and how it fails
+#
+# A particle filter carries a cloud of guessed states forward, row by row: move each guess as the model
+# says, weigh it by how well it explains the new frame, and now and then drop the bad ones and copy the
+# good. The average weight along the way estimates the *evidence* $p(y)$, without bias.
+#
+# How would one know that it works? Run it 64 times and compare. Each run's trajectories are weighed by
+# that run's estimate $\hat Z_m$ of the evidence: the *outer* importance sampler of the paper. If all runs
+# found the same answer, all weigh alike, and the outer effective sample size is near 64. If one lucky run
+# dwarfs the others, it is near 1.
+
+# %%
+blind = run_filters(model, observations, SMCOptions(64, 1000), guide="bootstrap", keep=0)
+outer = outer_weights(blind.log_evidence)
+print(
+    f"bootstrap, 64 × 1,000 particles: outer sample size {outer.ess:.1f} of 64, "
+    f"log Ẑ spreads by {outer.spread:.0f} nats"
+)
+
+# %% [markdown]
+# It is near 1: the outer sampler rests on a run or two. The reason is in the equations. A torque $\tau_t$
+# changes $\dot\theta_{t+1}$, which changes $\theta_{t+2}$: the first frame that says anything about it
+# comes two rows later, and under 22 cm of noise it takes many frames more to say something clear. A guess
+# of $\tau_t$ made from the past alone is a guess in the dark, 200 times in a row, and the weights have to
+# kill nearly all of them.
+
+# %% [markdown]
+# ## Looking ahead
+#
+# The cure is to propose from what is *still to be seen*. Suppose we knew $\psi_t(x) = p(y_{t}, \dots, y_T
+# \mid x_t = x)$. Then moving by
+#
+# $$ q(x_t \mid x_{t-1}) \;\propto\; p(x_t \mid x_{t-1})\, \psi_t(x_t) $$
+#
+# would draw from the posterior itself, and all weights would be equal. We do not know $\psi$, but a
+# Gaussian smoother along the best path knows it roughly: one backward pass gives a Gaussian $\psi_t$. The
+# transition stays the exact, nonlinear one, and the weights correct whatever $\psi$ got wrong, so the
+# evidence stays unbiased (controlled SMC, [Heng et al. 2020](https://doi.org/10.1214/19-AOS1914)).
+
+# %%
+smoother = gaussian_smoother(model, observations)
+guided = run_filters(model, observations, SMCOptions(64, 100), smoother=smoother)
+outer_guided = outer_weights(guided.log_evidence)
+print(
+    f"controlled, 64 × 100 particles: outer sample size {outer_guided.ess:.1f} of 64, "
+    f"log Ẑ spreads by {outer_guided.spread:.2f} nats"
+)
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))
+for result, color, label in (
+    (blind, VERMILION, "bootstrap, 1,000 particles"),
+    (guided, BLUE, "controlled, 100"),
+):
+    evidence = result.log_evidence.sort(descending=True).values
+    left.plot(range(1, 65), (evidence - outer_guided.log_evidence).numpy(), ".-", color=color, label=label)
+    right.plot(range(1, 65), torch.softmax(evidence, 0).numpy(), ".-", color=color, label=label)
+left.set(title="log Ẑ of each filter, less the best estimate", xlabel="filter, best first", ylabel="nat")
+left.set_yscale("symlog", linthresh=1)
+right.set(title="its outer weight (all alike: 1/64)", xlabel="filter, best first")
+right.axhline(1 / 64, color=GREY, linewidth=0.8, dashes=(4, 2))
+left.legend()
+plt.show()
+
+# %% [markdown]
+# ## From filter to smoother
+#
+# A filter at row $t$ has seen the frames up to $t$. But $\tau_t$ shows itself later, so the filter's
+# answer for *now* is no better than guessing zero (the numbers below the figure). What one wants is the
+# *smoothed* torque, given the whole film. There are two ways to it:
+#
+# * **genealogy**: take the final particles and follow their ancestors back. Every resampling loses some
+#   lines. After the many of a bootstrap filter, all trajectories share a few pasts;
+# * **backward simulation**: draw trajectories from the end to the start, choosing at each row anew among
+#   all the particles; and as a particle fits hardly any child but its own where the dynamics are nearly
+#   deterministic, move whole blocks of states on the way.
+#
+# The controlled filter resamples so seldom that even its genealogy stays alive here: its flat line is
+# below 100 because some of the final particles were drawn twice.
+
+# %%
+few = run_filters(model, observations, SMCOptions(8, 100), smoother=smoother)
+cloud = run_filters(model, observations, SMCOptions(1, 20_000), guide="bootstrap")
+lines = {
+    "bootstrap, 20,000 particles: genealogy": genealogy(cloud, 100),
+    "controlled, 100: genealogy": genealogy(few, 100),
+    "controlled, 100: backward simulation": backward_simulation(
+        model, few, observations, 100, smoother=smoother
+    ),
+}
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))
+for (label, paths), color in zip(lines.items(), (VERMILION, GREY, BLUE), strict=True):
+    distinct = [
+        np.mean([len(torch.unique(one[:, t, 0])) for one in paths]) for t in range(len(recording.time))
+    ]
+    left.plot(recording.time, distinct, color=color, label=label)
+left.set(title="distinct values among 100 trajectories", xlabel="time (s)", ylim=(0, 105))
+left.legend(loc="center", bbox_to_anchor=(0.5, 0.3))
+
+filtered = (cloud.log_weights[:, 0].exp().unsqueeze(-1) * cloud.states[:, 0]).sum(1)[:, :2]
+smoothed = paths.mean((0, 1))[:, :2]
+right.plot(truth.time, truth.torque[:, 1], color="black", linewidth=1, dashes=(4, 2), label="truth")
+right.plot(truth.time, filtered[:, 1], color=VERMILION, linewidth=1, label="filter's mean")
+right.plot(truth.time, smoothed[:, 1], color=PURPLE, linewidth=1.3, label="smoothed mean")
+right.set(title="elbow torque (N·m)", xlabel="time (s)")
+right.legend()
+plt.show()
+for name, mean in (("filter", filtered), ("smoother", smoothed)):
+    print(
+        f"{name}: rms error {(mean - tau).square().mean(0).sqrt().numpy().round(2)} N·m; "
+        f"the torques' own rms is {tau.square().mean(0).sqrt().numpy().round(2)}"
+    )
+
+# %% [markdown]
+# ## The torques
+#
+# All of it in one call: filters, outer sampler, smoothing. The bands hold 50 and 90 % of the posterior.
+
+# %%
+idata = smc(problem, options=SMCOptions(64, 100, num_draws=8), seed=0)
+display(plot_posterior(idata))
+display(torque_table(idata).round(3))
+
+# %% [markdown]
+# The true torque (dashed) jumps faster than any 22 cm camera could show. The median does not pretend to
+# see the jumps; the bands say how much is hidden. In the table, `90 % covers` is the share of frames whose
+# true torque lies in the band: it should be near 0.9, and one run of 200 correlated frames scatters around
+# that by some hundredths (`benchmarks/` averages over many).
+
+# %% [markdown]
+# ## What the evidence is good for
+#
+# The filters' average $\hat Z$ compares explanations. How strong does the data think the torques are? Try
+# five values of $\sigma_\tau$, the truth being 20; a difference of 3 nats is odds of 20 to 1.
+
+# %%
+scales = [5.0, 10.0, 20.0, 40.0, 80.0]
+for scale in scales:
+    other = model.replace(**{"torque.scale": torch.full((2,), scale, dtype=torch.float64)})
+    outer = outer_weights(run_filters(other, observations, SMCOptions(16, 100), keep=0).log_evidence)
+    print(f"σ_τ = {scale:>4.0f}:  log evidence {outer.log_evidence:7.2f} ± {outer.log_evidence_sd:.2f}")
+
+# %% [markdown]
+# # A real arm
+#
+# The paper's recording: a human arm moves on a table and is filmed from above, so gravity acts out of the
+# plane. DeepLabCut tracked shoulder, elbow and wrist at 30 frames a second; the paper shows frames 50 to
+# 250. Nobody measured the scale, so lengths are in *body lengths* (the arm's median length is 1), and
+# torques in kg·(body length)²/s². With an arm of some 0.5 m and the 1.5 kg a link that the body file
+# assumes, multiply by 0.25 to have N·m.
+
+# %%
+arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
+try:
+    film = load_recording("human-arm", arm, base=None, body_lengths=True).select(50, 250)
+    pixels = load("human-arm").select(50, 250)
+except InputError as error:
+    film = None
+    print(f"The recording cannot be had here, so what follows is skipped: {error}")
+
+# %% [markdown]
+# Noise scales, the torques' strength and speed, and the links' lengths are not known now. They are found
+# by maximising the evidence; then the filters run.
+
+# %%
+if film is not None:
+    posterior = infer(film, arm, learn_lengths=True, num_draws=8, seed=0)
+    display(plot_posterior(posterior))
+    size, spread = posterior.attrs["outer_ess"], posterior.attrs["log_evidence_spread"]
+    print(f"outer sample size {size:.1f} of 64 filters of 100 particles; log Ẑ spreads by {spread:.2f} nats")
+
+# %% [markdown]
+# ## How badly rigid links fit
+#
+# The sampler is healthy. Is the *model*? A healthy sampler only says that the posterior of this model was
+# found. Look at the links: in a film of a rigid planar arm, seen straight from above, the distance from
+# shoulder to elbow would be the same in every frame.
+
+# %%
+if film is not None:
+    chain = [pixels.keypoint(name) for name in ("shoulder", "elbow", "wrist")]
+    apparent = np.stack([np.linalg.norm(b - a, axis=-1) for a, b in pairwise(chain)], axis=1)
+    body_length = median_link_lengths(load("human-arm"), ("shoulder", "elbow", "wrist")).sum()
+    learned = posterior.constant_data["length"].values
+    for k, link in enumerate(arm.links):
+        low, high = apparent[:, k].min(), apparent[:, k].max()
+        print(
+            f"{link.name:>9}: {low:.0f} … {high:.0f} px, at its longest {high / low:.1f} times its shortest; "
+            f"learned {learned[k] * body_length:.0f} px ({learned[k]:.3f} body lengths)"
+        )
+
+    tips = pooled(posterior)["position"].mean("sample").transpose("time", "keypoint", "space").values
+    seen = posterior.observed_data["position"].values
+    predictive = pooled(posterior, group="posterior_predictive")["position"]
+    low, high = np.quantile(
+        predictive.transpose("sample", "time", "keypoint", "space").values, [0.05, 0.95], axis=0
+    )
+    off = seen - tips
+    print()
+    for k, name in enumerate(("elbow", "wrist")):
+        rms = np.sqrt(np.mean(off[:, k] ** 2))
+        memory = np.mean([np.corrcoef(c[:-1], c[1:])[0, 1] for c in off[:, k].T])
+        print(
+            f"{name}: residual {rms * body_length:.1f} px = {rms:.3f} body lengths rms a coordinate; "
+            f"90 % predictive interval covers {np.mean((low <= seen) & (seen <= high), axis=(0, 2))[k]:.3f}; "
+            f"a residual resembles the one before it by {memory:.2f}"
+        )
+    total = np.sqrt(np.mean(off**2))
+    print(f"both: {total * body_length:.1f} px = {total:.3f} body lengths rms a coordinate")
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))
+    left.plot(pixels.time, apparent / body_length, linewidth=1.2, label=[link.name for link in arm.links])
+    for k, color in enumerate(("C0", "C1")):
+        left.axhline(learned[k], color=color, linewidth=0.8, dashes=(4, 2))
+    left.set(
+        title="apparent link length (dashed: learned)",
+        xlabel="time (s)",
+        ylabel="body length",
+        ylim=(0, None),
+    )
+    left.legend()
+    for k, (name, color) in enumerate((("elbow", BLUE), ("wrist", VERMILION))):
+        right.plot(film.time, off[:, k, 0], color=color, linewidth=1.2, label=f"{name} x")
+        right.plot(film.time, off[:, k, 1], color=color, linewidth=1.2, dashes=(2, 1), label=f"{name} y")
+    right.set(title="observed less predicted", xlabel="time (s)", ylabel="body length")
+    right.legend(ncols=2)
+    plt.show()
+
+# %% [markdown]
+# So the fit is bad, and the numbers above say how bad. The apparent lengths nearly double. Perhaps the arm
+# leaves the plane, or the camera looks at a slant, or the shoulder's mark slides on the shirt; and at 5.8
+# s the wrist's mark jumps. The model has one place to put that, the camera's noise. It makes the noise
+# large enough, and then the predictive intervals cover the keypoints at about their nominal rate. Coverage
+# alone would let it pass. The residuals give it away: camera noise would be fresh in each frame, and these
+# hang together from frame to frame and drift over whole movements.
+#
+# What it means for the torques: their bands allow for noise of that size, as if it were independent from
+# frame to frame, and know nothing of a systematic cause. Take their *shape* as the answer of a rigid
+# planar arm to this film, and do not take the bands as the last word.
+
+# %%
+if film is not None:
+    display(torque_table(posterior).round(3))

@@ -1,0 +1,132 @@
+"""Imports go one way, and never in a circle; read from the source, so that lazy imports count too."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = {
+    "recordings": set(),
+    "models": set(),
+    "inference": {"recordings", "models"},
+    "diagnosis": {"recordings", "models", "inference"},
+    "invdyn": {"recordings", "models", "inference", "diagnosis"},
+}
+
+
+def module_name(path):
+    """invdyn.models.torques.base for models/torques/base.py; the front door's own are invdyn.cli, …"""
+    parts = list(path.relative_to(ROOT).with_suffix("").parts)
+    if parts[-1] == "__init__":
+        parts.pop()
+    return ".".join(parts if parts[0] == "invdyn" else ["invdyn", *parts])
+
+
+FILES = {module_name(path): path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))}
+
+
+def room_of(module):
+    second = (module.split(".") + [""])[1]
+    return second if second in ROOMS and second != "invdyn" else "invdyn"
+
+
+def imported(module, tree, names=FILES):
+    """Modules of ours that a syntax tree imports, relative imports resolved; a package and its parts alike."""
+    package = module if names[module].name == "__init__.py" else module.rpartition(".")[0]
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                up = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*up, base] if base else up)
+            for alias in node.names:
+                whole = f"{base}.{alias.name}"
+                found.add(whole if whole in names else base)
+    return {name for name in found if name in names}
+
+
+IMPORTS = {name: imported(name, ast.parse(path.read_text("utf-8"))) for name, path in FILES.items()}
+
+
+def test_all_rooms_are_found():
+    assert {room_of(name) for name in FILES} == set(ROOMS)
+    assert len(FILES) > 40
+    assert "invdyn.models.state_space" in IMPORTS["invdyn.models.arm"]
+    assert "invdyn.recordings.errors" in IMPORTS["invdyn.recordings.recording"]
+    assert "invdyn.models.body_toml" in IMPORTS["invdyn.models.body"]  # from invdyn.models import body_toml
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_imports_go_one_way(room):
+    wrong = {
+        f"{name} imports {other}"
+        for name in FILES
+        if room_of(name) == room
+        for other in IMPORTS[name]
+        if room_of(other) not in ROOMS[room] | {room}
+    }
+    assert not wrong
+
+
+def cycle(graph):
+    """Some cycle of a graph as a list of its nodes, or None: depth-first search."""
+    state = {}
+
+    def visit(node, trail):
+        state[node] = "open"
+        for after in sorted(graph[node]):
+            if state.get(after) == "open":
+                return [*trail[trail.index(after) :], after]
+            if after not in state and (found := visit(after, [*trail, after])):
+                return found
+        state[node] = "done"
+        return None
+
+    for node in sorted(graph):
+        if node not in state and (found := visit(node, [node])):
+            return found
+    return None
+
+
+def test_there_is_no_import_cycle():
+    # A part may import from its own package's parts; the package's __init__ gathers them and is no part.
+    parts = {
+        name: {other for other in IMPORTS[name] if other != name}
+        for name in FILES
+        if FILES[name].name != "__init__.py"
+    }
+    graph = {name: after & set(parts) for name, after in parts.items()}
+    assert cycle(graph) is None
+    rooms = {
+        room: {room_of(o) for name in FILES if room_of(name) == room for o in IMPORTS[name]} - {room}
+        for room in ROOMS
+    }
+    assert cycle(rooms) is None
+
+
+def test_no_part_imports_its_own_package():
+    """from invdyn.models import X inside models/ works only in the order in which __init__ happens to import."""
+    assert not [
+        f"{name} imports {other}"
+        for name, others in IMPORTS.items()
+        for other in others
+        if FILES[other].name == "__init__.py" and name.startswith(f"{other}.") and other != "invdyn"
+    ]
+
+
+def test_the_search_for_cycles_finds_one():
+    assert cycle({"a": {"b"}, "b": {"c"}, "c": set()}) is None
+    assert cycle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+
+
+def test_every_name_in_all_exists():
+    import importlib
+
+    for room in ("models", "models.torques", "inference", "recordings"):
+        module = importlib.import_module(f"invdyn.{room}")
+        assert not [name for name in module.__all__ if not hasattr(module, name)]
+        assert sorted(set(module.__all__)) == sorted(module.__all__)
