@@ -8,7 +8,8 @@ from invdyn.inference.initialise import Problem, arm_problem
 from invdyn.inference.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.mechanics import mechanics
 from invdyn.inference.nested import OuterWeights, outer_weights
-from invdyn.inference.particle_filter import FilterResult, ParticleFilter
+from invdyn.inference.particle_filter import ParticleFilter
+from invdyn.inference.particles import FilterResult
 from invdyn.inference.posterior import load_posterior, pooled, save_posterior, summarise
 from invdyn.inference.posterior_linearisation import posterior_linearisation
 from invdyn.inference.proposal import Proposal

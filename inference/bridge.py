@@ -46,9 +46,7 @@ class Bridge:
             row = t + j
             constant = np.zeros((*linear.E[row].shape[:-1], dim))
             targets_y = np.concatenate([constant, linear.e[row][..., None]], -1)
-            U, b = _triangle(
-                np.concatenate([rows, linear.E[row]], -2), np.concatenate([targets, targets_y], -2)
-            )
+            U, b = _triangle(np.concatenate([rows, linear.E[row]], -2), np.concatenate([targets, targets_y], -2))
             L = linear.L[row]
             top = np.concatenate([np.broadcast_to(eye, L.shape), np.zeros_like(L), np.zeros_like(b)], -1)
             bottom = np.concatenate([U @ L, U, b], -1)

@@ -36,9 +36,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
     ]
     body = problem.model.body
     for quantity in ("length", "mass", "com", "inertia"):
-        entries = tuple(
-            k for k, link in enumerate(body.links) if isinstance(getattr(link, quantity), Learned)
-        )
+        entries = tuple(k for k, link in enumerate(body.links) if isinstance(getattr(link, quantity), Learned))
         if learn_lengths and quantity == "length":
             entries = tuple(range(body.num_joints))
         if entries:

@@ -98,9 +98,7 @@ def arm_problem(
         np.isfinite(confidence).any() and np.ptp(confidence[np.isfinite(confidence)]) > 0
     ):
         confidence = None  # a constant confidence says nothing
-    emission = Emission(
-        [tip for _, tip in tips], 0 if angles is None else joints, family=family, confidence=confidence
-    )
+    emission = Emission([tip for _, tip in tips], 0 if angles is None else joints, family=family, confidence=confidence)
     if learn_lengths:
         body = body.with_values(length=observed_lengths(recording, body))
     values = {**_start_values(body, recording.time, observations, emission), **(parameters or {})}
@@ -110,9 +108,7 @@ def arm_problem(
     except KeyError as error:
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
-        model = ArmModel(
-            body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options
-        )
+        model = ArmModel(body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options)
     return Problem(model, observations, recording, None if truth is None else truth.at(recording.time))
 
 
@@ -159,9 +155,7 @@ def _in_order(recording: Recording, body: Body, values: np.ndarray | None, what:
     return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
 
-def _start_values(
-    body: Body, time: np.ndarray, observations: Tensor, emission: Emission
-) -> dict[str, object]:
+def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: Emission) -> dict[str, object]:
     """Observation noise and the first frame's angles and velocities."""
     parameters = body.parameters()
     reach = parameters.length.sum().item()
@@ -215,9 +209,7 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     path = paths[len(paths) // 2]
     rows = torch.arange(1, model.num_steps)
     joints = model.body.num_joints
-    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(
-        model._link_angle_sd(model.body_parameters())
-    )
+    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(model._link_angle_sd(model.body_parameters()))
     substeps = 1
     with torch.no_grad():
         while substeps < MAX_SUBSTEPS:

@@ -34,7 +34,7 @@ from torch import Tensor
 
 from invdyn.inference.gauss_newton import GaussianSmoother
 from invdyn.inference.nested import outer_weights
-from invdyn.inference.particle_filter import FilterResult
+from invdyn.inference.particles import FilterResult
 from invdyn.inference.square_root import conditional, eliminate, log_abs_det
 from invdyn.models.missing import observed_log_prob
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
@@ -42,6 +42,10 @@ from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 RIDGE = 1e-3
 FLOOR = 1e-4  # of a refitted precision, in units of the particles' own: flat, but finite in float32
 EXACT = 1e-6  # nats: a smaller correction is rounding
+
+
+STEADY = 0.05
+"""Spread of log Ẑ, in nats, that no refit need improve: the outer sampler then has 99.8 % of its filters."""
 
 
 def iterate(
@@ -55,7 +59,8 @@ def iterate(
 ) -> GaussianSmoother:
     """Return the smoother whose factors guide the steadiest filters, its factors refitted to the model.
 
-    The smoother whose pilot run has the smallest spread of log Ẑ is refitted ``iterations`` times, on the
+    The smoother whose pilot run has the smallest spread of log Ẑ is, unless that is next to nothing,
+    refitted ``iterations`` times, on the
     particles of all pilot runs so far. The last refit is kept unless its own pilot is less steady than
     that of the smoother it started from. Random numbers are torch's own (global seed).
 
@@ -78,6 +83,8 @@ def iterate(
     if not runs:
         raise failure
     start, first = min(runs, key=lambda run: _spread(run[1]))
+    if _spread(first) < STEADY:
+        return start
     results = [result for _, result in runs]
     latest = start
     for _ in range(iterations):

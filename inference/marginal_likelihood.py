@@ -68,9 +68,7 @@ class Fit:
 class _Objective:
     """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
 
-    def __init__(
-        self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None
-    ):
+    def __init__(self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None):
         self.model, self.observations, self.free = model, observations, tuple(free)
         sizes = [1 if f.tied else len(f.indices(model.parameters[f.name].numel())) for f in self.free]
         self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
@@ -168,9 +166,7 @@ def fit(
     observations = observations.detach().cpu().double()
     model.replace(**{f.name: model.parameters.get(f.name) for f in free})  # checks the names
     if not free:
-        smoother = posterior_linearisation(
-            model, observations, gauss_newton(model, observations, start=start)
-        )
+        smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
         return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True)
     objective = _Objective(model, observations, free, start)
     reached: list[float] = []

@@ -22,60 +22,19 @@ plain Pyro shapes (N, …).
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import pyro
 import torch
 from pyro import poutine
 from pyro.infer import SMCFilter
-from pyro.infer.smcfilter import SMCFailed, SMCState
+from pyro.infer.smcfilter import SMCFailed
 from pyro.poutine.util import prune_subsample_sites
 from torch import Tensor
 
+from invdyn.inference.particles import FilterResult, FilterState, History, take
 from invdyn.inference.proposal import Particles, Proposal
 from invdyn.inference.resampling import ess, resample
 from invdyn.models.missing import observed_log_prob
-
-
-@dataclass
-class FilterResult:
-    """What a run leaves. M filters, N particles, T rows, of which the last W were kept.
-
-    Attributes:
-        log_evidence: (M,) log p̂(y_{0:T}), float64.
-        log_evidence_increment: (T, M) log p̂(y_t | y_{0:t}) under the twisted targets.
-        ess: (T, M) effective sample size before resampling.
-        resampled: (T, M) bool, whether row t's particles were resampled after weighting.
-        states: (W, M, N, D) particles of the last W rows, before resampling.
-        log_weights: (W, M, N) their normalised log-weights.
-        log_twist: (W, M, N) log ψ̃_t(x_t), to be subtracted for the untwisted filter; or None.
-        ancestors: (W, M, N) index at the row before of each particle's parent (row 0: itself).
-    """
-
-    log_evidence: Tensor
-    log_evidence_increment: Tensor
-    ess: Tensor
-    resampled: Tensor
-    states: Tensor
-    log_weights: Tensor
-    log_twist: Tensor | None
-    ancestors: Tensor
-
-
-@dataclass
-class _History:
-    """The last ``keep`` rows, and one number per row and filter for all of them."""
-
-    keep: int
-    increments: list[Tensor] = field(default_factory=list)
-    ess: list[Tensor] = field(default_factory=list)
-    resampled: list[Tensor] = field(default_factory=list)
-    rows: list[tuple[Tensor, ...]] = field(default_factory=list)
-
-    def add_row(self, row: tuple[Tensor, ...]) -> None:
-        self.rows.append(row)
-        if len(self.rows) > self.keep:
-            self.rows.pop(0)
 
 
 class ParticleFilter(SMCFilter):
@@ -120,7 +79,7 @@ class ParticleFilter(SMCFilter):
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
         self.ancestors = torch.arange(self.num_particles, device=device).expand(self.batch)
         self._log_twist: Tensor | None = None
-        self._history = _History(keep)
+        self._history = History(keep)
         self._parents = self.ancestors
 
     # -- Pyro's way in -------------------------------------------------------------------------
@@ -236,7 +195,7 @@ class ParticleFilter(SMCFilter):
                 self._history.add_row((*kept, *([twist] if "log_twist" in particles else [])))
             index = self._maybe_resample(last=t == rows - 1)
             if index is not None:
-                particles = {name: _take(value, index) for name, value in particles.items()}
+                particles = {name: take(value, index) for name, value in particles.items()}
                 twist = particles.get("log_twist", 0.0)
             if progress is not None:
                 progress(t + 1, rows)
@@ -293,32 +252,3 @@ class ParticleFilter(SMCFilter):
         self.state._log_weights = self._log_weights
         self._parents = self.ancestors = index
         return index
-
-
-class FilterState(SMCState):
-    """Pyro's particle state with any number of leading batch dimensions, (M, N) or (N,)."""
-
-    def __init__(self, batch: tuple[int, ...]):
-        super().__init__(batch[-1])
-        self._batch = tuple(batch)
-        self._log_weights = torch.full(batch, -math.log(batch[-1]), dtype=torch.float64)
-
-    def __setitem__(self, key, value):
-        """Store a tensor whose leading dimensions are the batch; guides may not write."""
-        if self._locked:
-            raise RuntimeError("a guide cannot write to the particles' state: only the model can")
-        if not isinstance(value, Tensor) or tuple(value.shape[: len(self._batch)]) != self._batch:
-            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-            raise ValueError(f"expected state[{key!r}] to begin with dimensions {self._batch}, got {shape}")
-        dict.__setitem__(self, key, value)
-
-    def _resample(self, index: Tensor) -> None:
-        for key, value in self.items():
-            dict.__setitem__(self, key, _take(value, index))
-
-
-def _take(value: Tensor, index: Tensor) -> Tensor:
-    """Particles (…, N, *rest) at ``index`` (…, N)."""
-    rest = value.shape[index.ndim :]
-    expanded = index.reshape(*index.shape, *([1] * len(rest))).expand(*index.shape, *rest)
-    return value.gather(index.ndim - 1, expanded)

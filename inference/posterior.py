@@ -29,7 +29,7 @@ from torch import Tensor
 
 from invdyn.inference.initialise import Problem
 from invdyn.inference.nested import OuterWeights, outer_weights
-from invdyn.inference.particle_filter import FilterResult
+from invdyn.inference.particles import FilterResult
 from invdyn.inference.resampling import resample
 from invdyn.recordings import InputError, atomic_path
 from invdyn.recordings.errors import first_line
@@ -143,9 +143,7 @@ def _units(length: str) -> dict[str, str]:
 def _constants(problem: Problem) -> dict:
     model, truth = problem.model, problem.truth
     body = model.body_parameters()
-    constants = {
-        name: (["link"], getattr(body, name).detach()) for name in ("length", "mass", "com", "inertia")
-    }
+    constants = {name: (["link"], getattr(body, name).detach()) for name in ("length", "mass", "com", "inertia")}
     constants |= {name: (["space"], getattr(body, name).detach()) for name in ("base", "gravity")}
     if model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
@@ -199,9 +197,7 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
         groups[group] = joined.assign_coords(chain=np.arange(joined.sizes["chain"]))
     outer = outer_weights(torch.as_tensor(groups["sample_stats"]["log_evidence"].values))
     groups["sample_stats"]["log_weight"] = (["chain"], outer.log_weights.numpy(), {"units": "nat"})
-    idata = az.InferenceData(
-        **groups, observed_data=parts[0]["observed_data"], constant_data=parts[0]["constant_data"]
-    )
+    idata = az.InferenceData(**groups, observed_data=parts[0]["observed_data"], constant_data=parts[0]["constant_data"])
     idata.attrs.update(parts[0].attrs | _outer_attributes(outer) | {"seed": seed})
     return idata
 

@@ -66,9 +66,7 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
     return GaussianSmoother(path, factors, linear, evidence, joint, smoother.converged)
 
 
-def fit_linear(
-    model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor
-) -> Linearisation:
+def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor) -> Linearisation:
     """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path."""
     rows = torch.arange(path.shape[-2])
     root = _root(covariance)

@@ -5,7 +5,7 @@ reported is the smoothed posterior (:mod:`.smoothing`), not the filter.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import arviz as az
 import torch
@@ -15,7 +15,8 @@ from invdyn.inference.controlled import Controlled
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.initialise import Problem
 from invdyn.inference.iterated import iterate
-from invdyn.inference.particle_filter import FilterResult, ParticleFilter
+from invdyn.inference.particle_filter import ParticleFilter
+from invdyn.inference.particles import FilterResult
 from invdyn.inference.posterior import to_inference_data
 from invdyn.inference.posterior_linearisation import posterior_linearisation
 from invdyn.inference.smoothing import backward_simulation
@@ -23,13 +24,17 @@ from invdyn.models import StateSpaceModel
 
 Progress = Callable[[int, int, str], None]
 
+PILOT_PARTICLE_STEPS = 4e6
+"""Particles × rows that the pilot runs of a refit keep, at most."""
+
 
 @dataclass(frozen=True)
 class SMCOptions:
     """M filters, N particles each, R smoothed trajectories of each.
 
-    The controlled guide is refitted ``refits`` times on pilot runs of the same size; 0 takes the
-    linearised model's factors as they are.
+    The controlled guide is refitted ``refits`` times on pilot runs; 0 takes the linearised model's
+    factors as they are. ``dtype`` None means float32 particles where that is precise enough
+    (:func:`sufficient_dtype`), else float64.
     """
 
     num_filters: int = 64
@@ -38,7 +43,7 @@ class SMCOptions:
     refits: int = 2
     ess_threshold: float = 0.5
     resampling: str = "systematic"
-    dtype: torch.dtype = torch.float32
+    dtype: torch.dtype | None = None
     device: str = "cpu"
 
 
@@ -61,10 +66,21 @@ def adapted_smoother(
     if options.refits == 0 or options.num_filters == 1:
         return around
 
+    # Enough particles to fit a quadratic to, and no more than memory holds for every row.
+    room = int(PILOT_PARTICLE_STEPS / (options.num_filters * len(observations)))
+    few = replace(options, num_particles=min(options.num_particles, 100, max(room, 16)))
+
     def pilot(smoother: GaussianSmoother) -> FilterResult:
-        return run_filters(model, observations, options, smoother=smoother)
+        return run_filters(model, observations, few, smoother=smoother)
 
     return iterate(model, observations, [mode, around], pilot, iterations=options.refits)
+
+
+def sufficient_dtype(smoother: GaussianSmoother) -> torch.dtype:
+    """float32 if its rounding of the states stays under a hundredth of their posterior sd everywhere, else float64."""
+    sd = smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt()
+    rounding = torch.finfo(torch.float32).eps * smoother.path.abs()
+    return torch.float32 if bool((rounding < 0.01 * sd).all()) else torch.float64
 
 
 def run_filters(
@@ -78,12 +94,12 @@ def run_filters(
     progress: Callable[[int, int], None] | None = None,
 ) -> FilterResult:
     """Run M filters with ``guide`` "controlled" or "bootstrap"; see :meth:`ParticleFilter.run`."""
-    fast = model.to(dtype=options.dtype, device=options.device)
-    rows = observations.to(dtype=options.dtype, device=options.device)
-    if guide == "bootstrap":
-        proposal = Bootstrap(fast)
-    else:
-        proposal = Controlled(fast, observations, smoother or adapted_smoother(model, observations, options))
+    if guide == "controlled" and smoother is None:
+        smoother = adapted_smoother(model, observations, options)
+    dtype = options.dtype or (torch.float32 if smoother is None else sufficient_dtype(smoother))
+    fast = model.to(dtype=dtype, device=options.device)
+    rows = observations.to(dtype=dtype, device=options.device)
+    proposal = Bootstrap(fast) if smoother is None or guide == "bootstrap" else Controlled(fast, observations, smoother)
     particle_filter = ParticleFilter(
         fast,
         proposal,

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from invdyn.inference.bridge import Bridge
 from invdyn.inference.gauss_newton import GaussianSmoother
-from invdyn.inference.particle_filter import FilterResult
+from invdyn.inference.particles import FilterResult
 from invdyn.models.state_space import StateSpaceModel
 
 

@@ -18,17 +18,13 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
-BodyFile = Annotated[
-    str, typer.Option("--body", metavar="TOML", help="Body file, or a body that comes with us.")
-]
+BodyFile = Annotated[str, typer.Option("--body", metavar="TOML", help="Body file, or a body that comes with us.")]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
 StoOut = Annotated[Path | None, typer.Option(help="Torques for OpenSim: .sto.")]
 CsvOut = Annotated[Path | None, typer.Option(help="Torques, angles and velocities with 90 % bands: .csv.")]
-TruthFile = Annotated[
-    str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")
-]
+TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
 def show_version(wanted: bool) -> None:
@@ -116,12 +112,8 @@ def infer(
         typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
     ] = "ornstein_uhlenbeck",
     noise: Annotated[str, typer.Option(help="Observation noise: gaussian or student_t.")] = "gaussian",
-    passive: Annotated[
-        bool, typer.Option("--passive", help="No torque acts: the body moves freely.")
-    ] = False,
-    hide_torque: Annotated[
-        bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")
-    ] = False,
+    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False,
+    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False,
     filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64,
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100,
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4,
@@ -147,9 +139,7 @@ def infer(
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
     outputs.check(*(Path(name) for name in (recording, body, truth) if name is not None))
     arm = load_body(body)
-    tracks = load_recording(
-        recording, arm, base, body_lengths, units=units, fps=fps, format=format, scale=scale
-    )
+    tracks = load_recording(recording, arm, base, body_lengths, units=units, fps=fps, format=format, scale=scale)
     start, stop = frame_range(frames)
     tracks = tracks.select(start, stop)
     known = None if truth is None else load_known(truth, arm)

@@ -129,9 +129,7 @@ def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[4.2] + [1.2] * rows)
     arm_axes = figure.add_subplot(grid[0, :])
     # a tracker's outlier must not shrink the arm to a dot
-    far = (
-        np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else np.empty((0, 2))
-    )
+    far = np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else np.empty((0, 2))
     arm_axes.update_datalim(np.concatenate([arms.reshape(-1, 2), far]))
     arm_axes.margins(0.06)
     arm_axes.set_aspect("equal", adjustable="datalim")

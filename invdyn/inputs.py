@@ -29,9 +29,7 @@ def load_body(name: str) -> Body:
         return Body.from_toml(path)
 
 
-def load_recording(
-    name: str, body: Body, base: str | None, body_lengths: bool, **options: object
-) -> Recording:
+def load_recording(name: str, body: Body, base: str | None, body_lengths: bool, **options: object) -> Recording:
     """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
 
     Args:
@@ -48,9 +46,7 @@ def load_recording(
     base = base or body.base_keypoint
     tips = body.keypoint_names
     if body_lengths:
-        recording = in_body_lengths(
-            load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options)
-        )
+        recording = in_body_lengths(load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options))
         confidence = recording.confidence
         recording = replace(
             recording,

@@ -132,9 +132,7 @@ def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
     share = statistics["resampled"].transpose("chain", "time").values.mean(axis=0)
     marks = [[(t, 0.0), (t, 0.09)] for t in time[share > 0]]
     colors = [to_rgba(INK, 0.15 + 0.85 * part) for part in share[share > 0]]
-    axes.add_collection(
-        LineCollection(marks, colors=colors, linewidths=1, transform=axes.get_xaxis_transform())
-    )
+    axes.add_collection(LineCollection(marks, colors=colors, linewidths=1, transform=axes.get_xaxis_transform()))
     axes.set_title("effective sample size of the filters", loc="left")
     axes.set_title(heading(idata), loc="right", color=GREY)
     axes.set_ylabel("particles")
@@ -165,7 +163,5 @@ def legend_entries(idata: az.InferenceData) -> list[Line2D | Patch]:
     if "command" in known:
         entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
     if idata.sample_stats["resampled"].any():
-        entries.append(
-            Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled")
-        )
+        entries.append(Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled"))
     return entries

@@ -82,9 +82,7 @@ def random_arm(
             raise InputError(f"{name} must be a number from 0 up, got {value:g}")
     num_frames = round(duration * fps)
     if num_frames < 2:
-        raise InputError(
-            f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed"
-        )
+        raise InputError(f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed")
     torque = OrnsteinUhlenbeck()
     gravity_x, gravity_y = body.gravity
     hanging = math.atan2(gravity_y, gravity_x) if any(body.gravity) else 0.0

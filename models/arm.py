@@ -81,9 +81,7 @@ class ArmModel(StateSpaceModel):
         self.dt = torch.cat([intervals.median().reshape(1), intervals])
         self.command = None if command is None else torch.as_tensor(np.asarray(command, dtype=np.float64))
         if self.command is not None and self.command.shape != (self.num_steps, joints):
-            raise ValueError(
-                f"expected a command of shape {(self.num_steps, joints)}, got {self.command.shape}"
-            )
+            raise ValueError(f"expected a command of shape {(self.num_steps, joints)}, got {self.command.shape}")
 
         self.torque_size = self.torque.size(joints)
         self.state_dim = self.torque_size + 2 * joints
@@ -98,9 +96,7 @@ class ArmModel(StateSpaceModel):
                     shaped[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
                 except RuntimeError:
                     expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-                    raise ValueError(
-                        f"parameter {name}: expected {expected}, got {tuple(value.shape)}"
-                    ) from None
+                    raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
             else:
                 shaped[name] = value  # replace() says which names exist
         self.parameters = self.replace(**shaped).parameters

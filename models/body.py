@@ -133,9 +133,7 @@ class Body:
         for place, tip in enumerate(self.keypoint_names):
             # a keypoint is called after the joint that it shows, so one name cannot mean two places
             if tip in self.joint_names and self.joint_names.index(tip) != place + 1:
-                raise BodyError(
-                    f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere"
-                )
+                raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
         check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
         if any(sd < 0 for sd in sds.values()):
@@ -245,9 +243,7 @@ class Body:
             for key, sd in self.uncertainty.items():
                 if sd > 0 and isinstance(getattr(link, key), float | None):
                     if link.nominal(key) == 0:
-                        raise BodyError(
-                            f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior"
-                        )
+                        raise BodyError(f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior")
                     priors[key] = prior(link.nominal(key), sd * abs(link.nominal(key)))
             links.append(dataclasses.replace(link, **priors))
         return dataclasses.replace(self, links=tuple(links), uncertainty={})
@@ -260,9 +256,7 @@ class Body:
         check_keys(given, QUANTITIES, "Body.with_values")
         for key, values in given.items():
             if len(values) != self.num_joints:
-                raise BodyError(
-                    f"expected {self.num_joints} values of {key}, one for each link, got {len(values)}"
-                )
+                raise BodyError(f"expected {self.num_joints} values of {key}, one for each link, got {len(values)}")
         columns = [{key: values[place] for key, values in given.items()} for place in range(self.num_joints)]
         links = [dataclasses.replace(link, **new) for link, new in zip(self.links, columns, strict=True)]
         return dataclasses.replace(self, links=tuple(links))

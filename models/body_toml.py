@@ -87,14 +87,10 @@ def _from_table(value: object, what: str) -> object:
         return Learned(number(value["start"], f"{what}'s start"))
     if set(value) != {"mean", "sd"}:
         keys = ", ".join(value)
-        raise BodyError(
-            f"{what}: expected a number, {{mean = …, sd = …}} or {{start = …}}, got the keys {keys}"
-        )
+        raise BodyError(f"{what}: expected a number, {{mean = …, sd = …}} or {{start = …}}, got the keys {keys}")
     mean, sd = (number(value[key], f"{what}'s {key}") for key in ("mean", "sd"))
     if sd <= 0:
-        raise BodyError(
-            f"{what}: expected a positive sd, got {sd:g}; where it is known, write the number alone"
-        )
+        raise BodyError(f"{what}: expected a positive sd, got {sd:g}; where it is known, write the number alone")
     return prior(mean, sd)
 
 

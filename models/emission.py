@@ -71,9 +71,7 @@ class Emission:
             parameters["emission.df"] = torch.full((1,), 4.0)
         return {name: value.double() for name, value in parameters.items()}
 
-    def distribution(
-        self, tips: Tensor, q: Tensor, t: int | Tensor, parameters: Mapping[str, Tensor]
-    ) -> Distribution:
+    def distribution(self, tips: Tensor, q: Tensor, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
         """Distribution of row ``t``: tips (..., K, 2) and angles q (..., K) → event shape (O,)."""
         mean, scale = [], []
         if self.tips:

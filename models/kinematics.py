@@ -22,9 +22,7 @@ AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb."""
 
 
-def link_angles(
-    observations: Tensor, emission: Emission, body: BodyParameters
-) -> tuple[np.ndarray, np.ndarray]:
+def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) -> tuple[np.ndarray, np.ndarray]:
     """Measured absolute link angles (T, K), rad, NaN where a link was not seen; and which are wrapped.
 
     Those of encoders (whole turns counted) where they exist, else of the camera: wrapped, in (−π, π].

@@ -59,8 +59,7 @@ def _filled(emission: Independent, observation: Tensor, seen: Tensor) -> Tensor:
 def _marginal(emission: Distribution, seen: Tensor) -> MultivariateNormal:
     if not isinstance(emission, torch.distributions.MultivariateNormal):
         raise TypeError(
-            "expected an independent or MultivariateNormal emission where entries are missing, "
-            f"got {emission}"
+            f"expected an independent or MultivariateNormal emission where entries are missing, got {emission}"
         )
     covariance = emission.covariance_matrix[..., seen, :][..., seen]
     return MultivariateNormal(emission.loc[..., seen], covariance_matrix=covariance)

@@ -58,9 +58,7 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
     centre = number(nominal(value), what)
     if centre < 0 and quantity != "com":
         raise BodyError(f"{what}: expected no negative number, got {centre:g}")
-    if centre == 0 and (
-        quantity in ("length", "mass") or (quantity == "inertia" and isinstance(value, Learned))
-    ):
+    if centre == 0 and (quantity in ("length", "mass") or (quantity == "inertia" and isinstance(value, Learned))):
         raise BodyError(f"{what}: expected a positive number, got 0")
     return value
 

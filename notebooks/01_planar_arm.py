@@ -14,9 +14,10 @@
 # # Which torques moved this arm?
 #
 # A camera films an arm. A tracker marks its elbow and its wrist in every frame, a little wrong each time.
-# Which torques did the joints exert, and how sure can one be? This notebook follows [Biderman, Naesseth,
-# Wu, Abe, Mosberger, Sibener, Costa, Murray and Cunningham (2020)](https://arxiv.org/abs/2006.10204)
-# through their planar arm, first simulated, where the truth is known, then real, where it is not.
+# Which torques did the joints exert, and how sure can one be? This notebook follows
+# [Biderman, Naesseth and colleagues (2020)](https://montrealrobotics.ca/diffcvgp/), *Inverse articulated-body
+# dynamics from video via variational sequential Monte Carlo*, through their planar arm: first simulated, where
+# the truth is known, then real, where it is not.
 #
 # It opens as a notebook in Jupyter with `jupytext` installed, and runs from top to bottom in about half a
 # minute.
@@ -156,7 +157,8 @@ print(
 # would draw from the posterior itself, and all weights would be equal. We do not know $\psi$, but a
 # Gaussian smoother along the best path knows it roughly: one backward pass gives a Gaussian $\psi_t$. The
 # transition stays the exact, nonlinear one, and the weights correct whatever $\psi$ got wrong, so the
-# evidence stays unbiased (controlled SMC, [Heng et al. 2020](https://doi.org/10.1214/19-AOS1914)).
+# evidence stays unbiased (controlled SMC, [Heng et al. 2020](https://arxiv.org/abs/1708.08396)). The calls further
+# down also refit $\psi$ on the particles of pilot runs, which helps where the posterior bends.
 
 # %%
 smoother = gaussian_smoother(model, observations)
@@ -204,15 +206,11 @@ cloud = run_filters(model, observations, SMCOptions(1, 20_000), guide="bootstrap
 lines = {
     "bootstrap, 20,000 particles: genealogy": genealogy(cloud, 100),
     "controlled, 100: genealogy": genealogy(few, 100),
-    "controlled, 100: backward simulation": backward_simulation(
-        model, few, observations, 100, smoother=smoother
-    ),
+    "controlled, 100: backward simulation": backward_simulation(model, few, observations, 100, smoother=smoother),
 }
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))
 for (label, paths), color in zip(lines.items(), (VERMILION, GREY, BLUE), strict=True):
-    distinct = [
-        np.mean([len(torch.unique(one[:, t, 0])) for one in paths]) for t in range(len(recording.time))
-    ]
+    distinct = [np.mean([len(torch.unique(one[:, t, 0])) for one in paths]) for t in range(len(recording.time))]
     left.plot(recording.time, distinct, color=color, label=label)
 left.set(title="distinct values among 100 trajectories", xlabel="time (s)", ylim=(0, 105))
 left.legend(loc="center", bbox_to_anchor=(0.5, 0.3))
@@ -257,7 +255,7 @@ display(torque_table(idata).round(3))
 scales = [5.0, 10.0, 20.0, 40.0, 80.0]
 for scale in scales:
     other = model.replace(**{"torque.scale": torch.full((2,), scale, dtype=torch.float64)})
-    outer = outer_weights(run_filters(other, observations, SMCOptions(16, 100), keep=0).log_evidence)
+    outer = outer_weights(run_filters(other, observations, SMCOptions(16, 100, refits=0), keep=0).log_evidence)
     print(f"σ_τ = {scale:>4.0f}:  log evidence {outer.log_evidence:7.2f} ± {outer.log_evidence_sd:.2f}")
 
 # %% [markdown]
@@ -312,9 +310,7 @@ if film is not None:
     tips = pooled(posterior)["position"].mean("sample").transpose("time", "keypoint", "space").values
     seen = posterior.observed_data["position"].values
     predictive = pooled(posterior, group="posterior_predictive")["position"]
-    low, high = np.quantile(
-        predictive.transpose("sample", "time", "keypoint", "space").values, [0.05, 0.95], axis=0
-    )
+    low, high = np.quantile(predictive.transpose("sample", "time", "keypoint", "space").values, [0.05, 0.95], axis=0)
     off = seen - tips
     print()
     for k, name in enumerate(("elbow", "wrist")):

@@ -78,9 +78,7 @@ def kalman(chain, y):
             S = C @ cov @ C.T + R
             surprise = row[seen] - C @ mean
             gain = np.linalg.solve(S, C @ cov).T
-            increment = -0.5 * (
-                surprise @ np.linalg.solve(S, surprise) + np.linalg.slogdet(2 * np.pi * S)[1]
-            )
+            increment = -0.5 * (surprise @ np.linalg.solve(S, surprise) + np.linalg.slogdet(2 * np.pi * S)[1])
             mean, cov = mean + gain @ surprise, cov - gain @ S @ gain.T
         increments.append(increment)
         means.append(mean)

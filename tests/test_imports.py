@@ -27,7 +27,7 @@ FILES = {module_name(path): path for room in ROOMS for path in sorted((ROOT / ro
 
 
 def room_of(module):
-    second = (module.split(".") + [""])[1]
+    second = [*module.split("."), ""][1]
     return second if second in ROOMS and second != "invdyn" else "invdyn"
 
 
@@ -95,15 +95,12 @@ def cycle(graph):
 def test_there_is_no_import_cycle():
     # A part may import from its own package's parts; the package's __init__ gathers them and is no part.
     parts = {
-        name: {other for other in IMPORTS[name] if other != name}
-        for name in FILES
-        if FILES[name].name != "__init__.py"
+        name: {other for other in IMPORTS[name] if other != name} for name in FILES if FILES[name].name != "__init__.py"
     }
     graph = {name: after & set(parts) for name, after in parts.items()}
     assert cycle(graph) is None
     rooms = {
-        room: {room_of(o) for name in FILES if room_of(name) == room for o in IMPORTS[name]} - {room}
-        for room in ROOMS
+        room: {room_of(o) for name in FILES if room_of(name) == room for o in IMPORTS[name]} - {room} for room in ROOMS
     }
     assert cycle(rooms) is None
 

@@ -24,7 +24,7 @@ def parts(block, chain=None):
 @pytest.mark.parametrize("t", [0, 2, 4])
 @pytest.mark.parametrize("block", [1, 3, 6])
 def test_every_move_is_accepted_on_a_linear_model(block, t):
-    model, _, bridge = parts(block)
+    _, _, bridge = parts(block)
     states, weights = 2 * torch.randn(5, 30, 3, dtype=F64), torch.randn(5, 30, dtype=F64)
     stretch = torch.randn(5, 8, block + 2, 3, dtype=F64)
     moved = bridge.move(t, states, weights, stretch)
@@ -43,7 +43,7 @@ def test_one_move_draws_from_the_exact_conditional():
     """x_{t+1:t+ℓ} given a single ancestor and the fixed end, against a dense Gaussian."""
     block, t = 3, 2
     chain = oracles.random_chain(seed=4)
-    model, y, bridge = parts(block, chain)
+    _, y, bridge = parts(block, chain)
     ancestor, end = torch.randn(3, dtype=F64), torch.randn(3, dtype=F64)
     stretch = torch.zeros(1, 20_000, block + 2, 3, dtype=F64)
     stretch[..., -1, :] = end

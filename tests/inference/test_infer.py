@@ -209,9 +209,7 @@ def test_a_command_leaves_only_the_rest_to_be_found():
     assert_close_to_truth(idata, truth, 0.2)
     rest = idata["posterior"]["residual_torque"]
     total = idata["posterior"]["torque"]
-    assert (total - rest).values == pytest.approx(
-        np.broadcast_to(0.75 * truth.torque, total.shape), abs=1e-9
-    )
+    assert (total - rest).values == pytest.approx(np.broadcast_to(0.75 * truth.torque, total.shape), abs=1e-9)
     assert idata["constant_data"]["command"].values == pytest.approx(0.75 * truth.torque)
     hidden = infer(commanded, body(), settings=KNOWN, hide_torque=True, seed=1, **SMALL)
     assert "residual_torque" not in hidden["posterior"]
@@ -228,14 +226,15 @@ def test_lengths_are_learned():
 
 
 def test_other_torque_processes_and_families():
-    recording, truth = record(TIME)
+    recording, truth = record(TIME[:40])
+    matern = {"emission.keypoint_scale": 0.005, "torque.scale": 3.0, "torque.lengthscale": 0.2}
     for options in (
-        {"torque": Matern32(), "settings": {"emission.keypoint_scale": 0.005, "torque.scale": 3.0}},
+        {"torque": Matern32(), "settings": matern},
         {"family": "student_t", "settings": {**KNOWN, "emission.df": 4.0}},
         {"integrator": "semi_implicit", "substeps": 2, "settings": KNOWN},
     ):
         idata = infer(recording, body(), seed=1, **options, **SMALL)
-        assert_close_to_truth(idata, truth, 0.4)
+        assert_close_to_truth(idata, truth, 0.4, slice(5, -8))
 
 
 # -- the problem -------------------------------------------------------------------------------------
@@ -267,10 +266,6 @@ def test_start_values_are_of_the_right_size():
 
 
 # -- refusals ----------------------------------------------------------------------------------------
-def changed(**changes):
-    return record(TIME[:10])[0], body(), changes
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -288,10 +283,10 @@ def test_wrong_settings_are_input_errors(options, message):
 def test_recordings_that_do_not_fit_are_input_errors():
     recording, truth = record(TIME[:10])
     strange = replace(recording, keypoint_names=("elbow", "nose"))
-    with pytest.raises(InputError, match="'nose' is not of body 'arm'.*shoulder, elbow, wrist"):
+    with pytest.raises(InputError, match=r"'nose' is not of body 'arm'.*shoulder, elbow, wrist"):
         arm_problem(strange, body())
     solid = replace(recording, keypoints=np.zeros((10, 2, 3)))
-    with pytest.raises(InputError, match="3 coordinates.*plane"):
+    with pytest.raises(InputError, match=r"3 coordinates.*plane"):
         arm_problem(solid, body())
     other = replace(recording, torques=truth.torque, joint_names=("hip", "knee"))
     with pytest.raises(InputError, match="joints hip, knee, but body 'arm' has shoulder, elbow"):

@@ -44,10 +44,7 @@ def differences(function, phi, h=1e-3):
     gradient = np.array([function(phi + e) - function(phi - e) for e in eye]) / (2 * h)
     hessian = np.array(
         [
-            [
-                function(phi + e + f) - function(phi + e - f) - function(phi - e + f) + function(phi - e - f)
-                for f in eye
-            ]
+            [function(phi + e + f) - function(phi + e - f) - function(phi - e + f) + function(phi - e - f) for f in eye]
             for e in eye
         ]
     ) / (4 * h**2)
@@ -96,9 +93,7 @@ def test_it_finds_the_kalman_filters_optimum(chain, y):
         assert found.log_sd[name] == pytest.approx([expected], rel=0.25)
     assert told
     assert all(done <= total for done, total in told)
-    path, _ = oracles.rts(
-        replace(chain, Q=chain.Q * math.exp(2 * reached[0]), R=chain.R * math.exp(2 * reached[1])), y
-    )
+    path, _ = oracles.rts(replace(chain, Q=chain.Q * math.exp(2 * reached[0]), R=chain.R * math.exp(2 * reached[1])), y)
     assert found.path.numpy() == pytest.approx(path, abs=1e-6)
 
 
@@ -131,5 +126,5 @@ def test_the_prior_holds_what_the_data_do_not_tell(chain):
 
 
 def test_unknown_parameters_are_refused(chain, y):
-    with pytest.raises(KeyError, match="no parameter torque.scale"):
+    with pytest.raises(KeyError, match=r"no parameter torque\.scale"):
         fit(chain.model(STEPS), torch.as_tensor(y), [Free("torque.scale")])

@@ -158,9 +158,7 @@ def test_shapes_and_normalised_weights(chain, y):
     assert result.ess.shape == result.resampled.shape == (STEPS, 5)
     assert result.log_weights.shape == result.log_twist.shape == result.ancestors.shape == (STEPS, 5, 7)
     torch.testing.assert_close(result.log_weights.exp().sum(-1), torch.ones(STEPS, 5))
-    torch.testing.assert_close(
-        1 / result.log_weights.double().exp().square().sum(-1), result.ess, rtol=1e-5, atol=0
-    )
+    torch.testing.assert_close(1 / result.log_weights.double().exp().square().sum(-1), result.ess, rtol=1e-5, atol=0)
     torch.testing.assert_close(result.log_twist[-1], torch.zeros(5, 7))
 
 
@@ -169,9 +167,7 @@ def test_one_filter_of_plain_shapes_gives_what_a_stack_of_one_gives(chain, y):
     results = []
     for count in (None, 1):
         torch.manual_seed(5)
-        results.append(
-            ParticleFilter(model, Bootstrap(model), 50, num_filters=count).run(torch.as_tensor(y))
-        )
+        results.append(ParticleFilter(model, Bootstrap(model), 50, num_filters=count).run(torch.as_tensor(y)))
     assert torch.equal(results[0].states, results[1].states)
     assert torch.equal(results[0].log_evidence, results[1].log_evidence)
     assert torch.equal(results[0].ancestors, results[1].ancestors)
@@ -391,9 +387,7 @@ def test_weights_are_those_of_stock_smc_filter():
     stock, ours = states
     for name in ("position", "speed"):
         assert torch.equal(stock[name], ours[name])
-    torch.testing.assert_close(
-        torch.log_softmax(stock._log_weights, -1), ours._log_weights.float(), rtol=0, atol=2e-5
-    )
+    torch.testing.assert_close(torch.log_softmax(stock._log_weights, -1), ours._log_weights.float(), rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("num_filters", [None, 3])
@@ -419,9 +413,7 @@ def test_plates_inside_the_model(num_filters):
             pyro.sample(f"x_{t}", dist.Normal(y.mean(), 0.5))
 
     one = np.ones((1, 1))
-    chain = oracles.Chain(
-        0.8 * one, 0.36 * one, np.ones((3, 1)), 0.25 * np.eye(3), np.zeros(1), np.ones((1, 1))
-    )
+    chain = oracles.Chain(0.8 * one, 0.36 * one, np.ones((3, 1)), 0.25 * np.eye(3), np.zeros(1), np.ones((1, 1)))
     y = chain.simulate(5, seed=1)[1]
     smc = ParticleFilter(Sensors(), Guide(), 5000, 1, num_filters=num_filters)
     smc.init(torch.as_tensor(y[0]))

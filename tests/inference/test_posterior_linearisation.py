@@ -136,9 +136,7 @@ def test_two_dimensions_leave_an_error():
     model.num_steps = 2
     y = torch.tensor([[1.0], [1.0]], dtype=F64)
     variance = 0.5
-    linear = fit_linear(
-        model, y, torch.zeros(2, 2, dtype=F64), variance * torch.eye(2, dtype=F64).expand(2, 2, 2)
-    )
+    linear = fit_linear(model, y, torch.zeros(2, 2, dtype=F64), variance * torch.eye(2, dtype=F64).expand(2, 2, 2))
     # points ±√(2·0.5) along each axis: values 1, 1, 0, 0 → mean ½, error variance ¼, slope 0
     assert np.abs(linear.E).max() < 1e-6
     noise = math.sqrt(0.8**2 + 0.25)

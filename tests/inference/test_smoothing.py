@@ -37,7 +37,7 @@ def neighbours(draws):
 def exact_neighbours(chain, y):
     """The same, by RTS: Cov(x_t, x_{t+1} | y) = G_t P_{t+1}."""
     _, _, _, filtered = oracles.kalman(chain, y)
-    means, covs = oracles.rts(chain, y)
+    _, covs = oracles.rts(chain, y)
     sd = np.sqrt(np.diagonal(covs, axis1=1, axis2=2))
     out = []
     for t in range(len(y) - 1):
@@ -83,9 +83,7 @@ def test_backward_simulation(chain, y, guide, bridge, block):
     if guide == "bootstrap":
         result = ParticleFilter(model, Bootstrap(model), 500, num_filters=60).run(observations)
         assert result.resampled.any()
-    draws = backward_simulation(
-        model, result, observations, 40, smoother=smoother if bridge else None, block=block
-    )
+    draws = backward_simulation(model, result, observations, 40, smoother=smoother if bridge else None, block=block)
     assert draws.shape == (len(result.log_evidence), 40, STEPS, 3)
     assert draws.dtype == F64
     assert_draws_agree(draws, *oracles.rts(chain, y), effective=600)

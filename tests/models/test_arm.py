@@ -120,9 +120,7 @@ def test_commands_are_held_until_the_next_row(integrator):
 
 def test_substeps_approach_a_fine_integration():
     x = torch.tensor([0.3, -0.2, 0.1, 0.2, 4.0, -3.0], dtype=F64)
-    ends = [
-        ArmModel(two_links(), [0.0, 0.1], substeps=n).transition(x, 1).mean for n in (1, 2, 4, 64)
-    ]
+    ends = [ArmModel(two_links(), [0.0, 0.1], substeps=n).transition(x, 1).mean for n in (1, 2, 4, 64)]
     errors = [(end - ends[-1]).abs().max().item() for end in ends[:-1]]
     assert errors[0] > 6 * errors[1] > 36 * errors[2]  # order four: towards 16
 

@@ -28,9 +28,7 @@ TIME = np.array([0.0, 0.03, 0.06, 0.1, 0.12, 0.15])
 
 def body(joints):
     lengths = (0.4, 0.3, 0.25)
-    links = [
-        Link(f"link{k}", f"joint{k}", f"tip{k}", length=lengths[k], mass=1.2 - 0.3 * k) for k in range(joints)
-    ]
+    links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=lengths[k], mass=1.2 - 0.3 * k) for k in range(joints)]
     return Body("arm", links, base=(0.1, -0.2))
 
 
@@ -70,9 +68,7 @@ def cases():
         command = len(found) % 3 == 0
         title = "-".join(map(str, what)) + ("-command" if command else "")
         found[title] = lambda what=what, command=command: arm(*what, command)
-    found["printed"] = lambda: ArmModel(
-        body(2), TIME, torque=OrnsteinUhlenbeck("printed"), integrator="euler"
-    )
+    found["printed"] = lambda: ArmModel(body(2), TIME, torque=OrnsteinUhlenbeck("printed"), integrator="euler")
     return found
 
 
@@ -102,13 +98,8 @@ def states(model, *batch):
 def sets(model, count=3):
     """The model with parameters (S, 1, own shape), and the S models of them."""
     factors = 1 + 0.05 * torch.arange(count, dtype=model.dtype)
-    stacked = {
-        name: value * factors.reshape(count, 1, *[1] * value.ndim) for name, value in model.parameters.items()
-    }
-    loop = [
-        model.replace(**{name: value * factor for name, value in model.parameters.items()})
-        for factor in factors
-    ]
+    stacked = {name: value * factors.reshape(count, 1, *[1] * value.ndim) for name, value in model.parameters.items()}
+    loop = [model.replace(**{name: value * factor for name, value in model.parameters.items()}) for factor in factors]
     return model.replace(**stacked), loop
 
 
@@ -196,9 +187,7 @@ def test_log_joint_is_that_of_the_pyro_sequence(model, gaps):
     model = sets(model)[1][2]
     conditioned = poutine.condition(model.sequence, {f"x_{t}": path[t] for t in range(STEPS)})
     trace = poutine.trace(conditioned).get_trace(observations)
-    torch.testing.assert_close(
-        trace.log_prob_sum(), model.log_joint(path, observations), rtol=1e-9, atol=1e-9
-    )
+    torch.testing.assert_close(trace.log_prob_sum(), model.log_joint(path, observations), rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(trace.nodes["_RETURN"]["value"], path)
     if gaps:
         assert "y_2" not in trace.nodes  # nothing seen, no site
@@ -360,15 +349,11 @@ def test_priors_are_pyro_sites_and_svi_runs(model):
     assert model.priors == {}
     path, _ = model.simulate()
     value = prior.sample()
-    conditioned = poutine.condition(
-        uncertain.sequence, {name: value, **{f"x_{t}": path[t] for t in range(STEPS)}}
-    )
+    conditioned = poutine.condition(uncertain.sequence, {name: value, **{f"x_{t}": path[t] for t in range(STEPS)}})
     trace = poutine.trace(conditioned).get_trace(observations)
     expected = model.replace(**{name: value}).log_joint(path, observations) + prior.log_prob(value)
     torch.testing.assert_close(trace.log_prob_sum(), expected, rtol=1e-9, atol=1e-9)
-    svi = SVI(
-        uncertain.sequence, AutoDelta(uncertain.sequence), pyro.optim.Adam({"lr": 0.01}), Trace_ELBO()
-    )
+    svi = SVI(uncertain.sequence, AutoDelta(uncertain.sequence), pyro.optim.Adam({"lr": 0.01}), Trace_ELBO())
     assert np.isfinite([svi.step(observations) for _ in range(3)]).all()
 
 

@@ -139,9 +139,7 @@ def test_agrees_with_pinocchio(kind, K):
 @BOTH
 def test_two_uniform_rods_are_the_equations_that_the_paper_prints(kind):
     p, q, qd, _ = random_case(2, 0, batch=(20,))
-    p = p._replace(
-        com=p.length / 2, inertia=p.mass * p.length**2 / 12, gravity=torch.tensor([0.0, -9.81], dtype=F64)
-    )
+    p = p._replace(com=p.length / 2, inertia=p.mass * p.length**2 / 12, gravity=torch.tensor([0.0, -9.81], dtype=F64))
     (L1, L2), (M1, M2), (_, q2), (w1, w2) = p.length, p.mass, q.unbind(-1), qd.unbind(-1)
     cos, sin = q2.cos(), q2.sin()
     D11 = L1**2 * M1 / 3 + M2 * (3 * L1**2 + 3 * L1 * L2 * cos + L2**2) / 3
@@ -251,9 +249,7 @@ def test_long_chains_invert(K):
     dynamics = dynamics_for(K)
     assert isinstance(dynamics, RecursiveDynamics)
     p, q, qd, tau = random_case(K, 8, (6,))
-    torch.testing.assert_close(
-        dynamics.inverse(q, qd, dynamics.forward(q, qd, tau, p), p), tau, rtol=1e-8, atol=1e-8
-    )
+    torch.testing.assert_close(dynamics.inverse(q, qd, dynamics.forward(q, qd, tau, p), p), tau, rtol=1e-8, atol=1e-8)
     D, load = dynamics.inertia_matrix(q, p), dynamics.coriolis(q, qd, p) + dynamics.gravity_load(q, p)
     expected = torch.linalg.solve(D, tau - load)
     torch.testing.assert_close(dynamics.forward(q, qd, tau, p), expected, rtol=1e-8, atol=1e-8)
@@ -339,9 +335,7 @@ def test_vmap_and_jacrev_work(kind):
     jacobian = torch.func.vmap(torch.func.jacrev(forward, argnums=2))(q, qd, tau)
     torch.testing.assert_close(mapped, forward(q, qd, tau))
     # ∂θ̈/∂τ = D⁻¹
-    torch.testing.assert_close(
-        jacobian, torch.linalg.inv(dynamics.inertia_matrix(q, p)), rtol=1e-8, atol=1e-8
-    )
+    torch.testing.assert_close(jacobian, torch.linalg.inv(dynamics.inertia_matrix(q, p)), rtol=1e-8, atol=1e-8)
 
 
 # --- mechanics ------------------------------------------------------------------------------------

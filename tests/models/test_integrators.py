@@ -27,9 +27,7 @@ class FreeSwing:
         return self.dynamics.forward(q, qd, torch.zeros_like(q), self.p)
 
     def energy(self, q, qd):
-        return (
-            self.dynamics.kinetic_energy(q, qd, self.p) + self.dynamics.potential_energy(q, self.p)
-        ).item()
+        return (self.dynamics.kinetic_energy(q, qd, self.p) + self.dynamics.potential_energy(q, self.p)).item()
 
     def run(self, name, steps, seconds, substeps=1):
         """Return the last state and the energies (steps + 1,)."""

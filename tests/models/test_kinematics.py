@@ -9,9 +9,7 @@ from invdyn.models.kinematics import AGILITY, joint_angle_candidates, link_angle
 
 
 def body(joints=2):
-    return Body(
-        "arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(joints)], base=(0.2, 0.1)
-    )
+    return Body("arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(joints)], base=(0.2, 0.1))
 
 
 def observed(angles, emission, noise=0.0, seed=0):

@@ -44,7 +44,9 @@ def test_ornstein_uhlenbeck_moments(scaling, factor, variance, dt):
     matrix, cov = step(process, dt, parameters)
     x = [rate * dt for rate in decay.tolist()]
     assert matrix == pytest.approx(np.diag([factor(v) for v in x]), rel=1e-12)
-    assert cov == pytest.approx(np.diag([s**2 * variance(v, dt) for s, v in zip(SCALE.tolist(), x)]), rel=1e-9)
+    assert cov == pytest.approx(
+        np.diag([s**2 * variance(v, dt) for s, v in zip(SCALE.tolist(), x, strict=True)]), rel=1e-9
+    )
     stationary = covariance(process, process.stationary(torch.tensor([dt], dtype=F64), parameters))
     assert matrix @ stationary @ matrix.T + cov == pytest.approx(stationary, rel=1e-9)
 
@@ -58,9 +60,7 @@ def test_two_half_steps_are_one_step(name):
     second, second_cov = step(process, 0.05, parameters)
     assert second @ first == pytest.approx(whole, rel=1e-9, abs=1e-12)
     scale = np.sqrt(np.outer(np.diag(whole_cov), np.diag(whole_cov)))
-    assert (second @ first_cov @ second.T + second_cov) / scale == pytest.approx(
-        whole_cov / scale, abs=1e-10
-    )
+    assert (second @ first_cov @ second.T + second_cov) / scale == pytest.approx(whole_cov / scale, abs=1e-10)
 
 
 def test_the_scalings_agree_as_steps_become_short():
@@ -91,7 +91,7 @@ def test_random_walk():
 
 @pytest.mark.parametrize("kind", [OrnsteinUhlenbeck, RandomWalk])
 def test_an_unknown_scaling_is_refused(kind):
-    with pytest.raises(ValueError, match="printed, wiener.*got 'ito'"):
+    with pytest.raises(ValueError, match=r"printed, wiener.*got 'ito'"):
         kind("ito")
 
 
@@ -163,9 +163,7 @@ def test_matern_noise_keeps_its_relative_accuracy(kind, order, ratio):
             total = powers[:, None] + powers[None, :] + 1
             expected = q * dt**total / total / np.outer(factorial, factorial)
             sd = np.sqrt(np.diag(expected))
-            assert found / np.outer(sd, sd) == pytest.approx(
-                expected / np.outer(sd, sd), abs=max(rtol, 10 * ratio)
-            )
+            assert found / np.outer(sd, sd) == pytest.approx(expected / np.outer(sd, sd), abs=max(rtol, 10 * ratio))
         if ratio >= 30:
             stationary = covariance(process, process.stationary(torch.ones(1), parameters).double())
             sd = np.sqrt(np.diag(stationary))
@@ -207,9 +205,7 @@ def test_recurrent_mean_is_the_formula_at_its_top():
     process = Recurrent(hidden=3, seed=4)
     p = {name: value.numpy() for name, value in process.defaults(SCALE).items()}
     z = np.random.default_rng(0).normal(size=5)
-    hidden = np.tanh(
-        p["torque.recurrent"] @ z[2:] + p["torque.input"] @ (z[:2] / p["torque.size"]) + p["torque.bias"]
-    )
+    hidden = np.tanh(p["torque.recurrent"] @ z[2:] + p["torque.input"] @ (z[:2] / p["torque.size"]) + p["torque.bias"])
     pull = p["torque.decay"] * 0.02
     torque = (1 - pull) * z[:2] + pull * p["torque.size"] * (p["torque.output"] @ hidden)
     found = process.mean(torch.as_tensor(z), torch.tensor([0.02], dtype=F64), process.defaults(SCALE))

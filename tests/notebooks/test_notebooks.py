@@ -12,9 +12,7 @@ SECONDS = 90  # a cell; a whole notebook takes about half of that
 
 
 def run(notebook, **environment: str):
-    client = NotebookClient(
-        notebook, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": FOLDER}}
-    )
+    client = NotebookClient(notebook, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": FOLDER}})
     client.execute(env={**os.environ, "OMP_NUM_THREADS": "1", **environment})
     return notebook
 
@@ -41,9 +39,7 @@ def test_planar_arm_runs_and_finds_what_it_says(planar_arm, data_folder):
     assert bootstrap < 8
     assert controlled > 50
     assert human > 50
-    figures = [
-        o for cell in planar_arm.cells for o in cell.get("outputs", ()) if "image/png" in o.get("data", {})
-    ]
+    figures = [o for cell in planar_arm.cells for o in cell.get("outputs", ()) if "image/png" in o.get("data", {})]
     assert len(figures) == 6
 
 
