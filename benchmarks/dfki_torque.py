@@ -155,7 +155,8 @@ def main() -> None:
                 two = {key: "/".join(f"{v:.2f}" for v in row[key]) for key in ("correlation", "coverage")}
                 print(
                     f"{run:<5} {torque:<19} {row['truth']:<17} {three['rmse']:<12} "
-                    f"{three['baseline']} at {row['cutoff']:<4.1f} Hz  {three['per_joint']:<12} {two['correlation']:<12} "
+                    f"{three['baseline']} at {row['cutoff']:<4.1f} Hz  {three['per_joint']:<12} "
+                    f"{two['correlation']:<12} "
                     f"{two['coverage']:<12} {row['outer_ess']:<5.1f} {row['seconds']:.0f}",
                     flush=True,
                 )

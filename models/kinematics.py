@@ -67,10 +67,8 @@ def smooth_angles(
         if t > 0:
             dt = time[t] - time[t - 1]
             angle = angle + dt * rate
-            P = np.stack(
-                [P[0] + 2 * dt * P[1] + dt**2 * P[2] + q * dt**3 / 3, P[1] + dt * P[2] + q * dt**2 / 2]
-                + [P[2] + q * dt]
-            )
+            both, rates = P[1] + dt * P[2] + q * dt**2 / 2, P[2] + q * dt
+            P = np.stack([P[0] + 2 * dt * P[1] + dt**2 * P[2] + q * dt**3 / 3, both, rates])
         predicted[t] = angle, rate, *P
         innovation = measured[t] - angle
         wrapped = (innovation + np.pi) % (2 * np.pi) - np.pi

@@ -147,7 +147,7 @@ def test_progress_is_told_for_every_stage():
 def test_bootstrap_is_a_method_too():
     recording, _ = record(TIME[:20], noise=0.05)
     settings = {**KNOWN, "emission.keypoint_scale": 0.05}
-    idata = infer(recording, body(), method="bootstrap", settings=settings, num_filters=4, num_particles=3000)
+    idata = infer(recording, body(), method="bootstrap", settings=settings, num_filters=4, num_particles=400)
     assert idata.attrs["method"] == "bootstrap"
     assert idata["posterior"].sizes["chain"] == 4
 
