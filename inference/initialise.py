@@ -105,7 +105,7 @@ def arm_problem(
     options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
         model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
-    except KeyError as error:
+    except (KeyError, ValueError) as error:
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = ArmModel(body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options)

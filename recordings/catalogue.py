@@ -85,9 +85,7 @@ def _dfki_entries() -> dict[str, Named]:
     for time, (commit, sha256) in _RUNS.items():
         file = f"20220812-{time}-PM_measured.csv"
         path = f"system_identification/recorded_data_20220812/sys_id/{file}"
-        entries[f"dfki-20220812-{time}"] = _dfki(
-            f"sys_id/design_A.0_20220812/sys_id_{file}", commit, path, sha256
-        )
+        entries[f"dfki-20220812-{time}"] = _dfki(f"sys_id/design_A.0_20220812/sys_id_{file}", commit, path, sha256)
     entries["dfki-20220812-063536"] = _dfki(  # this one with the controller's friction compensation
         "sys_id/design_A.0_20220812/sys_id_friccomp_20220812-063536-PM_measured.csv",
         _MOVED,
@@ -107,9 +105,7 @@ def _dfki_entries() -> dict[str, Named]:
         "8d6ed56ca7d7011fb24b43198487cd1925c3767b38c999a8205d7c23386960e3",
     )
     film = ("tracked_and_synced.csv", "calibration.json")  # the tracks were made from the film, not published
-    entries["dfki-film"] = Named(
-        tuple(Source(f"dfki_double_pendulum/video/{file}") for file in film), read_dfki_film
-    )
+    entries["dfki-film"] = Named(tuple(Source(f"dfki_double_pendulum/video/{file}") for file in film), read_dfki_film)
     return entries
 
 

@@ -35,9 +35,7 @@ def read_deeplabcut_csv(path: str | Path, fps: float, individual: str | None = N
         body = rows[len(header) :]
         labels = [" ".join(parts) for parts in zip(header["bodyparts"], header["coords"], strict=True)]
         if body and not body[0][1][0].lstrip("-").replace(".", "", 1).isdigit():
-            raise InputError(
-                f"rows must begin with a frame number, got {body[0][1][0]!r}: labelled images are no film"
-            )
+            raise InputError(f"rows must begin with a frame number, got {body[0][1][0]!r}: labelled images are no film")
         numbers, _ = read_numbers(body, ["frame", *labels])
         columns = list(zip(*(header[level] for level in LEVELS[1:] if level in header), strict=True))
         return _assemble(columns, numbers[:, 1:], numbers[:, 0], fps, individual, Path(path).stem)
@@ -52,9 +50,7 @@ def read_deeplabcut_h5(path: str | Path, fps: float, individual: str | None = No
         import pandas
         import tables  # noqa: F401  pandas reads h5 through it
     except ImportError:
-        raise InputError(
-            f"{path}: reading .h5 needs one more package: pip install 'invdyn[tracks]'"
-        ) from None
+        raise InputError(f"{path}: reading .h5 needs one more package: pip install 'invdyn[tracks]'") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the two libraries' own affairs

@@ -50,9 +50,7 @@ FORMATS: dict[str, Format] = {
     "sleap": Format("SLEAP", _by_movement("sleap")),
     "anipose": Format("Anipose", _by_movement("anipose")),
     "nwb": Format("NWB", _by_movement("nwb"), own_times=True),
-    "trc": Format(
-        "OpenSim .trc", lambda path, fps, individual: read_trc(path), own_times=True, own_units=True
-    ),
+    "trc": Format("OpenSim .trc", lambda path, fps, individual: read_trc(path), own_times=True, own_units=True),
 }
 
 

@@ -22,9 +22,7 @@ SOFTWARE = {  # our name of a format: movement's
 }
 
 
-def read_with_movement(
-    path: str | Path, software: str, fps: float | None, individual: str | None = None
-) -> Recording:
+def read_with_movement(path: str | Path, software: str, fps: float | None, individual: str | None = None) -> Recording:
     """Read tracks by `movement`; `software` is one of `SOFTWARE`'s keys, `fps` None for NWB alone.
 
     Raises:
@@ -64,9 +62,7 @@ def _import_movement(path: str | Path):
             from loguru import logger
             from movement.io import load_dataset
     except ImportError:
-        raise InputError(
-            f"{path}: reading this format needs one more package: pip install 'invdyn[tracks]'"
-        ) from None
+        raise InputError(f"{path}: reading this format needs one more package: pip install 'invdyn[tracks]'") from None
     finally:
         warnings.showwarning = show  # importing movement sends all warnings to its own log
     logger.disable("movement")  # it logs what it raises; the user gets one line, from us

@@ -87,9 +87,7 @@ def read_trc(path: str | Path) -> Recording:
     lines = _text_lines(path)
     with about(path):
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-            raise InputError(
-                "not an OpenSim .trc file: it must begin with PathFileType and hold five header lines"
-            )
+            raise InputError("not an OpenSim .trc file: it must begin with PathFileType and hold five header lines")
         header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
         unit = header.get("Units", "").strip()
         if unit not in METRES:

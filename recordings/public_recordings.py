@@ -86,9 +86,7 @@ def read_dfki_film(table: Path, calibration: Path) -> tuple[Recording, Truth]:
 
 def read_ibm(path: Path) -> tuple[Recording, None]:
     """A passive toy; the scale is the least-squares fit of the median arm lengths to the documented ones."""
-    numbers, _ = read_numbers(
-        read_rows(path), [f"{p} {axis}" for p in range(3) for axis in ("row", "column")]
-    )
+    numbers, _ = read_numbers(read_rows(path), [f"{p} {axis}" for p in range(3) for axis in ("row", "column")])
     fifths = numbers.reshape(-1, 3, 2)[..., ::-1] * [1.0, -1.0]  # (row, column), rows down → (x, y), y up
     recording = Recording(
         time=np.arange(len(fifths)) / IBM_RATE,

@@ -21,9 +21,7 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
         raise InputError(f"a recording needs at least 2 frames, this one has {len(time)}")
     if (bad := ~np.isfinite(time)).any():
         first = int(bad.argmax())
-        raise InputError(
-            f"time is {time[first]} at {where(first)}: every row needs a finite time, in seconds"
-        )
+        raise InputError(f"time is {time[first]} at {where(first)}: every row needs a finite time, in seconds")
     step = np.diff(time)
     if (step <= 0).any():
         first = int((step <= 0).argmax()) + 1
@@ -116,9 +114,7 @@ class Recording:
     def keypoint(self, name: str) -> np.ndarray:
         """Track of one keypoint, (T, S). Raises InputError when there is none of that name."""
         if name not in self.keypoint_names:
-            raise InputError(
-                f"no keypoint {name!r}; the recording has {', '.join(self.keypoint_names) or 'none'}"
-            )
+            raise InputError(f"no keypoint {name!r}; the recording has {', '.join(self.keypoint_names) or 'none'}")
         return self.keypoints[:, self.keypoint_names.index(name)]
 
     def select(self, start: int | None = None, stop: int | None = None) -> "Recording":

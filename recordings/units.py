@@ -60,9 +60,7 @@ def to_si(recording: Recording, units: Units, scale: float | None = None) -> Rec
         raise InputError("a scale (metres a pixel) needs --units px")
     if units.length == "px":
         if recording.keypoints.shape[-1] != 2:
-            raise InputError(
-                "these keypoints have three coordinates, so they cannot be px: pass --units mm or m"
-            )
+            raise InputError("these keypoints have three coordinates, so they cannot be px: pass --units mm or m")
         recording = replace(recording, keypoints=recording.keypoints * [1.0, -1.0], length_unit="px")
         if scale is not None:
             recording = recording.scaled(scale, "m")

@@ -78,9 +78,7 @@ def make_posterior():
         per_frame = ("chain", "time")
         idata = az.InferenceData(
             posterior=group({n: (("chain", "draw", "time", *dims[n]), v) for n, v in posterior.items()}),
-            posterior_predictive=group(
-                {"position": (("chain", "draw", "time", "keypoint", "space"), predictive)}
-            ),
+            posterior_predictive=group({"position": (("chain", "draw", "time", "keypoint", "space"), predictive)}),
             sample_stats=group(
                 {
                     "log_weight": (("chain",), log_weight),
@@ -151,9 +149,7 @@ def folder(tmp_path, monkeypatch):
     """Working directory with an arm and a recording of it."""
     (tmp_path / "arm.toml").write_text(BODY)
     (tmp_path / "rec.csv").write_text(HEADER + "".join(ROWS))
-    (tmp_path / "hand.csv").write_text(
-        "time,shoulder_torque,shoulder_angle,shoulder_velocity\n0,1,2,3\n1,1,2,3\n"
-    )
+    (tmp_path / "hand.csv").write_text("time,shoulder_torque,shoulder_angle,shoulder_velocity\n0,1,2,3\n1,1,2,3\n")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -31,9 +31,7 @@ def test_gif_shows_every_frame_at_the_recordings_speed(make_posterior, tmp_path,
     frames, durations = gif(tmp_path / "film.gif")
     assert len(frames) == 25
     assert durations[:-1].sum() == pytest.approx(24 * interval, abs=0.0051)
-    assert (np.abs(np.diff(frames.astype(float), axis=0)).max(axis=(1, 2, 3)) > 50).all(), (
-        "a frame stands still"
-    )
+    assert (np.abs(np.diff(frames.astype(float), axis=0)).max(axis=(1, 2, 3)) > 50).all(), "a frame stands still"
     assert list(tmp_path.iterdir()) == [tmp_path / "film.gif"]
 
 

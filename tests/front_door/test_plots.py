@@ -85,11 +85,7 @@ def test_missing_keypoints_leave_gaps(make_posterior):
     idata = make_posterior(2)
     observed = idata.observed_data.position.values[:, 1]
     assert np.isnan(observed).any()
-    dots = [
-        line
-        for line in panel(plot_posterior(idata), "wrist keypoint").get_lines()
-        if line.get_marker() == "."
-    ]
+    dots = [line for line in panel(plot_posterior(idata), "wrist keypoint").get_lines() if line.get_marker() == "."]
     for space, line in enumerate(dots):
         np.testing.assert_array_equal(line.get_ydata(), observed[:, space])
 

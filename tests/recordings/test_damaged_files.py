@@ -29,9 +29,7 @@ def damage(draw, text: bytes) -> bytes:
     for _ in range(draw(st.integers(1, 3))):
         start = draw(st.integers(0, len(text)))
         stop = draw(st.integers(start, min(len(text), start + 40)))
-        new = draw(
-            st.sampled_from([b"", text[start:stop] * 2, b",", b"\t", b"\n", b'"', b"inf", b"\0", b"1e999"])
-        )
+        new = draw(st.sampled_from([b"", text[start:stop] * 2, b",", b"\t", b"\n", b'"', b"inf", b"\0", b"1e999"]))
         text = text[:start] + draw(st.one_of(st.just(new), st.binary(max_size=6))) + text[stop:]
     return text
 

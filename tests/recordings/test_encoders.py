@@ -45,9 +45,7 @@ def test_resampling_and_noise():
 def test_missing_angles_stay_missing():
     angles = swing(5).angle.copy()
     angles[2, 1] = np.nan
-    source = Recording(
-        swing(5).time, np.empty((5, 0, 2)), (), angles=angles, joint_names=("shoulder", "elbow")
-    )
+    source = Recording(swing(5).time, np.empty((5, 0, 2)), (), angles=angles, joint_names=("shoulder", "elbow"))
     recording = keypoints_from_angles(source, (0.3, 0.2))
     assert np.isnan(recording.keypoint("wrist")[2]).all()
     assert np.isfinite(recording.keypoint("elbow")).all()

@@ -91,9 +91,7 @@ def test_a_body_gives_the_order_and_the_base_may_be_there(tmp_path):
 
 def test_a_byte_order_mark_and_spaces_do_not_matter(tmp_path):
     path = tmp_path / "rec.csv"
-    path.write_text(
-        "\ufeff" + HEADER.replace(",", ", ") + "\r\n" + "\r\n".join(ROWS) + "\r\n\r\n", encoding="utf-8"
-    )
+    path.write_text("\ufeff" + HEADER.replace(",", ", ") + "\r\n" + "\r\n".join(ROWS) + "\r\n\r\n", encoding="utf-8")
     assert load(path).num_frames == 3
 
 
@@ -148,9 +146,7 @@ def test_bad_files_get_one_clear_line(tmp_path, lines, words):
 
 def test_the_bodys_names_are_compared(tmp_path):
     path = write(tmp_path, "time,elbow_x,elbow_y,hand_x,hand_y", "0,1,1,1,1", "1,1,1,1,1")
-    with pytest.raises(
-        InputError, match=r"\(elbow, hand\) are not the body's \(elbow, wrist\).*missing 'wrist'"
-    ):
+    with pytest.raises(InputError, match=r"\(elbow, hand\) are not the body's \(elbow, wrist\).*missing 'wrist'"):
         load(path, keypoints=("elbow", "wrist"))
     path = write(tmp_path, HEADER + ",knee_torque", *(row + ",1" for row in ROWS))
     with pytest.raises(InputError, match=r"joints \(knee\) are not the body's \(shoulder, elbow\)"):

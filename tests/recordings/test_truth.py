@@ -6,9 +6,7 @@ from invdyn.recordings import InputError, Truth, read_truth, write_truth
 
 def swing() -> Truth:
     time = np.linspace(0.0, 1.0, 5)
-    return Truth(
-        time, np.outer(time, [1, 2]), np.ones((5, 2)), np.full((5, 2), np.nan), ("shoulder", "elbow")
-    )
+    return Truth(time, np.outer(time, [1, 2]), np.ones((5, 2)), np.full((5, 2), np.nan), ("shoulder", "elbow"))
 
 
 def test_round_trip(tmp_path):

@@ -73,9 +73,7 @@ def test_pixels_in_three_dimensions_are_refused(tmp_path):
 def test_pixels_declared_as_metres_are_refused(tmp_path, units, points):
     """A lone keypoint is judged by its travel; rows with a command alone do not count."""
     header = "time,motor_torque," + ",".join(f"{p}_x,{p}_y" for p in points)
-    film = [
-        f"{t / 30},1" + "".join(f",{100 * t + 50 * p},{80}" for p in range(len(points))) for t in range(3)
-    ]
+    film = [f"{t / 30},1" + "".join(f",{100 * t + 50 * p},{80}" for p in range(len(points))) for t in range(3)]
     commands = [f"{1 + t / 1000},1" + ",," * len(points) for t in range(20)]
     (tmp_path / "rec.csv").write_text("\n".join([header, *film, *commands]) + "\n")
     with pytest.raises(InputError, match="look like pixels: pass --units px"):
