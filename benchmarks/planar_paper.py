@@ -75,6 +75,7 @@ def main() -> None:
             values = np.array([row[name] for row in rows])
             cells = (values.min(), np.median(values), values.mean(), values.max())
             print(f"| {name} | " + " | ".join(f"{cell:.3g}" for cell in cells) + " |", flush=True)
+        print(f"\nlowest outer ESS: seed {int(np.argmin([row['outer ESS'] for row in rows]))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -48,6 +48,9 @@ class ParticleFilter(SMCFilter):
         num_filters: M, or None for one filter of Pyro's own shapes.
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: "systematic", "stratified", "residual" or "multinomial".
+
+    After each row: ``log_evidence`` (M,), ``ess`` (M,) before and ``resampled`` (M,) whether there was resampling,
+    ``ancestors`` (M, N) of the particles that go on, and ``row``, the number of rows seen.
     """
 
     def __init__(
@@ -70,22 +73,21 @@ class ParticleFilter(SMCFilter):
         self.resampling = resampling
         self.batch = (num_particles,) if num_filters is None else (num_filters, num_particles)
         self.state = FilterState(self.batch)
-        self._restart(keep=0)
+        self._restart()
 
-    def _restart(self, keep: int, device: torch.device | str = "cpu") -> None:
+    def _restart(self, device: torch.device | str = "cpu") -> None:
         # float64 for weights and evidence, whatever the states' type.
         uniform = -math.log(self.num_particles)
         self._log_weights = torch.full(self.batch, uniform, dtype=torch.float64, device=device)
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
         self.ancestors = torch.arange(self.num_particles, device=device).expand(self.batch)
+        self.row = 0
         self._log_twist: Tensor | None = None
-        self._history = History(keep)
-        self._parents = self.ancestors
 
     # -- Pyro's way in -------------------------------------------------------------------------
     def init(self, *args, **kwargs) -> None:
         """Sample row 0 and weight it; arguments go to the model and the guide."""
-        self._restart(keep=0)
+        self._restart()
         self.state = FilterState(self.batch)
         self._traced("init", args, kwargs)
 
@@ -117,7 +119,7 @@ class ParticleFilter(SMCFilter):
             model_trace = poutine.trace(model).get_trace(self.state, *args, **kwargs)
         increment = self._trace_log_weight(model_trace, guide_trace)
         if hasattr(self.guide, "log_twist"):
-            twist = self.guide.log_twist(self.state, len(self._history.increments))
+            twist = self.guide.log_twist(self.state, self.row)
             increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
             self._log_twist = twist
         self._weigh(increment)
@@ -172,12 +174,13 @@ class ParticleFilter(SMCFilter):
         Raises SMCFailed when all particles of some filter have weight zero.
         """
         rows = len(observations)
-        self._restart(rows if keep is None else keep, observations.device)
+        self._restart(observations.device)
         shape = self.batch if self.num_filters is not None else (1, *self.batch)
         if self.num_filters is None:
             self._log_weights, self.log_evidence = self._log_weights[None], self.log_evidence[None]
-            self.ancestors = self._parents = self.ancestors[None]
+            self.ancestors = self.ancestors[None]
         guide: Proposal = self.guide
+        history = History(rows, rows if keep is None else min(keep, rows), shape[0], observations.device)
         particles: Particles = {}
         twist = 0.0
         for t in range(rows):
@@ -188,36 +191,20 @@ class ParticleFilter(SMCFilter):
             if "log_twist" in particles:
                 increment = increment + particles["log_twist"] - twist
                 twist = particles["log_twist"]
-            self._weigh(increment)
-            if self._history.keep:
-                x = particles["x"]
-                kept = (x, self._log_weights.to(x.dtype), self._parents.to(x.device, torch.int32))
-                self._history.add_row((*kept, *([twist] if "log_twist" in particles else [])))
+            total = self._weigh(increment)
+            history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
             index = self._maybe_resample(last=t == rows - 1)
+            history.note(t, total, self.ess, self.resampled)
             if index is not None:
                 particles = {name: take(value, index) for name, value in particles.items()}
                 twist = particles.get("log_twist", 0.0)
             if progress is not None:
                 progress(t + 1, rows)
-        return self._result()
-
-    def _result(self) -> FilterResult:
-        history = self._history
-        columns = [torch.stack(column) for column in zip(*history.rows, strict=True)]
-        states, log_weights, ancestors, *twist = columns or [torch.empty(0)] * 3
-        return FilterResult(
-            log_evidence=self.log_evidence,
-            log_evidence_increment=torch.stack(history.increments),
-            ess=torch.stack(history.ess),
-            resampled=torch.stack(history.resampled),
-            states=states,
-            log_weights=log_weights,
-            log_twist=twist[0] if twist else None,
-            ancestors=ancestors,
-        )
+        return history.result(self.log_evidence)
 
     # -- weights, evidence, resampling: shared -------------------------------------------------
-    def _weigh(self, increment: Tensor) -> None:
+    def _weigh(self, increment: Tensor) -> Tensor:
+        """Add log-weight increments (…, N), normalise, and return the evidence's increment (…)."""
         log_weights = self._log_weights + increment.double()
         # A particle whose dynamics overflowed is out of reach of any data; it must not take its filter along.
         log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
@@ -225,30 +212,30 @@ class ParticleFilter(SMCFilter):
         if not bool(torch.isfinite(total).all()):
             raise SMCFailed(
                 f"all particles of {int((~torch.isfinite(total)).sum())} filter(s) have weight zero at "
-                f"row {len(self._history.increments)}: the observation is out of the model's reach; use a larger "
+                f"row {self.row}: the observation is out of the model's reach; use a larger "
                 "noise scale, more particles or the controlled guide"
             )
         self._log_weights = log_weights - total.unsqueeze(-1)
         self.log_evidence = self.log_evidence.to(total.device) + total
-        self._history.increments.append(total)
+        self.row += 1
+        return total
 
     def _maybe_resample(self, last: bool = False) -> Tensor | None:
         """Ancestors (…, N) where any filter must resample, else None; resets those filters' weights."""
-        size = ess(self._log_weights)
-        self._history.ess.append(size)
-        need = size < self.ess_threshold * self.num_particles
+        self.ess = ess(self._log_weights)
+        need = self.ess < self.ess_threshold * self.num_particles
         if last:
             # The last row's weights are the posterior's: resampling them would only add noise.
             need = torch.zeros_like(need)
-        self._history.resampled.append(need)
+        self.resampled = need
         self.state._log_weights = self._log_weights
-        identity = torch.arange(self.num_particles, device=size.device).expand(self._log_weights.shape)
+        identity = torch.arange(self.num_particles, device=need.device).expand(self._log_weights.shape)
         if not bool(need.any()):
-            self._parents = self.ancestors = identity
+            self.ancestors = identity
             return None
         index = torch.where(need.unsqueeze(-1), resample(self._log_weights, self.resampling), identity)
         uniform = -math.log(self.num_particles)
         self._log_weights = torch.where(need.unsqueeze(-1), uniform, self._log_weights)
         self.state._log_weights = self._log_weights
-        self._parents = self.ancestors = index
+        self.ancestors = index
         return index

@@ -1,7 +1,7 @@
 """What particle filters carry: their result, its history, and Pyro's particle state for many filters at once."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from pyro.infer.smcfilter import SMCState
@@ -33,21 +33,48 @@ class FilterResult:
     ancestors: Tensor
 
 
-@dataclass
 class History:
-    """The last ``keep`` rows, and one number per row and filter for all of them."""
+    """One number per row and filter, and the last ``keep`` rows of particles, in tensors made once.
 
-    keep: int
-    increments: list[Tensor] = field(default_factory=list)
-    ess: list[Tensor] = field(default_factory=list)
-    resampled: list[Tensor] = field(default_factory=list)
-    rows: list[tuple[Tensor, ...]] = field(default_factory=list)
+    Nothing is allocated row by row: over ten thousand rows small leftovers would pin the heap apart.
+    """
 
-    def add_row(self, row: tuple[Tensor, ...]) -> None:
-        """Remember a row, and forget the oldest beyond ``keep``."""
-        self.rows.append(row)
-        if len(self.rows) > self.keep:
-            self.rows.pop(0)
+    def __init__(self, rows: int, keep: int, filters: int, device: torch.device | str):
+        self.first = rows - keep
+        self.increment = torch.empty(rows, filters, dtype=torch.float64, device=device)
+        self.ess = torch.empty_like(self.increment)
+        self.resampled = torch.empty(rows, filters, dtype=torch.bool, device=device)
+        self._kept: list[Tensor] = []
+        self._keep = keep
+
+    def note(self, t: int, increment: Tensor, ess: Tensor, resampled: Tensor) -> None:
+        """Row t's evidence increment, ESS and whether it was resampled, (M,) each."""
+        self.increment[t], self.ess[t], self.resampled[t] = increment, ess, resampled
+
+    def keep_row(self, t: int, x: Tensor, log_weights: Tensor, parents: Tensor, log_twist: Tensor | None) -> None:
+        """Row t's particles, if it is one of those to keep."""
+        if t < self.first:
+            return
+        pieces = [x, log_weights.to(x.dtype), parents.to(torch.int32)]
+        pieces += [] if log_twist is None else [log_twist]
+        if not self._kept:
+            self._kept = [piece.new_empty(self._keep, *piece.shape) for piece in pieces]
+        for whole, piece in zip(self._kept, pieces, strict=True):
+            whole[t - self.first] = piece
+
+    def result(self, log_evidence: Tensor) -> FilterResult:
+        """All of it."""
+        states, log_weights, ancestors, *twist = self._kept or [torch.empty(0)] * 3
+        return FilterResult(
+            log_evidence=log_evidence,
+            log_evidence_increment=self.increment,
+            ess=self.ess,
+            resampled=self.resampled,
+            states=states,
+            log_weights=log_weights,
+            log_twist=twist[0] if twist else None,
+            ancestors=ancestors,
+        )
 
 
 class FilterState(SMCState):

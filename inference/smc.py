@@ -62,7 +62,7 @@ def adapted_smoother(
     guides the steadier filters. Random numbers are torch's own (global seed).
     """
     mode = gauss_newton(model, observations, start=start)
-    around = posterior_linearisation(model, observations, mode, iterations=1)
+    around = posterior_linearisation(model, observations, mode)
     if options.refits == 0 or options.num_filters == 1:
         return around
 
