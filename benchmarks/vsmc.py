@@ -1,0 +1,172 @@
+"""Variational SMC: its bound on the published example, a gradient step's cost, and what it learns.
+
+bound     The linear-Gaussian example of Naesseth et al. (2018): T 10, 5 states, 3 observed, α .42, r .1, numpy
+          RandomState(0). The model is fixed, the affine guide is trained at N = 4; bound before and after, over
+          20,000 filters, and the share of the bootstrap bound's gap to Kalman's log Z that training closes.
+step      The paper's planar arm (200 rows, 16 × 100 particles, controlled guide with its correction, lengths and
+          masses learned): seconds of one SVI step, the median of 5.
+memory    The same arm, longer: peak memory of a gradient step over what the process had before it, with the whole
+          graph and with 50 rows of it at a time.
+learn     The same arm: lengths from (1.20, .70) and masses from (.30, .40), truth (1, 1) and (.5, .3), by rounds of
+          24 steps (4 × 50 particles), each round with the smoother's path at the parameters so far; beside it
+          the maximum of the linearised evidence and its posterior sd, which is what this much data can tell.
+
+    python benchmarks/vsmc.py [bound step memory learn] [--seeds 4]
+"""
+
+import argparse
+import multiprocessing
+import resource
+import time
+
+import numpy as np
+import pyro
+import torch
+from planar_paper import paper_problem
+from pyro.infer import SVI
+from pyro.optim import Adam
+
+from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, fit, gauss_newton
+from invdyn.inference.affine import Affine, Corrected
+from invdyn.inference.vsmc import VSMC_ELBO
+from invdyn.models import LinearGaussian, StateSpaceModel
+
+LEARNED = ("body.length", "body.mass")
+WRONG = {"body.length": (1.20, 0.70), "body.mass": (0.30, 0.40)}
+RATES = (0.05, 0.05, 0.05, 0.02, 0.02, 0.01, 0.005, 0.002)
+
+
+def published() -> tuple[LinearGaussian, torch.Tensor]:
+    """Model and data of the published example."""
+    numbers, dim, size, steps = np.random.RandomState(0), 5, 3, 10
+    A = 0.42 ** (np.abs(np.subtract.outer(np.arange(dim), np.arange(dim))) + 1.0)
+    C, R = np.eye(dim)[:size], 0.1 * np.eye(size)
+    x, y = np.zeros(dim), []
+    for _ in range(steps):
+        x = numbers.multivariate_normal(A @ x, np.eye(dim))
+        y.append(numbers.multivariate_normal(C @ x, R))
+    moments = (A, np.eye(dim), C, R, np.zeros(dim), np.eye(dim))
+    return LinearGaussian(*map(torch.as_tensor, moments), steps), torch.as_tensor(np.array(y))
+
+
+def bound() -> None:
+    model, y = published()
+    exact = gauss_newton(model, y).log_evidence.item()
+
+    def estimate(guide) -> float:
+        run = ParticleFilter(model, guide, 4, num_filters=20_000).run(y, keep=0)
+        return run.log_evidence.mean().item()
+
+    blind, guide = estimate(Bootstrap(model)), Affine(model)
+    print(f"\nlog Z {exact:.4f}; bound at N = 4, bootstrap {blind:.2f}\n")
+    print("| steps | bound | gap closed | s |\n|---|---|---|---|")
+    steps, start = 0, time.perf_counter()
+    for rate, count in ((0.03, 300), (0.01, 300), (0.003, 400)):
+        svi = SVI(model.sequence, guide, Adam({"lr": rate}), loss=VSMC_ELBO(4, 32))
+        for _ in range(count):
+            svi.step(y)
+        steps += count
+        seconds = time.perf_counter() - start
+        with torch.no_grad():
+            value = estimate(guide.sampled(model))
+        print(f"| {steps} | {value:.3f} | {(value - blind) / (exact - blind):.2%} | {seconds:.1f} |", flush=True)
+
+
+def arm_svi(problem: Problem, dtype: torch.dtype, **options) -> tuple[SVI, torch.Tensor]:
+    model, y = problem.model.to(dtype=dtype), problem.observations.to(dtype)
+    guide = Corrected(model, y, gauss_newton(problem.model, problem.observations))
+    svi = SVI(model.learn(LEARNED).sequence, guide, Adam({"lr": 1e-3}), loss=VSMC_ELBO(100, 16, **options))
+    return svi, y
+
+
+def step() -> None:
+    print("\n| dtype | rows of graph at once | wall s | CPU s |\n|---|---|---|---|")
+    problem = paper_problem(0.01, 0)
+    for dtype in (torch.float64, torch.float32):
+        for chunk in (None, 50):
+            pyro.clear_param_store()
+            svi, y = arm_svi(problem, dtype, chunk=chunk)
+            svi.step(y)
+            wall, cpu = [], []
+            for _ in range(5):
+                start = time.perf_counter(), time.process_time()
+                svi.step(y)
+                wall.append(time.perf_counter() - start[0])
+                cpu.append(time.process_time() - start[1])
+            name, rows = str(dtype).removeprefix("torch."), chunk or "all"
+            print(f"| {name} | {rows} | {np.median(wall):.2f} | {np.median(cpu):.2f} |", flush=True)
+
+
+def _peak(rows: int, chunk: int | None) -> float:
+    torch.set_num_threads(1)
+    svi, y = arm_svi(paper_problem(0.01, 0, rows), torch.float64, chunk=chunk)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    svi.step(y)
+    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+
+
+def memory() -> None:
+    print("\n| rows | chunk | peak MiB |\n|---|---|---|")
+    for rows, chunk in ((200, None), (800, None), (200, 50), (800, 50), (3200, 50)):
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            print(f"| {rows} | {chunk or 'all'} | {pool.apply(_peak, (rows, chunk)):.0f} |", flush=True)
+
+
+def train(model: StateSpaceModel, y: torch.Tensor, steps: int = 24) -> StateSpaceModel:
+    """The model with the learned parameters that VSMC ends at."""
+    pyro.clear_param_store()
+    learned = model.learn(LEARNED)
+    for number, rate in enumerate(RATES):
+        guide = Corrected(model, y, name=f"guide {number}")
+
+        def options(name: str, rate: float = rate) -> dict[str, float]:
+            # The guide has many parameters with noisy gradients; where they ran ahead, weights would collapse.
+            return {"lr": rate if name in LEARNED else min(rate, 0.002)}
+
+        svi = SVI(learned.sequence, guide, Adam(options), loss=VSMC_ELBO(50, 4))
+        for _ in range(steps):
+            svi.step(y)
+        model = model.replace(**{name: pyro.param(name).detach().clone() for name in LEARNED})
+    return model
+
+
+def learn(seeds: int) -> None:
+    print("\n| seed | | L₁ | L₂ | M₁ | M₂ | s |\n|---|---|---|---|---|---|---|")
+
+    def row(seed: int, name: str, values: list[float], seconds: float) -> None:
+        print(f"| {seed} | {name} | " + " | ".join(f"{x:.4f}" for x in values) + f" | {seconds:.0f} |", flush=True)
+
+    def numbers(model: StateSpaceModel) -> list[float]:
+        return torch.cat([model.parameters[name] for name in LEARNED]).tolist()
+
+    for seed in range(seeds):
+        problem = paper_problem(0.01, seed)
+        wrong = {name: torch.tensor(value, dtype=torch.float64) for name, value in WRONG.items()}
+        model, y = problem.model.replace(**wrong), problem.observations
+        torch.manual_seed(seed)
+        start = time.perf_counter()
+        row(seed, "VSMC", numbers(train(model, y)), time.perf_counter() - start)
+        start = time.perf_counter()
+        best = fit(model, y, [Free(name) for name in LEARNED])
+        row(seed, "linearised evidence", numbers(best.model), time.perf_counter() - start)
+        row(seed, "its relative posterior sd", [sd for name in LEARNED for sd in best.log_sd[name]], 0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parts = ("bound", "step", "memory", "learn")
+    parser.add_argument("parts", nargs="*", help=f"any of {', '.join(parts)}; all by default")
+    parser.add_argument("--seeds", type=int, default=4)
+    arguments = parser.parse_args()
+    unknown = set(arguments.parts) - set(parts)
+    if unknown:
+        parser.error(f"unknown part {', '.join(sorted(unknown))}; expected any of {', '.join(parts)}")
+    torch.set_num_threads(1)
+    for part in arguments.parts or parts:
+        pyro.clear_param_store()
+        torch.manual_seed(0)
+        {"bound": bound, "step": step, "memory": memory, "learn": lambda: learn(arguments.seeds)}[part]()
+
+
+if __name__ == "__main__":
+    main()
