@@ -24,7 +24,8 @@ import torch
 from scipy.signal import butter, filtfilt
 
 from invdyn.inference import infer, pooled
-from invdyn.models import TORQUE_PROCESSES, Body, dynamics_for
+from invdyn.inference.differentiate import derivatives, inverse_dynamics, joint_angles
+from invdyn.models import TORQUE_PROCESSES, Body, Emission
 from invdyn.recordings import Recording, Truth, keypoints_from_angles, load, load_truth
 
 FRICTION = {"viscous": (0.001, 0.001), "coulomb": (0.093, 0.078)}  # model_2.0, N·m·s/rad and N·m
@@ -86,19 +87,10 @@ def case(run: str, body: Body, seed: int = 0) -> Case:
 
 def filter_and_differentiate(case: Case) -> np.ndarray:
     """Torques (C, T, K) for each cut-off, order-4 zero-phase Butterworth."""
-    tips = case.recording.keypoints
-    along = np.diff(np.concatenate([np.zeros_like(tips[:, :1]), tips], axis=1), axis=1)
-    phi = np.unwrap(np.arctan2(along[..., 1], along[..., 0]), axis=0)
-    angle = np.diff(phi, axis=1, prepend=0.0)
-    dt = case.recording.frame_interval
-    body, dynamics = case.body.parameters(), dynamics_for(case.body.num_joints)
-    out = []
-    for cutoff in CUTOFFS:
-        q = filtfilt(*butter(2, cutoff, fs=1 / dt), angle, axis=0)
-        qd = np.gradient(q, dt, axis=0)
-        qdd = np.gradient(qd, dt, axis=0)
-        out.append(dynamics.inverse(*(torch.as_tensor(a.copy()) for a in (q, qd, qdd)), body).numpy())
-    return np.stack(out)
+    time, body = case.recording.time, case.body.parameters()
+    tips = torch.as_tensor(case.recording.keypoints).flatten(-2)
+    angle, _ = joint_angles(time, tips, Emission(range(case.body.num_joints)), body)
+    return np.stack([inverse_dynamics(*derivatives(time, angle, cutoff), body) for cutoff in CUTOFFS])
 
 
 def rmse(error: np.ndarray) -> np.ndarray:

@@ -1,12 +1,17 @@
 """How it is learned: guides, filters, smoothing, hyperparameters, and the posterior as InferenceData."""
 
 from invdyn.inference.bootstrap import Bootstrap
+from invdyn.inference.compare import Comparison, compare
 from invdyn.inference.controlled import Controlled
+from invdyn.inference.differentiate import differentiate
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
-from invdyn.inference.infer import METHODS, free_parameters, infer
+from invdyn.inference.infer import infer
 from invdyn.inference.initialise import Problem, arm_problem
+from invdyn.inference.laplace import GaussianChain, laplace
 from invdyn.inference.marginal_likelihood import Fit, Free, fit
+from invdyn.inference.mcmc import nuts
 from invdyn.inference.mechanics import mechanics
+from invdyn.inference.methods import METHODS
 from invdyn.inference.nested import OuterWeights, outer_weights
 from invdyn.inference.particle_filter import ParticleFilter
 from invdyn.inference.particles import FilterResult
@@ -16,23 +21,30 @@ from invdyn.inference.proposal import Proposal
 from invdyn.inference.resampling import RESAMPLERS, ess, resample
 from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters, smc
 from invdyn.inference.smoothing import backward_simulation, genealogy
+from invdyn.inference.svi import svi
+from invdyn.inference.task import Task, free_parameters, prepare
 
 __all__ = [
     "METHODS",
     "RESAMPLERS",
     "Bootstrap",
+    "Comparison",
     "Controlled",
     "FilterResult",
     "Fit",
     "Free",
+    "GaussianChain",
     "GaussianSmoother",
     "OuterWeights",
     "ParticleFilter",
     "Problem",
     "Proposal",
     "SMCOptions",
+    "Task",
     "arm_problem",
     "backward_simulation",
+    "compare",
+    "differentiate",
     "ess",
     "fit",
     "free_parameters",
@@ -40,14 +52,18 @@ __all__ = [
     "gaussian_smoother",
     "genealogy",
     "infer",
+    "laplace",
     "load_posterior",
     "mechanics",
+    "nuts",
     "outer_weights",
     "pooled",
     "posterior_linearisation",
+    "prepare",
     "resample",
     "run_filters",
     "save_posterior",
     "smc",
     "summarise",
+    "svi",
 ]

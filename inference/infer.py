@@ -1,47 +1,14 @@
 """The main job: from a recording and a body to the posterior of the torques."""
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 
 import arviz as az
 
-from invdyn.inference.initialise import Problem, arm_problem
-from invdyn.inference.marginal_likelihood import Free, fit
-from invdyn.inference.marginalise import over_bodies
-from invdyn.inference.smc import Progress, SMCOptions, smc
-from invdyn.models import Body, Learned, TorqueProcess
+from invdyn.inference.methods import METHODS
+from invdyn.inference.smc import Progress, SMCOptions
+from invdyn.inference.task import prepare
+from invdyn.models import Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
-
-METHODS: dict[str, Callable[..., az.InferenceData]] = {
-    "smc": partial(smc, guide="controlled"),
-    "bootstrap": partial(smc, guide="bootstrap"),
-}
-
-
-def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
-    """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
-
-    Not the dynamics' own noise ε: white noise on a velocity is a white torque by another name, and where it is
-    free it takes torque away from τ (on the DFKI arm the evidence likes that, and the error doubles).
-    """
-    wanted = [
-        Free("torque.scale"),
-        Free("torque.decay", sd=1.0),
-        Free("torque.lengthscale", sd=1.0),
-        # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
-        Free("emission.keypoint_scale", tied=True),
-        Free("emission.confidence_slope", tied=True),
-        Free("emission.angle_scale", tied=True),
-        Free("emission.df", sd=1.0),
-    ]
-    body = problem.model.body
-    for quantity in ("length", "mass", "com", "inertia"):
-        entries = tuple(k for k, link in enumerate(body.links) if isinstance(getattr(link, quantity), Learned))
-        if learn_lengths and quantity == "length":
-            entries = tuple(range(body.num_joints))
-        if entries:
-            wanted.append(Free(f"body.{quantity}", sd=0.3, entries=entries))
-    return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
 
 
 def infer(
@@ -69,7 +36,7 @@ def infer(
     Args:
         recording: planar keypoints, encoders, or both.
         body: in the recording's length unit; its priors and uncertainties are integrated out, its
-            learned scalars learned.
+            learned scalars learned ("differentiate" takes nominal values).
         method: a key of ``METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.
@@ -90,34 +57,20 @@ def infer(
     """
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
-    body = body.with_uncertainty()
-    problem = arm_problem(
+    task = prepare(
         recording,
         body,
+        options=SMCOptions(num_filters, num_particles, num_draws),
+        seed=seed,
+        settings=settings,
+        truth=truth,
+        learn_lengths=learn_lengths,
+        report=None if progress is None else lambda done, total: progress(done, total, "fit"),
         torque=torque,
         integrator=integrator,
         substeps=substeps,
         family=family,
-        parameters=settings,
-        learn_lengths=learn_lengths,
         hide_torque=hide_torque,
         passive=passive,
-        truth=truth,
     )
-    free = free_parameters(problem, tuple(settings or ()), learn_lengths)
-    report = None if progress is None else lambda done, total: progress(done, total, "fit")
-    fitted = fit(problem.model, problem.observations, free, progress=report)
-    problem = Problem(fitted.model, problem.observations, recording, problem.truth)
-    record = {
-        "fitted": {f.name: fitted.model.parameters[f.name].tolist() for f in free},
-        "fit_converged": fitted.converged,
-        "integrator": problem.model.integrator,
-        "substeps": problem.model.substeps,
-        "family": family,
-        "torque_process": type(problem.model.torque).__name__,
-    }
-    options = SMCOptions(num_filters, num_particles, num_draws)
-    run = METHODS[method]
-    if body.has_priors:
-        run = partial(over_bodies, run)
-    return run(problem, options=options, start=fitted.path, seed=seed, settings=record, progress=progress)
+    return task.run(method, progress)

@@ -6,8 +6,10 @@ Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothe
                           position [chain, draw, time, keypoint, space] of the tips;
                           residual_torque if commanded
     posterior_predictive  position and angle with observation noise
-    sample_stats          log_evidence [chain], log_weight [chain] (outer, normalised), ess and
-                          resampled and log_evidence_increment [chain, time]
+    sample_stats          log_evidence [chain] (or a bound on it), log_weight [chain] (outer, normalised);
+                          of particle filters also ess, resampled and log_evidence_increment
+                          [chain, time]; attributes: method, bound (1: log_evidence is a lower bound),
+                          seconds (see :mod:`.methods`), and the method's own diagnostics
     observed_data         position [time, keypoint, space], angle [time, joint]
     constant_data         the model's parameters, command, truth
 
@@ -16,7 +18,8 @@ them to equal weights: what tables and figures use.
 """
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -38,22 +41,40 @@ GROUPS = ("posterior", "sample_stats", "constant_data")
 
 
 def to_inference_data(
-    problem: Problem, paths: Tensor, result: FilterResult, *, method: str, seed: int, settings: dict
+    problem: Problem,
+    paths: Tensor,
+    result: FilterResult | None = None,
+    *,
+    method: str,
+    seed: int,
+    settings: dict,
+    log_evidence: float = math.nan,
+    log_evidence_sd: float = math.nan,
+    bound: bool = False,
+    diagnostics: Mapping[str, float] | None = None,
 ) -> az.InferenceData:
     """Assemble InferenceData.
 
     Args:
         problem: model, observations, recording.
         paths: (M, R, T, D) smoothed trajectories.
-        result: the filters' run.
+        result: the filters' run; None for a method without particles, whose chains weigh the same.
         method: its name.
         seed: that was used.
         settings: fitted parameters and options, kept as JSON in the attributes.
+        log_evidence, log_evidence_sd: without ``result``: log p(y) or a bound on it, nats, and its Monte
+            Carlo standard error; NaN where the method has none.
+        bound: whether the evidence is a lower bound.
+        diagnostics: numbers for the attributes of sample_stats.
     """
     model, recording = problem.model.to(dtype=torch.float64), problem.recording
     body = model.body
     paths = paths.double()
-    outer = outer_weights(result.log_evidence)
+    if result is None:
+        outer = _equal_weights(len(paths), log_evidence, log_evidence_sd)
+        each = torch.full((len(paths),), log_evidence, dtype=torch.float64)
+    else:
+        outer, each = outer_weights(result.log_evidence), result.log_evidence
     units = _units(recording.length_unit)
     _, angle, velocity = model.split(paths)
     posterior = {
@@ -87,13 +108,13 @@ def to_inference_data(
     if emission.num_encoders:
         predictive["angle"] = (["chain", "draw", "time", "joint"], sampled[..., points:])
         observed["angle"] = (["time", "joint"], problem.observations[:, points:])
-    stats = {
-        "log_evidence": (["chain"], result.log_evidence),
-        "log_weight": (["chain"], outer.log_weights),
-        "ess": (["chain", "time"], result.ess.mT),
-        "resampled": (["chain", "time"], result.resampled.mT),
-        "log_evidence_increment": (["chain", "time"], result.log_evidence_increment.mT),
-    }
+    stats = {"log_evidence": (["chain"], each), "log_weight": (["chain"], outer.log_weights)}
+    if result is not None:
+        stats |= {
+            "ess": (["chain", "time"], result.ess.mT),
+            "resampled": (["chain", "time"], result.resampled.mT),
+            "log_evidence_increment": (["chain", "time"], result.log_evidence_increment.mT),
+        }
     coords = {
         "time": recording.time,
         "joint": list(body.joint_names),
@@ -125,9 +146,17 @@ def to_inference_data(
         "observed_data": dataset(observed, tracked),
         "constant_data": dataset(_constants(problem)),
     }
+    # netCDF knows no booleans.
+    groups["sample_stats"].attrs.update({"method": method, "bound": int(bound), **(diagnostics or {})})
     idata = az.InferenceData(**groups)
     idata.attrs.update(_attributes(problem, outer, method, seed, settings))
     return idata
+
+
+def _equal_weights(chains: int, log_evidence: float, sd: float) -> OuterWeights:
+    """Chains of a method that does not weigh them."""
+    log_weights = torch.full((chains,), -math.log(chains), dtype=torch.float64)
+    return OuterWeights(log_weights, float(chains), log_evidence, sd, math.nan)
 
 
 def _units(length: str) -> dict[str, str]:

@@ -1,11 +1,16 @@
-"""The command line: `invdyn simulate | infer | plot | demo`. Each command checks, then works, then writes."""
+"""The command line: `invdyn simulate | infer | compare | plot | demo`. Each command checks, then works, then writes."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .console import Commands, ProgressBar, check_outputs
+from .options import BodyFile, Inference, Seed, spread
+
+# Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
 
@@ -18,13 +23,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
-BodyFile = Annotated[str, typer.Option("--body", metavar="TOML", help="Body file, or a body that comes with us.")]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
 StoOut = Annotated[Path | None, typer.Option(help="Torques for OpenSim: .sto.")]
 CsvOut = Annotated[Path | None, typer.Option(help="Torques, angles and velocities with 90 % bands: .csv.")]
-TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
 def show_version(wanted: bool) -> None:
@@ -85,84 +87,66 @@ def simulate(
 
 
 @app.command()
+@spread
 def infer(
-    recording: Annotated[str, typer.Argument(help="File of keypoints, or the name of a known recording.")],
-    body: BodyFile,
+    given: Inference,
     out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
-    method: Annotated[str, typer.Option(help="smc or bootstrap.")] = "smc",
+    method: Annotated[str, typer.Option(help="How; the answer to an unknown one lists them all.")] = "smc",
     figure: FigureOut = None,
     film: FilmOut = None,
     sto: StoOut = None,
     csv: CsvOut = None,
-    truth: TruthFile = None,
-    units: Annotated[str | None, typer.Option(help="Of the file's numbers: px, mm, cm, m; deg, rad.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None,
-    format: Annotated[str | None, typer.Option(help="Of the file, if it is not plain from it.")] = None,
-    scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None,
-    body_lengths: Annotated[
-        bool, typer.Option("--body-lengths", help="No scale known: divide by the body's own length.")
-    ] = False,
-    base: Annotated[
-        str | None, typer.Option(help="Keypoint to subtract; default: the first joint's, where tracked.")
-    ] = None,
-    frames: Annotated[str, typer.Option(help="Which frames to use, such as 50:250.")] = ":",
-    learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False,
-    torque: Annotated[
-        str,
-        typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
-    ] = "ornstein_uhlenbeck",
-    noise: Annotated[str, typer.Option(help="Observation noise: gaussian or student_t.")] = "gaussian",
-    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False,
-    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False,
-    filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64,
-    particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100,
-    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4,
-    seed: Seed = 0,
 ) -> None:
     """Infer the torques that moved a recorded body."""
-    from invdyn.inference import METHODS
     from invdyn.inference import infer as run
-    from invdyn.models import FAMILIES, TORQUE_PROCESSES
-    from invdyn.recordings import InputError
 
-    from .inputs import frame_range, load_body, load_known, load_recording
     from .outputs import Outputs
     from .summary import summary_text
 
-    for what, given, known in (
-        ("method", method, METHODS),
-        ("torque process", torque, TORQUE_PROCESSES),
-        ("noise", noise, FAMILIES),
-    ):
-        if given not in known:
-            raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
+    given.check(method)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
-    outputs.check(*(Path(name) for name in (recording, body, truth) if name is not None))
-    arm = load_body(body)
-    tracks = load_recording(recording, arm, base, body_lengths, units=units, fps=fps, format=format, scale=scale)
-    start, stop = frame_range(frames)
-    tracks = tracks.select(start, stop)
-    known = None if truth is None else load_known(truth, arm)
+    outputs.check(*given.files)
+    arguments = given.load()
     with ProgressBar() as progress:
-        idata = run(
-            tracks,
-            arm,
-            method=method,
-            num_filters=filters,
-            num_particles=particles,
-            num_draws=draws,
-            seed=seed,
-            learn_lengths=learn_lengths,
-            truth=known,
-            torque=TORQUE_PROCESSES[torque](),
-            family=noise,
-            passive=passive,
-            hide_torque=hide_torque,
-            progress=progress,
-        )
+        idata = run(**arguments, method=method, progress=progress)
         outputs.write(idata, progress)
     typer.echo(summary_text(idata))
     typer.echo(outputs.listing())
+
+
+@app.command()
+@spread
+def compare(
+    given: Inference,
+    methods: Annotated[str, typer.Option(help="Such as smc,bootstrap; the answer to an unknown one lists them all.")],
+    out: Annotated[Path, typer.Option(help="Folder for table, figure and posteriors; made when missing.")],
+    held_out: Annotated[
+        float, typer.Option(min=0, max=0.9, help="Share of the frames, the last ones, to predict; 0 for none.")
+    ] = 0.2,
+    isolate: Annotated[
+        bool, typer.Option("--isolate", help="Each method in a process of its own: its memory is its own too.")
+    ] = False,
+) -> None:
+    """Run several methods on one recording: one table, one figure."""
+    from invdyn.inference import compare as run
+    from invdyn.recordings import InputError
+
+    from .outputs import ComparisonOutputs
+    from .summary import comparison_text
+
+    names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
+    given.check(*names)
+    outputs = ComparisonOutputs(out, names)
+    outputs.check(*given.files)
+    arguments = given.load()
+    out.mkdir(parents=True, exist_ok=True)
+    with ProgressBar() as progress:
+        comparison = run(**arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress)
+    outputs.write(comparison)
+    typer.echo(comparison_text(comparison))
+    typer.echo(outputs.listing(comparison))
+    if not comparison.posteriors:
+        raise InputError("no method succeeded: see the reasons above")
 
 
 @app.command()

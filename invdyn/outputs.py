@@ -1,5 +1,6 @@
-"""What a command leaves behind: the posterior, its figure and film, its torques (.sto, .csv)."""
+"""What a command leaves behind: the posterior, its figure and film, its torques (.sto, .csv); a comparison."""
 
+import json
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -7,12 +8,12 @@ from pathlib import Path
 import arviz as az
 import numpy as np
 
-from invdyn.inference import save_posterior
-from invdyn.recordings import InputError, write_moments, write_table
+from invdyn.inference import Comparison, save_posterior
+from invdyn.recordings import InputError, write_moments, write_table, write_text
 
 from .console import check_outputs
 from .film import check_film, save_film
-from .plots import FIGURE_SUFFIXES, plot_posterior, quantiles, save_figure
+from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,49 @@ class Outputs:
             "CSV": self.csv,
         }
         return "".join(f"\n{kind:<10} {path}" for kind, path in kinds.items() if path is not None)
+
+
+@dataclass(frozen=True)
+class ComparisonOutputs:
+    """The folder of a comparison of `methods`: table (.csv and .json), figure, and each method's posterior."""
+
+    folder: Path
+    methods: tuple[str, ...]
+
+    @property
+    def paths(self) -> dict[str, Path]:
+        """What kind -> where."""
+        named = {"table": "comparison.csv", "JSON": "comparison.json", "figure": "figure.png"}
+        named |= {method: f"{method}.nc" for method in self.methods}
+        return {kind: self.folder / name for kind, name in named.items()}
+
+    def check(self, *inputs: Path) -> None:
+        """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
+        if not self.folder.exists():
+            parent = next(parent for parent in self.folder.absolute().parents if parent.exists())
+            check_outputs([parent / self.folder.name], inputs)
+        elif not self.folder.is_dir():
+            raise InputError(f"{self.folder}: expected a folder, this is a file")
+        else:
+            check_outputs(self.paths.values(), inputs)
+
+    def write(self, comparison: Comparison) -> None:
+        """Write all of it, each file whole or not at all; posteriors first, as they took longest."""
+        for method, idata in comparison.posteriors.items():
+            save_posterior(idata, self.paths[method])
+        write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
+        write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
+        if comparison.posteriors:
+            save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
+
+    def listing(self, comparison: Comparison) -> str:
+        """What lies where: an empty line, then one each."""
+        missing = set(self.methods) - set(comparison.posteriors)
+        kinds = {kind: path for kind, path in self.paths.items() if kind not in missing}
+        if not comparison.posteriors:
+            del kinds["figure"]
+        width = max(map(len, kinds))
+        return "".join(f"\n{kind:<{width}} {path}" for kind, path in kinds.items())
 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:

@@ -5,6 +5,8 @@ angle (rad), its torque (N·m); below, the effective sample size of the filters 
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 
 import arviz as az
@@ -22,6 +24,8 @@ from invdyn.recordings import atomic_path
 
 # Okabe and Ito's colours: told apart by the colour-blind too.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
+ORANGE, SKY, PINK = "#E69F00", "#56B4E9", "#CC79A7"
+METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, PINK)
 INK, GREY = "#111111", "#777777"
 STYLE = {
     "axes.spines.top": False,
@@ -91,6 +95,63 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
         figure.align_ylabels()
         figure.legend(handles=legend_entries(idata), loc="outside upper left", ncols=10)
     return figure
+
+
+def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
+    """Torques of one recording by several methods, one row a joint: median and 90 % band of each, and the truth.
+
+    On the right the same less the truth (without one: less the first method's median), where they part. A method
+    that is far off leaves the panel there instead of pressing the others flat.
+    """
+    first = next(iter(posteriors.values()))
+    time, joints = first.posterior["time"].values, first.posterior["joint"].values
+    unit = first.posterior["torque"].attrs["units"]
+    bands = {method: quantiles(idata, "torque")[[0, 2, 4]] for method, idata in posteriors.items()}
+    truth = first.constant_data.get("truth_torque")
+    reference = next(iter(bands.values()))[1] if truth is None else truth.transpose("time", "joint").values
+    less = "less the truth" if truth is not None else f"less the median of {next(iter(posteriors))}"
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(12, 2.3 * len(joints) + 0.9), layout="constrained")
+        panels = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
+        for row, joint in enumerate(joints):
+            for column, (title, base) in enumerate(((f"{joint} torque", 0 * reference), (less, reference))):
+                axes = panels[row, column]
+                shifted = [curves[:, :, row] - base[:, row] for curves in bands.values()]
+                for curves, color in zip(shifted, cycle(METHOD_COLORS)):
+                    axes.fill_between(time, curves[0], curves[2], color=color, alpha=0.13, linewidth=0)
+                    axes.plot(time, curves[[0, 2]].T, color=color, linewidth=0.5, alpha=0.6)
+                for curves, color in zip(shifted, cycle(METHOD_COLORS)):  # medians over every band
+                    axes.plot(time, curves[1], color=color, linewidth=1.3)
+                if truth is not None:
+                    draw_truth(axes, time, (reference - base)[:, row])
+                axes.set_title(title, loc="left")
+                axes.set_ylabel(unit)
+                limit_to_most(axes, shifted, reference[:, row] - base[:, row])
+                axes.set_xlim(time[0], time[-1])
+        for axes in panels[-1]:
+            axes.set_xlabel("time (s)")
+        figure.align_ylabels()
+        entries = [
+            Line2D([], [], color=color, linewidth=2, label=method)
+            for method, color in zip(posteriors, cycle(METHOD_COLORS))
+        ]
+        entries.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="90 %"))
+        if truth is not None:
+            entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+        figure.legend(handles=entries, loc="outside upper left", ncols=10)
+    return figure
+
+
+def limit_to_most(axes: Axes, bands: list[np.ndarray], reference: np.ndarray) -> None:
+    """Vertical limits that hold the reference and most of what the better half of the methods say."""
+    reach = [np.nanquantile(np.abs(curves - np.nanmedian(reference)), 0.995) for curves in bands]
+    half = sorted(reach)[: (len(reach) + 1) // 2][-1] * 1.6
+    half = max(half, 1.05 * np.nanmax(np.abs(reference - np.nanmedian(reference)), initial=0.0))
+    if np.isfinite(half) and half > 0:
+        middle = float(np.nanmedian(reference))
+        low = min(float(np.nanmin(curves)) for curves in bands)
+        high = max(float(np.nanmax(curves)) for curves in bands)
+        axes.set_ylim(max(middle - half, low - 0.05 * half), min(middle + half, high + 0.05 * half))
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:

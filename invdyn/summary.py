@@ -1,8 +1,13 @@
-"""What a posterior says in a few lines: each joint's torque, how sure it is, how healthy the sampler was."""
+"""What a posterior says in a few lines: each joint's torque, how sure it is, how healthy the sampler was.
+
+And what a comparison of several says: how near each came to the truth, its evidence, its cost.
+"""
 
 import arviz as az
 import numpy as np
 import pandas as pd
+
+from invdyn.inference import Comparison
 
 from .plots import quantiles
 
@@ -41,3 +46,44 @@ def summary_text(idata: az.InferenceData) -> str:
         f"Joint torques ({idata.posterior['torque'].attrs['units']}) over {frames} frames\n\n{table}\n\n"
         f"log evidence {evidence:.2f}; outer effective sample size {outer:.1f} of {filters} filters"
     )
+
+
+SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Tables of a comparison for a terminal: torques against the truth, if known; evidence and cost; what failed."""
+    table, blocks = comparison.table, []
+    joints = [name.removesuffix("_rmse") for name in table if name.endswith("_rmse")]
+    if joints:
+        scores = {
+            (joint, method): {title: row[f"{joint}_{name}"] for name, title in SCORES.items()}
+            for joint in joints
+            for method, row in table.iterrows()
+        }
+        unit = next(iter(comparison.posteriors.values())).posterior["torque"].attrs["units"]
+        frame = pd.DataFrame.from_dict(scores, orient="index")
+        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["joint", "method"])
+        blocks.append(f"Joint torques ({unit}) against the truth\n\n{_printed(frame)}")
+    cost = pd.DataFrame(index=table.index)
+    for name, title, digits in (
+        ("log_evidence", "log evidence", 2),
+        ("log_evidence_sd", "±", 2),
+        ("evidence_kind", "which is", None),
+        ("log_score", "log score", 3),
+        ("outer_ess", "outer ESS", 1),
+        ("seconds", "seconds", 2),
+        ("memory", "MiB", 0),
+    ):
+        cost[title] = [value if digits is None else f"{value:.{digits}f}" for value in table[name]]
+    blocks.append(f"Evidence (nat), one-step log score over {comparison.held_out} held-out frames (nat a frame), cost")
+    blocks.append(_printed(cost.replace({"nan": "–", "": "–"})))
+    reasons = [f"{method} failed: {reason}" for method, reason in comparison.failures.items()]
+    reasons += [f"{method}: {note}" for method, note in comparison.notes.items()]
+    if reasons:
+        blocks.append("\n".join(reasons))
+    return "\n\n".join(blocks)
+
+
+def _printed(table: pd.DataFrame) -> str:
+    return table.to_string(float_format=lambda value: f"{value:.3g}", na_rep="–")

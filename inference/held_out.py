@@ -1,0 +1,105 @@
+"""The score of a prediction: one-step log density of a held-out tail (leave-future-out).
+
+Bürkner, Gabry & Vehtari (2020), "Approximate leave-future-out cross-validation". A method sees rows 0 … s−1, and
+its draws of the last state become a Gaussian b(x_{s−1}), its belief, of their mean and covariance. From there the
+sum of the one-step predictive log densities,
+
+    Σ_{t ≥ s} log p(y_t | y_{s:t}, b)  =  log ∫ b(x_{s−1}) p(y_{s:T} | x_{s−1}) dx_{s−1},
+
+is the evidence of the tail alone. One controlled particle filter (:mod:`.controlled`), the same for every method and
+good to hundredths of a nat, estimates it: so methods without a filter have a score too, and what differs between
+methods is what they believe. (Bootstrap filters on the tail would differ by more than the methods do.)
+"""
+
+import arviz as az
+import numpy as np
+import torch
+from pyro.distributions import Distribution, MultivariateNormal
+from torch import Tensor
+
+from invdyn.inference.initialise import Problem
+from invdyn.inference.nested import outer_weights
+from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters
+from invdyn.models import StateSpaceModel
+from invdyn.recordings import InputError
+
+OPTIONS = SMCOptions(num_filters=8, num_particles=500, dtype=torch.float64)
+
+
+class Continued(StateSpaceModel):
+    """A model from row ``first`` on, x_first ~ N(mean, root rootᵀ); its row t is the whole model's first + t."""
+
+    def __init__(self, model: StateSpaceModel, first: int, mean: Tensor, root: Tensor):
+        super().__init__({**model.parameters, "start.mean": mean, "start.root": root})
+        self.model, self.first = model, first
+        self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
+        self.num_steps = model.num_steps - first
+
+    def replace(self, **values: Tensor) -> "Continued":
+        """Other values, of the whole model's parameters too."""
+        other = super().replace(**values)
+        other.model = self.model.replace(**{name: v for name, v in values.items() if name in self.model.parameters})
+        return other
+
+    def initial(self) -> Distribution:
+        """N(mean, root rootᵀ)."""
+        root = self.parameters["start.root"]
+        return MultivariateNormal(self.parameters["start.mean"], scale_tril=root, validate_args=False)
+
+    def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """The whole model's."""
+        return self.model.transition(state, t + self.first)
+
+    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """The whole model's."""
+        return self.model.emission(state, t + self.first)
+
+
+def belief(idata: az.InferenceData, model: StateSpaceModel) -> tuple[Tensor, Tensor]:
+    """Mean (D,) and Cholesky factor (D, D) of the last row's state in a posterior.
+
+    Raises InputError where the posterior does not hold the whole state, or too few draws of it.
+    """
+    posterior = idata["posterior"].isel(time=-1)
+    torque = "residual_torque" if "residual_torque" in posterior else "torque"
+    pieces = [posterior[name].transpose("chain", "draw", "joint").values for name in (torque, "angle", "velocity")]
+    draws = np.concatenate(pieces, -1)
+    if draws.shape[-1] != model.state_dim:
+        raise InputError("the torque process has a state that the posterior does not hold")
+    weights = np.exp(idata["sample_stats"]["log_weight"].values)
+    weights = np.repeat(weights / weights.sum(), draws.shape[1]) / draws.shape[1]
+    draws = draws.reshape(-1, draws.shape[-1])
+    effective = 1 / (weights**2).sum()
+    if effective < 2 * model.state_dim:
+        raise InputError(f"{effective:.1f} effective draws are too few for a state of {model.state_dim} numbers")
+    mean = weights @ draws
+    deviation = draws - mean
+    covariance = (weights[:, None] * deviation).T @ deviation / (1 - 1 / effective)
+    # Numbers of very different size: Cholesky of the correlation. A method may be certain of a state.
+    sd = np.sqrt(covariance.diagonal()).clip(1e-12)
+    correlation = covariance / np.outer(sd, sd) + 1e-9 * np.eye(len(sd))
+    root = sd[:, None] * np.linalg.cholesky(correlation)
+    return torch.as_tensor(mean), torch.as_tensor(root)
+
+
+def log_score(problem: Problem, head: az.InferenceData, path: Tensor, seed: int = 0) -> float:
+    """One-step predictive log density of the rows after ``head``, nats per row that holds an observation.
+
+    Args:
+        problem: of the whole recording; its parameters must not have seen the tail.
+        head: a posterior of the first rows.
+        path: (T, D) to linearise at first.
+        seed: of the filter.
+
+    Raises InputError as :func:`belief` does.
+    """
+    first = head["posterior"].sizes["time"] - 1
+    tail = problem.observations[first:].clone()
+    tail[0] = torch.nan  # the head has seen it
+    model = Continued(problem.model, first, *belief(head, problem.model))
+    seen = int((~torch.isnan(tail)).any(-1).sum())
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        smoother = gaussian_smoother(model, tail, path[first:])
+        result = run_filters(model, tail, OPTIONS, smoother=smoother, keep=1)
+    return outer_weights(result.log_evidence).log_evidence / seen
