@@ -1,5 +1,6 @@
 """How it is learned: guides, filters, smoothing, hyperparameters, and the posterior as InferenceData."""
 
+from invdyn.inference.affine import Affine, Corrected
 from invdyn.inference.bootstrap import Bootstrap
 from invdyn.inference.compare import Comparison, compare
 from invdyn.inference.controlled import Controlled
@@ -23,13 +24,17 @@ from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters, smc
 from invdyn.inference.smoothing import backward_simulation, genealogy
 from invdyn.inference.svi import svi
 from invdyn.inference.task import Task, free_parameters, prepare
+from invdyn.inference.vsmc import VSMC_ELBO
 
 __all__ = [
     "METHODS",
     "RESAMPLERS",
+    "VSMC_ELBO",
+    "Affine",
     "Bootstrap",
     "Comparison",
     "Controlled",
+    "Corrected",
     "FilterResult",
     "Fit",
     "Free",
