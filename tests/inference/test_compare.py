@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from torch.distributions import MultivariateNormal
 
 from invdyn.inference import METHODS, Comparison, arm_problem, compare, fit, prepare
-from invdyn.inference.compare import resident_peak
 from invdyn.inference.held_out import Continued, log_score
 from invdyn.inference.posterior import to_inference_data
 from invdyn.models import Body, Link
