@@ -61,9 +61,10 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     group = "posterior_predictive" if "posterior_predictive" in idata.groups() else "posterior"
     tips = quantiles(idata, "position", group)
     rows = max(len(joints), len(keypoints))
+    filtered = "ess" in idata.sample_stats  # else there are no particles whose number could be drawn
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12, 1.7 * rows + 2.2), layout="constrained")
-        grid = figure.add_gridspec(rows + 1, 3, height_ratios=[1] * rows + [0.7])
+        figure = Figure(figsize=(12, 1.7 * rows + (2.2 if filtered else 0.8)), layout="constrained")
+        grid = figure.add_gridspec(rows + filtered, 3, height_ratios=[1] * rows + [0.7] * filtered)
         for row, keypoint in enumerate(keypoints):
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
@@ -85,7 +86,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                     axes.step(time, known["command"].values[:, row], where="post", color=GREY, linewidth=0.9)
                 if f"truth_{name}" in known:
                     draw_truth(axes, time, known[f"truth_{name}"].values[:, row])
-        draw_sample_sizes(figure.add_subplot(grid[rows, :]), idata)
+        if filtered:
+            draw_sample_sizes(figure.add_subplot(grid[rows, :]), idata)
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
             if axes.get_subplotspec().rowspan.stop >= rows:
@@ -223,6 +225,6 @@ def legend_entries(idata: az.InferenceData) -> list[Line2D | Patch]:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     if "command" in known:
         entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
-    if idata.sample_stats["resampled"].any():
+    if "resampled" in idata.sample_stats and idata.sample_stats["resampled"].any():
         entries.append(Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled"))
     return entries

@@ -3,6 +3,8 @@
 And what a comparison of several says: how near each came to the truth, its evidence, its cost.
 """
 
+import math
+
 import arviz as az
 import numpy as np
 import pandas as pd
@@ -38,14 +40,18 @@ def torque_table(idata: az.InferenceData) -> pd.DataFrame:
 
 
 def summary_text(idata: az.InferenceData) -> str:
-    """The table above and a line on the sampler, for a terminal."""
+    """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
     filters, frames = idata.sample_stats.sizes["chain"], idata.posterior.sizes["time"]
     table = torque_table(idata).to_string(float_format=lambda value: f"{value:.3g}")
     evidence, outer = idata.attrs["log_evidence"], idata.attrs["outer_ess"]
-    return (
-        f"Joint torques ({idata.posterior['torque'].attrs['units']}) over {frames} frames\n\n{table}\n\n"
-        f"log evidence {evidence:.2f}; outer effective sample size {outer:.1f} of {filters} filters"
-    )
+    known = []
+    if math.isfinite(evidence):
+        bound = "bound of the " if idata.sample_stats.attrs.get("bound", 0) else ""
+        known.append(f"{bound}log evidence {evidence:.2f}")
+    if "ess" in idata.sample_stats:
+        known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
+    unit = idata.posterior["torque"].attrs["units"]
+    return f"Joint torques ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}

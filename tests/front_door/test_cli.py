@@ -187,3 +187,15 @@ def test_demo_leaves_everything_and_says_where(folder, run, contents):
     truth = read_truth("shown/here/truth.csv").torque
     # 400 of them, but neighbours in time agree: some 60 independent ones
     assert np.mean((low <= truth) & (truth <= high)) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / 60))
+
+
+@pytest.mark.parametrize("method", ["laplace", "differentiate"])
+def test_a_method_without_filters_is_drawn_and_told_too(folder, run, method):
+    run("simulate", "--body", "paper_planar_arm", "--duration", 1, "--out", "short.csv")
+    outputs = {"--out": "p.nc", "--figure": "p.png", "--sto": "p.sto", "--csv": "p.csv"}
+    options = [word for pair in outputs.items() for word in pair]
+    done = run("infer", "short.csv", "--body", "paper_planar_arm", "--method", method, *options)
+    assert done.exit_code == 0, done.output
+    assert all(Path(name).stat().st_size > 0 for name in outputs.values())
+    assert "effective sample size" not in done.stdout
+    assert "nan" not in done.stdout.lower()
