@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.gauss_newton import GaussianSmoother
+from invdyn.inference.resampling import categorical
 from invdyn.models.missing import observed_log_prob
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
@@ -78,9 +79,7 @@ class Bridge:
         # −½|A m_i − α|² for all pairs of draws and particles.
         reach = (first @ self._get("A", 1, t).mT).unsqueeze(-3) - target.unsqueeze(-2)
         logits = log_weights.unsqueeze(-2) - 0.5 * reach.square().sum(-1)
-        logits = logits.nan_to_num(nan=-torch.inf, neginf=-torch.inf)  # particles that overflowed
-        uniform = torch.rand_like(logits).clamp_min(torch.finfo(logits.dtype).tiny)
-        index = (logits - torch.log(-torch.log(uniform))).argmax(-1).unsqueeze(-1)
+        index = categorical(logits).unsqueeze(-1)
 
         proposed = [states.gather(-2, index.expand(*index.shape[:-1], states.shape[-1]))]
         prediction = first.gather(-2, index.expand(*index.shape[:-1], first.shape[-1]))

@@ -93,3 +93,11 @@ def ess(log_weights: Tensor) -> Tensor:
     """Effective sample size (Σ W)² / Σ W² over the last dimension; computed in float64."""
     log_weights = log_weights.double()
     return torch.exp(2 * log_weights.logsumexp(-1) - (2 * log_weights).logsumexp(-1))
+
+
+def categorical(logits: Tensor) -> Tensor:
+    """One index for each leading entry from unnormalised log-probabilities (…, N); NaN counts as zero."""
+    logits = logits.double().nan_to_num(nan=-torch.inf, neginf=-torch.inf)
+    # Gumbel-max: no normalisation, and one pass however peaked the weights are.
+    uniform = torch.rand_like(logits).clamp_min(torch.finfo(logits.dtype).tiny)
+    return (logits - torch.log(-torch.log(uniform))).argmax(-1)

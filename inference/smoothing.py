@@ -26,12 +26,13 @@ from torch import Tensor
 from invdyn.inference.bridge import Bridge
 from invdyn.inference.gauss_newton import GaussianSmoother
 from invdyn.inference.particles import FilterResult
+from invdyn.inference.resampling import categorical
 from invdyn.models.state_space import StateSpaceModel
 
 
 def genealogy(result: FilterResult, num_draws: int) -> Tensor:
     """Ancestral lines (M, R, W, D) of R final particles a filter, drawn by weight."""
-    index = _draw(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
+    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     lines = []
     for t in range(len(result.states) - 1, -1, -1):
         lines.append(_at(result.states[t], index))
@@ -69,7 +70,7 @@ def backward_simulation(
     bridge = None
     if smoother is not None and kept > block + 2:
         bridge = Bridge(model, observations, smoother, block)
-    index = _draw(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
+    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=index.device)
     path[..., kept - 1, :] = _at(result.states[-1], index).to(dtype)
     for k in range(kept - 2, -1, -1):
@@ -80,7 +81,7 @@ def backward_simulation(
             log_weights = log_weights - result.log_twist[k].to(dtype)
         after = path[..., k + 1, :].unsqueeze(-2)
         reach = model.transition(states.unsqueeze(-3), t + 1).log_prob(after)
-        index = _draw(log_weights.unsqueeze(-2) + reach)
+        index = categorical(log_weights.unsqueeze(-2) + reach)
         path[..., k, :] = _at(states, index)
         # Every third row or so: a block covers ℓ states, so each is still moved twice.
         if bridge is not None and k % max(1, block // 2) == 0 and k + block + 1 < kept:
@@ -89,14 +90,6 @@ def backward_simulation(
         if progress is not None:
             progress(kept - k, kept)
     return path
-
-
-def _draw(logits: Tensor) -> Tensor:
-    """One index for each leading entry from unnormalised log-probabilities (…, N); NaN counts as zero."""
-    logits = logits.double().nan_to_num(nan=-torch.inf, neginf=-torch.inf)
-    # Gumbel-max: no normalisation, and one pass however peaked the weights are.
-    uniform = torch.rand_like(logits).clamp_min(torch.finfo(logits.dtype).tiny)
-    return (logits - torch.log(-torch.log(uniform))).argmax(-1)
 
 
 def _at(states: Tensor, index: Tensor) -> Tensor:
