@@ -6,7 +6,8 @@ Biderman et al. (2020), eqs. 1–5. State x = (z, θ, θ̇), with τ = z[:K] the
     θ̈ = D(θ)⁻¹ (τ + u − c(θ) − h(θ, θ̇))
     x_t = integrate(x_{t−1}, δ) + noise,   y_t ~ emission(θ_t)
 
-u is the commanded torque, held between rows; without one, τ is the whole net torque. The
+u is the commanded torque, held between rows; without one, τ is the whole net torque. Effects
+(:mod:`invdyn.models.effects`), what a real arm has and an ideal one lacks, change any of it. The
 noise of θ and θ̇ is "noise.angle" ε_θ (rad) and "noise.velocity" ε_θ̇ (rad/s), standard
 deviations per step, as printed in the paper.
 
@@ -14,6 +15,7 @@ Within a step the mechanical integrator sees the torque move on a straight line 
 mean one step later; explicit Euler sees it held, as printed.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,14 +23,22 @@ import torch
 from pyro.distributions import Distribution, MultivariateNormal, Normal
 from torch import Tensor
 
+from invdyn.models.arm_start import kinematic_paths
 from invdyn.models.body import Body, BodyParameters, Learned
 from invdyn.models.dynamics import dynamics_for
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.composition import PREFIX, Composition, own_values
+from invdyn.models.effects.parameters import check_tracked, is_signed, parameters_of
+from invdyn.models.effects.scale import Scale, typical_torque
+from invdyn.models.effects.situation import Situation, View
 from invdyn.models.emission import Emission
 from invdyn.models.integrators import INTEGRATORS
-from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.shapes import join
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
+
+DERIVED = ("com", "inertia")
 
 
 class ArmModel(StateSpaceModel):
@@ -72,11 +82,18 @@ class ArmModel(StateSpaceModel):
         self.torque = torque or OrnsteinUhlenbeck()
         self.integrator, self.substeps = integrator, substeps
         self.dynamics = dynamics_for(joints)
+        # Of which links these follow from length and mass, for want of a number.
+        missing = {name: torch.tensor([getattr(link, name) is None for link in body.links]) for name in DERIVED}
+        self._derived = {name: which for name, which in missing.items() if bool(which.any())}
+        self.effects = Composition()
+        self._motors: Command | None = None
+        self._finer: Command | None = None
         self.time = torch.as_tensor(np.asarray(time, dtype=np.float64))
         if self.time.ndim != 1 or len(self.time) < 2 or bool((self.time.diff() <= 0).any()):
             raise ValueError("expected at least two strictly increasing times, in seconds")
         self.num_steps = len(self.time)
         intervals = self.time.diff()
+        self._elapsed = self.time - self.time[0]
         # dt[t] leads into row t; row 0 has no step of its own and stands for the stationary law.
         self.dt = torch.cat([intervals.median().reshape(1), intervals])
         self.command = None if command is None else torch.as_tensor(np.asarray(command, dtype=np.float64))
@@ -126,21 +143,19 @@ class ArmModel(StateSpaceModel):
     def unconstrained(self) -> frozenset[str]:
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", "body.gravity", "body.base", "body.com"}
-        return self.torque.unconstrained | mine
+        signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
+        return self.torque.unconstrained | mine | signed
 
     def body_parameters(self) -> BodyParameters:
-        """The links' current values, (..., K); defaulted com and inertia follow length and mass."""
+        """The links' current values, (..., K); defaulted com and inertia follow length and mass, effects come last."""
         p = self.parameters
         length, mass, com, inertia = (p[f"body.{name}"] for name in ("length", "mass", "com", "inertia"))
-        if any(link.com is None for link in self.body.links):
-            com = torch.where(self._follows("com"), length / 2, com)
-        if any(link.inertia is None for link in self.body.links):
-            inertia = torch.where(self._follows("inertia"), mass * length**2 / 12, inertia)
-        return BodyParameters(length, mass, com, inertia, p["body.gravity"], p["body.base"])
-
-    def _follows(self, quantity: str) -> Tensor:
-        free = [getattr(link, quantity) is None for link in self.body.links]
-        return torch.tensor(free, device=self.device)
+        if "com" in self._derived:
+            com = torch.where(self._derived["com"], length / 2, com)
+        if "inertia" in self._derived:
+            inertia = torch.where(self._derived["inertia"], mass * length**2 / 12, inertia)
+        body = BodyParameters(length, mass, com, inertia, p["body.gravity"], p["body.base"])
+        return self.effects.body(p, body)
 
     def sampled(self) -> "ArmModel":
         """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
@@ -154,52 +169,169 @@ class ArmModel(StateSpaceModel):
                 values[f"body.{name}"] = torch.where(free, drawn[name], self.parameters[f"body.{name}"])
         return super(ArmModel, self.replace(**values)).sampled()
 
+    # -- effects -------------------------------------------------------------------------------
+    @property
+    def scale(self) -> Scale:
+        """What is large and small for this body, which effects' priors follow."""
+        command = None if self.command is None else self.command.cpu()
+        return Scale(self.body.parameters(), self.time.cpu(), command)
+
+    def with_effects(self, *effects: Effect) -> "ArmModel":
+        """The model of an arm that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
+
+        Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,), with priors, so that
+        :meth:`sequence` draws them; until then they stand where the effect is absent (or, for those that are
+        never absent, in the middle of their grid or prior).
+
+        A hidden hinge (:mod:`.effects.hidden`) lengthens the state to (z, ψ, ψ̇, θ, θ̇), with the parameters
+        "initial.hidden_scale" and "noise.hidden", standard deviations (2,) of ψ, rad, and ψ̇, rad/s.
+
+        Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place,
+        and for a second hidden hinge.
+        """
+        bound = tuple(effect.bound(self.body) for effect in effects)
+        other = self.replace()
+        other.effects = Composition((*self.effects, *bound))
+        starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
+        other.parameters |= starts
+        other.priors = {**self.priors, **priors}
+        if other.effects.hinge and not self.effects.hinge:
+            spread = torch.tensor(other.effects.hinge.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
+            other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 0.01 * spread}
+            other.state_dim += 2
+        check_tracked(bound, [self.body.keypoint_names[k] for k in self.emission_model.tips])
+        return other
+
+    def replace(self, **values: Tensor) -> "ArmModel":
+        """Other parameter values; see :meth:`StateSpaceModel.replace`."""
+        other = super().replace(**values)
+        other._motors = None
+        if other.device != other.time.device:
+            other._follow(other.device)
+        return other
+
+    def _follow(self, device: torch.device) -> None:
+        """Move what rows need besides parameters to where these are: a row must not wait for the host."""
+        self.time, self._elapsed, self.dt = (clock.to(device) for clock in (self.time, self._elapsed, self.dt))
+        self._derived = {quantity: which.to(device) for quantity, which in self._derived.items()}
+        self.emission_model = self.emission_model.to(device)
+        if self.command is not None:
+            self.command = self.command.to(device)
+        if self._finer is not None:
+            self._finer = self._finer.to(device)
+
+    def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
+        """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
+
+        ``command`` becomes its mean over each row.
+        """
+        other = copy.copy(self)
+        other._finer, other._motors = Command.held(time, torque).to(self.device), None
+        other.command = other._finer.onto(self.time).mean
+        return other
+
+    @property
+    def motors(self) -> Command:
+        """The command as the actuators make it; zero without a command."""
+        if self._motors is None:
+            torque = self.time.new_zeros(self.num_steps, self.body.num_joints) if self.command is None else self.command
+            held = self._finer or Command.held(self.time, torque)
+            if self.effects.has_command:
+                # In float64, whatever the states' type: times are long and steps short.
+                held = self.effects.command({name: value.double() for name, value in self.parameters.items()}, held)
+            held = held if self._finer is None else held.onto(self.time)
+            self._motors = Command(held.time, held.mean.to(self.dtype), held.slope.to(self.dtype))
+        return self._motors
+
     # -- the three distributions ---------------------------------------------------------------
     def initial(self) -> Distribution:
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
         p = self.parameters
         root = self.torque.stationary(self._interval(0), p)
-        sds = join(p["initial.angle_scale"], p["initial.velocity_scale"])
+        sds = self._with_hidden("initial.hidden_scale", p["initial.angle_scale"], p["initial.velocity_scale"])
         moving = join(p["initial.angle"], p["initial.velocity"])
-        still = moving.new_zeros(*moving.shape[:-1], self.torque_size)
+        still = moving.new_zeros(*moving.shape[:-1], self.state_dim - moving.shape[-1])
         return self._gaussian(join(still, moving), root, sds)
 
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
         """x_t given x_{t−1} = ``state`` (..., D); event shape (D,)."""
         p = self.parameters
-        dt = self._interval(t)
-        root = self.torque.noise(dt, p)
-        sds = join(p["noise.angle"], p["noise.velocity"])
+        root = self.torque.noise(self._step(t), p)
+        sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
         return self._gaussian(self.transition_mean(state, t), root, sds)
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """Keypoints and encoder angles of row ``t`` given x_t = ``state``; event shape (O,)."""
-        _, q, _ = self.split(state)
-        tips = self.dynamics.keypoints(q, self.body_parameters())
-        return self.emission_model.distribution(tips, q, t, self.parameters)
+        z, q, qd = self.split(state)
+        body, p, effects = self.body_parameters(), self.parameters, self.effects
+        if effects.hinge:
+            tips = effects.hinge.tips(own_values(effects.hinge, p), q, z[..., self.torque_size :], body)
+        else:
+            tips = self.dynamics.keypoints(q, body)
+        if not (effects.has_points or effects.has_noise or effects.has_mistakes):
+            return self.emission_model.distribution(tips, q, t, p)
+        elapsed = self._elapsed[t].to(state).unsqueeze(-1)
+        view = effects.points(p, View(q, qd, lambda: self._acceleration(state, t, body), body, elapsed, tips))
+        noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
+        return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p))
 
     def transition_mean(self, state: Tensor, t: int | Tensor) -> Tensor:
         """E[x_t | x_{t−1} = state], shape (..., D)."""
         z, q, qd = self.split(state)
-        dt = self._interval(t)
-        body = self.body_parameters()
+        dt, body = self._step(t), self.body_parameters()
+        z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
         z_next = self.torque.mean(z, dt, self.parameters)
         joints = self.body.num_joints
         start, change = z[..., :joints], (z_next - z)[..., :joints]
         if self.command is not None:
-            start = start + self.command[t - 1].to(state)
+            mean, slope = (row.to(state) for row in self.motors.row(t))
+            start, change = start + mean - slope / 2, change + slope
+
+        def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
+            return self._net(q, qd, start + s * change if s else start, body, t - 1, s, dt / self.substeps)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
-            torque = start + s * change if s else start
-            return self.dynamics.forward(q, qd, torque, body)
+            torque, own = net(q, qd, s)
+            return self.dynamics.forward(q, qd, torque, body, own)
 
+        if self.effects.hinge:
+            p = own_values(self.effects.hinge, self.parameters)
+            step = self.effects.hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, self.substeps)
+            return join(z_next, *step)
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, dt, self.substeps)
         return join(z_next, q, qd)
 
+    def _net(
+        self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Torque of motors and effects, and the joints' own inertias, (..., K), a part s of a row after row ``t``."""
+        if not self.effects:
+            return motor, None
+        own = self.effects.inertia(self.parameters, self.body.num_joints)
+        if not (self.effects.has_force or self.effects.has_friction):
+            return motor, own
+        passed = s * self._interval(t + 1) if s else 0.0
+        time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
+        now = Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
+        torque = motor + self.effects.force(self.parameters, now)
+        if self.effects.has_friction:
+            torque = torque + self.effects.friction(self.parameters, now, torque, own)
+        return torque, own
+
+    def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
+        """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on; no hidden hinge moves."""
+        z, q, qd = self.split(state)
+        torque = z[..., : self.body.num_joints]
+        if self.command is not None:
+            mean, slope = (row.to(state) for row in self.motors.row(t + 1))
+            torque = torque + mean - slope / 2
+        torque, own = self._net(q, qd, torque, body, t, 0.0, self._interval(t))
+        return self.dynamics.forward(q, qd, torque, body, own)
+
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z (..., Z), angles (..., K), velocities (..., K)."""
+        """State (..., D) → torque state z (..., Z) and any hidden hinge's (2), angles (..., K), velocities (..., K)."""
         joints = self.body.num_joints
-        return torch.split(state, [self.torque_size, joints, joints], -1)
+        return torch.split(state, [self.state_dim - 2 * joints, joints, joints], -1)
 
     def net_torque(self, path: Tensor) -> Tensor:
         """τ + u along paths (..., T, D), N·m: the torque that moved the arm, (..., T, K)."""
@@ -207,7 +339,15 @@ class ArmModel(StateSpaceModel):
         return torque if self.command is None else torque + self.command.to(path)
 
     def _interval(self, t: int | Tensor) -> Tensor:
-        return self.dt[t].to(dtype=self.dtype, device=self.device).unsqueeze(-1)
+        return self.dt[t].to(self.dtype).unsqueeze(-1)
+
+    def _step(self, t: int | Tensor) -> Tensor:
+        """What a row's interval really takes, s."""
+        dt = self._interval(t)
+        return self.effects.interval(self.parameters, dt) if self.effects else dt
+
+    def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
+        return join(*([self.parameters[name]] if self.effects.hinge else []), angle, velocity)
 
     def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
         if self.torque.diagonal:
@@ -216,57 +356,21 @@ class ArmModel(StateSpaceModel):
         shape = torch.broadcast_shapes(root.shape[:-2], sds.shape[:-1])
         tril = mean.new_zeros(*shape, self.state_dim, self.state_dim)
         tril[..., : self.torque_size, : self.torque_size] = root
-        rest = torch.arange(self.torque_size, self.state_dim)
-        tril[..., rest, rest] = sds
+        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque_size :] = sds
         return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
 
     # -- a start for linearisation -------------------------------------------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:
-        """Paths (C, T, D) through smoothed inverse kinematics; see :mod:`.kinematics`."""
-        body = BodyParameters(*(value.detach().cpu().double() for value in self.body_parameters()))
-        candidates = joint_angle_candidates(
-            self.time.numpy(), observations, self.emission_model, body, self._link_angle_sd(body)
-        )
-        if candidates is None:
-            return super().initial_paths(observations)
-        return torch.stack([self._path_through(torch.as_tensor(angles), body) for angles in candidates])
-
-    def _link_angle_sd(self, body: BodyParameters) -> np.ndarray:
-        if self.emission_model.num_encoders:
-            sd = self.parameters["emission.angle_scale"]
-        else:
-            sd = 1.5 * self.parameters["emission.keypoint_scale"].max() / body.length
-        return sd.detach().cpu().double().clamp(max=1.0).numpy()
-
-    def _path_through(self, q: Tensor, body: BodyParameters) -> Tensor:
-        step = self.dt[1:, None]
-        # Forward differences: under explicit Euler they satisfy the transition exactly.
-        qd = q.diff(dim=0) / step
-        qd = torch.cat([qd, qd[-1:]])
-        qdd = torch.cat([qd.diff(dim=0) / step, torch.zeros_like(q[:1])])
-        torque = self.dynamics.inverse(q, qd, qdd, body)
-        if self.command is not None:
-            torque = torque - self.command
-        path = torch.cat([self.torque.path(torque, self.time), q, qd], -1)
-        return path.to(dtype=self.dtype, device=self.device)
+        """Paths (C, T, D) through smoothed inverse kinematics; see :mod:`.arm_start`."""
+        paths = kinematic_paths(self, observations)
+        return super().initial_paths(observations) if paths is None else paths
 
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""
-        slack = {"noise.angle": 0.3 * amount, "noise.velocity": 0.3 * amount / self.dt.median().item()}
+        angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
+        slack = {"noise.angle": angle, "noise.velocity": velocity}
+        if self.effects.hinge:
+            slack["noise.hidden"] = [0.1 * angle, 0.1 * velocity]
         return self.replace(
-            **{k: torch.hypot(self.parameters[k], torch.tensor(v).to(self.dtype)) for k, v in slack.items()}
+            **{k: torch.hypot(self.parameters[k], self.parameters[k].new_tensor(v)) for k, v in slack.items()}
         )
-
-
-def typical_torque(body: BodyParameters) -> Tensor:
-    """Size (K,) of the torques that a body needs, N·m: its gravity load held level, or, without
-    gravity, what turns it by a radian in a fifth of a second.
-    """
-    length, mass, com, inertia = body.length, body.mass, body.com, body.inertia
-    load, turning = [], []
-    for k in range(len(length)):
-        # Reach of each further link's centre of mass when the chain is stretched out from joint k.
-        reach = torch.stack([length[k:j].sum() + com[j] for j in range(k, len(length))])
-        load.append((mass[k:] * reach).sum() * body.gravity.norm())
-        turning.append((inertia[k:] + mass[k:] * reach**2).sum() * 25.0)
-    return torch.maximum(torch.stack(load), 0.2 * torch.stack(turning))

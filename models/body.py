@@ -6,7 +6,7 @@ and ends at its tip, where joint k+1 sits.
 
 Per link: `length` m, `mass` kg, `com` m from the joint along the link (default length/2), `inertia`
 kg·m² about the centre of mass (default mass·length²/12, a uniform rod). Per body: `gravity` m/s² and the
-first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py`.
+first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py`, `body_mjcf.py`, `body_urdf.py`.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models import body_toml
+from invdyn.models import body_mjcf, body_toml, body_urdf
 from invdyn.models.scalars import (
     QUANTITIES,
     BodyError,
@@ -262,9 +262,31 @@ class Body:
         return dataclasses.replace(self, links=tuple(links))
 
     @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a body file of any kind: MJCF (.xml, .mjcf), URDF (.urdf), else TOML. Raises as they do."""
+        readers = {".xml": cls.from_mjcf, ".mjcf": cls.from_mjcf, ".urdf": cls.from_urdf}
+        return readers.get(Path(path).suffix.lower(), cls.from_toml)(path)
+
+    @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        tables = {"name": Path(path).stem, **body_toml.read(path)}
+        return cls._from_tables({"name": Path(path).stem, **body_toml.read(path)}, path)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path) -> Self:
+        """Read a planar chain of hinges from MuJoCo's format (extra `robots`); see `body_mjcf`.
+
+        Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
+        """
+        return cls._from_tables(body_mjcf.read(path), path)
+
+    @classmethod
+    def from_urdf(cls, path: str | Path) -> Self:
+        """Read a planar chain of revolute joints from URDF (extra `robots`); warns and raises as `from_mjcf`."""
+        return cls._from_tables(body_urdf.read(path), path)
+
+    @classmethod
+    def _from_tables(cls, tables: dict, path: str | Path) -> Self:
         try:
             return cls(**tables | {"links": [Link(**link) for link in tables["links"]]})
         except BodyError as error:

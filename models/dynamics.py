@@ -69,10 +69,18 @@ class SymbolicDynamics(Dynamics):
         self._check(q=q)
         return _joint_torque(self._full_shape("gravity_load", p, phi=q))
 
-    def forward(self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters) -> Tensor:
-        """θ̈ = D⁻¹(τ − h − c), rad/s², (..., K)."""
+    def forward(
+        self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
+    ) -> Tensor:
+        """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K)."""
         self._check(q=q, qd=qd, tau=tau)
         M, load = self._system(q, qd, p)
+        if own_inertia is not None:  # ½ Σ I_k (φ̇_k − φ̇_{k−1})²
+            for k, own in enumerate(own_inertia.unbind(-1)):
+                M[k][k] = M[k][k] + own
+                if k:
+                    M[k - 1][k - 1] = M[k - 1][k - 1] + own
+                    M[k - 1][k] = M[k][k - 1] = M[k][k - 1] - own
         joint = tau.unbind(-1)
         force = [*(inner - outer for inner, outer in pairwise(joint)), joint[-1]]  # F = A⁻ᵀ τ
         phidd = _solve(M, [f - x for f, x in zip(force, load, strict=True)])

@@ -12,7 +12,9 @@ An observation row is the keypoints' coordinates, keypoint by keypoint, then the
 (O,) with O = 2 P + K_encoders. NaN is missing.
 """
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from pyro.distributions import Distribution, Normal, StudentT
 from scipy.stats import rankdata
 from torch import Tensor
 
+from invdyn.models.mixture import MistakenRows, Stray, Swap
 from invdyn.models.shapes import join
 
 FAMILIES = ("gaussian", "student_t")
@@ -58,6 +61,14 @@ class Emission:
         """O, the length of an observation row."""
         return 2 * len(self.tips) + self.num_encoders
 
+    def to(self, device: torch.device | str) -> "Emission":
+        """The same with all that a row needs on ``device``."""
+        if self.doubt is None:
+            return self
+        other = copy.copy(self)
+        other.doubt = self.doubt.to(device)
+        return other
+
     def defaults(self, keypoint_scale: float, angle_scale: float = 1e-3) -> dict[str, Tensor]:
         """Starting parameters: the noise sd of a keypoint (length unit) and of an encoder (rad)."""
         parameters: dict[str, Tensor] = {}
@@ -71,26 +82,60 @@ class Emission:
             parameters["emission.df"] = torch.full((1,), 4.0)
         return {name: value.double() for name, value in parameters.items()}
 
-    def distribution(self, tips: Tensor, q: Tensor, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
-        """Distribution of row ``t``: tips (..., K, 2) and angles q (..., K) → event shape (O,)."""
+    def distribution(
+        self,
+        tips: Tensor,
+        q: Tensor,
+        t: int | Tensor,
+        parameters: Mapping[str, Tensor],
+        noise: Callable[[Tensor], Tensor] | None = None,
+        mistakes: Sequence[Stray | Swap] = (),
+    ) -> Distribution:
+        """Distribution of row ``t``: tips (..., K, 2) and angles q (..., K) → event shape (O,).
+
+        ``noise`` maps the standard deviations of all tips' coordinates (..., K, 2), 1 where none is tracked, to others;
+        ``mistakes`` make the keypoints a mixture (:mod:`.mixture`), with tips for their numbers.
+
+        Raises ValueError for mistakes of Student-t noise, which has its own account of stray detections.
+        """
         mean, scale = [], []
         if self.tips:
-            mean.append(tips[..., self.tips, :].flatten(-2))
-            scale.append(self._keypoint_scale(t, parameters).repeat_interleave(2, -1))
+            # Entry by entry: a list of indices would be sent to the device in each row.
+            mean.append(torch.stack([tips[..., k, :] for k in self.tips], -2).flatten(-2))
+            sd = self._keypoint_scale(t, parameters).repeat_interleave(2, -1)
+            if noise is not None:
+                every = [sd.new_ones(*sd.shape[:-1], 2)] * tips.shape[-2]
+                for k, own in zip(self.tips, sd.unflatten(-1, (-1, 2)).unbind(-2), strict=True):
+                    every[k] = own
+                sd = noise(torch.stack(every, -2))
+                sd = torch.stack([sd[..., k, :] for k in self.tips], -2).flatten(-2)
+            scale.append(sd)
         if self.num_encoders:
             mean.append(q)
             scale.append(parameters["emission.angle_scale"])
         loc, scales = join(*mean), join(*scale)
+        if mistakes:
+            return self._mistaken(loc, scales, mistakes)
         if self.family == "student_t":
             return StudentT(parameters["emission.df"], loc, scales, validate_args=False).to_event(1)
         return Normal(loc, scales, validate_args=False).to_event(1)
+
+    def _mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap]) -> Distribution:
+        if self.family != "gaussian":
+            raise ValueError(f"expected gaussian noise under outliers and swaps, got {self.family!r}; drop one of them")
+        strays = [mistake for mistake in mistakes if isinstance(mistake, Stray)]
+        swaps = [
+            replace(mistake, one=self.tips.index(mistake.one), other=self.tips.index(mistake.other))
+            for mistake in mistakes
+            if isinstance(mistake, Swap)
+        ]
+        return MistakenRows(loc, scale, len(self.tips), strays, swaps)
 
     def _keypoint_scale(self, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         scale = parameters["emission.keypoint_scale"]
         if self.doubt is None:
             return scale
-        doubt = self.doubt[t].to(scale)
-        return scale * torch.exp(parameters["emission.confidence_slope"] * doubt)
+        return scale * torch.exp(parameters["emission.confidence_slope"] * self.doubt[t].to(scale))
 
 
 def _rank(confidence: np.ndarray) -> np.ndarray:

@@ -11,6 +11,8 @@ import torch
 from pyro.distributions import Distribution, Independent, MultivariateNormal
 from torch import Tensor
 
+from invdyn.models.mixture import MistakenRows
+
 
 def observe(name: str, emission: Distribution, observation: Tensor) -> None:
     """Condition on ``observation`` (O,) at the Pyro site ``name``; no site if all of it is missing."""
@@ -18,21 +20,27 @@ def observe(name: str, emission: Distribution, observation: Tensor) -> None:
     if bool(seen.all()):
         pyro.sample(name, emission, obs=observation)
     elif bool(seen.any()):
-        if isinstance(emission, Independent):
+        if isinstance(emission, MistakenRows):
+            pyro.sample(name, emission, obs=observation)  # which leaves out what is missing by itself
+        elif isinstance(emission, Independent):
             filled = _filled(emission, observation, seen)
             pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled)
         else:
             pyro.sample(name, _marginal(emission, seen), obs=observation[seen])
 
 
-def observed_log_prob(emission: Distribution, observation: Tensor) -> Tensor:
+def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor | None = None) -> Tensor:
     """Log p(y | x) over the entries that were seen; shape is the emission's batch shape.
 
     ``observation`` (..., O) broadcasts against the emission. A correlated emission takes one
-    row (O,), or rows (T, O) against a batch shape that ends in T.
+    row (O,), or rows (T, O) against a batch shape that ends in T. Whoever knows which entries were ``seen``, of the
+    observation's shape, says so: then an independent emission asks the device for nothing.
     """
-    seen = ~torch.isnan(observation)
-    if bool(seen.all()):
+    if seen is None:
+        seen = ~torch.isnan(observation)
+        if bool(seen.all()):
+            return emission.log_prob(observation)
+    if isinstance(emission, MistakenRows):
         return emission.log_prob(observation)
     if isinstance(emission, Independent):
         # The fill-in must be finite, or its gradient would be NaN even where masked.
@@ -70,13 +78,16 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
 
     Near the emission's mean h the log-density is −½|W (y − h)|² + c. For a Gaussian this is
     exact. For Student-t, W is that of iteratively reweighted least squares,
-    w = (ν + 1)/(ν + r²)/σ², which has the same value and gradient in h. Missing entries get
-    zero rows. Returns W as (..., O) for independent emissions, (..., O, O) otherwise, and
-    c with shape (...).
+    w = (ν + 1)/(ν + r²)/σ², which has the same value and gradient in h; so have the rows of a
+    mixture, with what :func:`explained` makes of y. Missing entries get zero rows. Returns W as
+    (..., O) for independent emissions and mixtures, (..., O, O) otherwise, and c with shape (...).
 
     Raises TypeError for other families.
     """
     seen = ~torch.isnan(observation)
+    if isinstance(emission, MistakenRows):
+        whitening, _, constant = emission.gaussian_rows(observation)
+        return whitening, constant
     if isinstance(emission, torch.distributions.MultivariateNormal):
         return _correlated_rows(emission, observation, seen)
     base = emission.base_dist if isinstance(emission, Independent) else emission
@@ -92,6 +103,14 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
     else:
         raise TypeError(f"expected a Normal, StudentT or MultivariateNormal emission, got {emission}")
     return whitening, constant.sum(-1)
+
+
+def explained(emission: Distribution, observation: Tensor) -> Tensor:
+    """The rows (..., O) that :func:`gaussian_rows` compares with the emission's mean: those observed, but for swaps.
+
+    A detection that another keypoint explains better stands, in that share, where it belongs.
+    """
+    return emission.gaussian_rows(observation)[1] if isinstance(emission, MistakenRows) else observation
 
 
 def _correlated_rows(emission, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:

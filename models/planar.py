@@ -43,8 +43,10 @@ class Dynamics(ABC):
         """c(θ) = ∂V/∂θ, N·m, (..., K)."""
 
     @abstractmethod
-    def forward(self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters) -> Tensor:
-        """θ̈ = D⁻¹(τ − h − c), rad/s², (..., K)."""
+    def forward(
+        self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
+    ) -> Tensor:
+        """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K); I_own (..., K) kg·m², of geared rotors, or None."""
 
     @abstractmethod
     def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: BodyParameters) -> Tensor:

@@ -82,13 +82,19 @@ class RecursiveDynamics(Dynamics):
         rows = range(self.num_joints)
         return torch.stack([torch.stack([D[i, j] for j in rows], -1) for i in rows], -2)
 
-    def forward(self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters) -> Tensor:
-        """θ̈ = D⁻¹(τ − h − c), rad/s², (..., K), by articulated bodies.
+    def forward(
+        self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
+    ) -> Tensor:
+        """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K), by articulated bodies; with I_own by solving for D.
 
         The chain from a joint outwards answers that joint's acceleration a with the force B a + e. A link
         that carries such a chain at its end turns with J α = T − u·a, with J, u and T as below, and hands on
         a B and e of its own. No moment is handed on but τ: the joints are free to turn.
         """
+        if own_inertia is not None:
+            # Rotors break the recursion's "no moment but τ is handed on".
+            D = self.inertia_matrix(q, p) + torch.diag_embed(own_inertia)
+            return torch.linalg.solve(D, tau - self.inverse(q, qd, torch.zeros_like(q), p))
         p, (q, qd, tau) = self._batch(p, q=q, qd=qd, tau=tau)
         links, omegas, taus = _links(q, p), _absolute(qd), tau.unbind(-1)
         unit = torch.eye(2, dtype=q.dtype, device=q.device).reshape(2, 2, *[1] * (q.ndim - 1))

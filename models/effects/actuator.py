@@ -1,0 +1,40 @@
+"""What motors make of a command, at one joint or at all of them alike."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from invdyn.models.body import Body
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.scale import Scale
+
+
+class Actuator(Effect):
+    """Base of the effects on a command: ``ActuatorGain("elbow")``, or ``ActuatorGain()`` for all joints alike."""
+
+    needs_command = True
+
+    def __init__(self, *joint: str):
+        super().__init__(*(joint or ("all",)))
+        self.where = joint
+
+    @classmethod
+    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+        """Every joint, and all of them together where there are several."""
+        each = [cls(joint) for joint in body.joint_names]
+        return [cls(), *each] if len(each) > 1 else each
+
+    def of(self, values: list[float]) -> float:
+        """What of each joint's ``values`` goes for this actuator: its own, or the joints' mean."""
+        return values[self.place[0]] if self.place else sum(values) / len(values)
+
+    def at_joints(self, value: Tensor, joints: int) -> Tensor:
+        """A value (..., 1) at this actuator's joints and 0 at the others, (..., K)."""
+        mine = torch.zeros(joints).index_fill(0, torch.tensor(self.place or range(joints)), 1.0)
+        return value * mine.to(value)
+
+    def delay_scale(self, scale: Scale) -> float:
+        """A long delay for an arm of this speed, s."""
+        return 0.2 / self.of(scale.speed)

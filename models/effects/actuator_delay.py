@@ -1,0 +1,24 @@
+"""Motors that act late: u(t − T)."""
+
+from pyro.distributions import HalfNormal
+
+from invdyn.models.effects.actuator import Actuator
+from invdyn.models.effects.base import Parameter, Values, quantiles
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.scale import Scale
+
+
+class ActuatorDelay(Actuator):
+    """A dead time T between a command and its torque; before the first row's command it was what it is there.
+
+    With all joints alike, cannot be told from a late camera without a common clock.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Dead time T, s."""
+        prior = HalfNormal(self.delay_scale(scale))
+        return (Parameter("delay", "s", prior, 0.0, quantiles(prior, 6)),)
+
+    def command(self, p: Values, command: Command) -> Command:
+        """u(t − T)."""
+        return command.delayed(self.at_joints(p["delay"], command.mean.shape[-1]))

@@ -1,0 +1,25 @@
+"""Motors that give more or less than they are told: (1 + ε) u."""
+
+from pyro.distributions import Normal
+
+from invdyn.models.effects.actuator import Actuator
+from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.scale import Scale
+
+
+class ActuatorGain(Actuator):
+    """Torque (1 + ε) u, of a wrong torque constant or gear ratio.
+
+    For all joints it cannot be told from a common factor of all masses, unless there is a known weight or a passive
+    recording. As ``gear`` in MuJoCo.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Excess ε, a pure number."""
+        return (Parameter("gain", "1", Normal(0.0, 0.2)),)
+
+    def command(self, p: Values, command: Command) -> Command:
+        """(1 + ε) u."""
+        factor = 1 + self.at_joints(p["gain"], command.mean.shape[-1])
+        return command.changed(lambda torque: factor * torque)

@@ -1,0 +1,24 @@
+"""Motors that follow their command slowly: T u̇_f + u_f = u."""
+
+from pyro.distributions import HalfNormal
+
+from invdyn.models.effects.actuator import Actuator
+from invdyn.models.effects.base import Parameter, Values, quantiles
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.scale import Scale
+
+
+class ActuatorLag(Actuator):
+    """A first-order lag between a command and its torque.
+
+    Told apart from a delay above the angular frequency 1/T. ``dyntype="filter"`` in MuJoCo.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Time constant T, s."""
+        prior = HalfNormal(self.delay_scale(scale))
+        return (Parameter("time_constant", "s", prior, 0.0, quantiles(prior, 6)),)
+
+    def command(self, p: Values, command: Command) -> Command:
+        """The lagging torque, at rest with the first command."""
+        return command.lagged(self.at_joints(p["time_constant"], command.mean.shape[-1]))

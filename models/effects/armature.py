@@ -1,0 +1,24 @@
+"""The inertia of a geared motor's rotor, felt at its joint: I_a θ̈."""
+
+import torch
+from pyro.distributions import HalfNormal
+from torch import Tensor
+from torch.nn.functional import one_hot
+
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+
+
+class Armature(Effect):
+    """Inertia on the diagonal of the mass matrix, which weighs nothing.
+
+    Told apart from a payload by statics, from stiffness by the frequency. As ``armature`` in MuJoCo.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Inertia I_a as seen behind the gear, kg·m²."""
+        return (Parameter("inertia", "kg·m²", HalfNormal(0.4 * scale.inertia[self.place[0]])),)
+
+    def inertia(self, p: Values, joints: int) -> Tensor:
+        """I_a at the joint."""
+        return p["inertia"] * one_hot(torch.tensor(self.place[0]), joints).to(p["inertia"])

@@ -1,0 +1,139 @@
+"""Play between a motor and its joint: a gap ψ that is free within ±width/2.
+
+The motor turns a rotor of half the link's own inertia about its centre of mass, taken from the link, so that without
+play nothing is changed; ψ is how far the link is ahead of it. Time-stepping after Moreau: each short sub-step is either
+
+    held     at an end of the gap, with the stop pushing: the rigid arm, ψ at rest
+    free     the motor drives the rotor alone; a gap that the sub-step would leave ends at its stop, in a plastic
+             impact: with M the mass matrix, Δrates = −M⁻¹ e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ)
+
+which keeps momentum and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
+"""
+
+import torch
+from pyro.distributions import HalfNormal
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.effects.base import Parameter, Values, quantiles
+from invdyn.models.effects.hidden import HiddenHinge, Net, split_link, substeps_for
+from invdyn.models.effects.scale import Scale
+from invdyn.models.integrators import rk4
+from invdyn.models.shapes import join
+
+ROTOR_SHARE = 0.5
+SHORTEST = 40.0
+"""Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
+
+
+class Backlash(HiddenHinge):
+    """Play of a gear at a joint, ``width`` from stop to stop.
+
+    Told apart from Coulomb friction by slow reversals of the load.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Width, rad."""
+        prior = HalfNormal(0.02)
+        return (Parameter("width", "rad", prior, 0.0, quantiles(prior, 5)),)
+
+    def hidden_scale(self, scale: Scale) -> tuple[float, float]:
+        """Anywhere in a typical gap, slowly."""
+        return 0.01, 0.05 * scale.speed[self.place[0]]
+
+    def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """A rotor without length and mass before the link."""
+        j = self.place[0]
+        length, mass, com, inertia = (value[..., j : j + 1] for value in body[:4])
+        rotor = torch.where(inertia > 0, ROTOR_SHARE * inertia, 0.01 * mass * com**2)
+        none = torch.zeros_like(length)
+        return body._replace(
+            length=split_link(body.length, j, none, length),
+            mass=split_link(body.mass, j, none, mass),
+            com=split_link(body.com, j, none, com),
+            inertia=split_link(body.inertia, j, rotor, inertia - rotor),
+        )
+
+    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+        """The joint's angle is the rotor's and the gap's together."""
+        j = self.place[0]
+        return join(q[..., :j], q[..., j : j + 1] - hinge, hinge, q[..., j + 1 :])
+
+    def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
+        """The inverse of :meth:`spread`."""
+        j = self.place[0]
+        rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
+        return torch.cat([angles[..., :j], rotor + hinge, angles[..., j + 2 :]], -1), hinge
+
+    def _on_rotor(self, values: Tensor | None) -> Tensor | None:
+        """Torques or inertias (..., K) of the joints, with none on the gap."""
+        if values is None:
+            return None
+        j = self.place[0]
+        return torch.cat([values[..., : j + 1], torch.zeros_like(values[..., :1]), values[..., j + 1 :]], -1)
+
+    def step(
+        self,
+        p: Values,
+        body: BodyParameters,
+        net: Net,
+        rigid: Dynamics,
+        hidden: Tensor,
+        q: Tensor,
+        qd: Tensor,
+        dt,
+        n: int,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """One row; see :meth:`HiddenHinge.step`."""
+        j, links, whole = self.place[0], self.chain(p, body), dynamics_for(q.shape[-1] + 1)
+        half = p["width"] / 2
+        parts = substeps_for(dt, SHORTEST, n)
+        none = half <= 0
+        psi, rate, tight = hidden[..., :1], hidden[..., 1:], None
+
+        def held(q, qd, s):
+            torque, own = net(q, qd, s)
+            return rigid.forward(q, qd, torque, body, own)
+
+        def free(angles, rates, s):
+            torque, own = net(self.gathered(angles)[0], self.gathered(rates)[0], s)
+            return whole.forward(angles, rates, self._on_rotor(torque), links, self._on_rotor(own))
+
+        if bool(none.any()):
+            tight = (torch.zeros_like(hidden), *rk4(held, q, qd, dt, n))
+            if bool(none.all()):
+                return tight
+        for i in range(parts):
+
+            def within(acceleration, i=i):
+                return lambda x, v, s: acceleration(x, v, (i + s) / parts)
+
+            psi = torch.maximum(torch.minimum(psi, half), -half)
+            # what the stop would have to give for the gap to stay as it is
+            qdd = held(q, qd, i / parts)
+            still = torch.zeros_like(qdd[..., :1])
+            rigid_motion = [self.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
+            push = whole.inverse(*rigid_motion, links)[..., j + 1, None]
+            pushes = ((psi <= -half) & (rate <= 0) & (push > 0)) | ((psi >= half) & (rate >= 0) & (push < 0))
+            q_held, qd_held = rk4(within(held), q, qd, dt / parts)
+
+            angles, rates = rk4(within(free), self.spread(q, psi), self.spread(qd, rate), dt / parts)
+            q_free, gap = self.gathered(angles)
+            speed = rates[..., j + 1, None]
+            struck = ((gap > half) & (speed > 0)) | ((gap < -half) & (speed < 0))
+            unit = torch.zeros_like(rates)
+            unit[..., j + 1] = 1.0
+            own = self._on_rotor(net(q_free, qd, (i + 1) / parts)[1])
+            rest = whole.forward(angles, torch.zeros_like(rates), torch.zeros_like(rates), links, own)
+            answer = whole.forward(angles, torch.zeros_like(rates), unit, links, own) - rest
+            rates = torch.where(struck, rates - answer * speed / answer[..., j + 1, None], rates)
+            qd_free, rate_free = self.gathered(rates)
+
+            q, qd = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
+            psi, rate = torch.where(pushes, psi, gap), torch.where(pushes, torch.zeros_like(rate), rate_free)
+        psi = torch.maximum(torch.minimum(psi, half), -half)
+        loose = (join(psi, rate), q, qd)
+        if tight is None:
+            return loose
+        return tuple(torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))

@@ -1,0 +1,209 @@
+"""What an effect is: something that an ideal rigid body lacks, as Pyro parameters and the hooks that it changes.
+
+An effect is one file and one class, named as in the catalogue (:mod:`.catalogue`). It says where it acts (a joint, a
+link, a keypoint, a pair of joints or the whole arm), which parameters it has, with prior, unit and the value at which
+it is absent, and overrides those hooks that it changes; the others pass on what they are given.
+
+    body       the links' numbers                                   BodyParameters → BodyParameters
+    command    what the motors make of the command                  Command → Command
+    force      a generalised force on the joints, N·m               Situation → (..., K)
+    friction   how large dry friction at its joint can get, N·m     Situation → (..., 1)
+    inertia    a joint's own inertia, on the diagonal, kg·m²        → (..., K)
+    interval   the time that a step really takes, s                 (...) → (...)
+    points     where the camera sees the links' tips, m             View → (..., K, 2)
+    noise      the keypoints' standard deviations, m                View, (..., K, 2) → (..., K, 2)
+    mistake    what the tracker gets wrong now and then             → Stray, Swap or None
+
+An effect with a coordinate of its own that nobody sees is a :class:`.hidden.HiddenHinge`.
+
+Parameters reach the hooks as tensors (..., 1) by their own names. Leading dimensions are many parameter sets, as
+everywhere in this room, so that joint quantities (..., K) broadcast.
+"""
+
+import copy
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+from torch.nn.functional import one_hot
+
+from invdyn.models.body import Body, BodyParameters
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation, View
+from invdyn.models.mixture import Stray, Swap
+
+Values = Mapping[str, Tensor]
+"""An effect's own parameters by their own names, (..., 1) each."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of an effect.
+
+    Attributes:
+        name: a plain word.
+        unit: such as "N·m·s/rad"; "1" for a pure number.
+        prior: scalar Pyro distribution; its spread follows from the body's scales.
+        absent: value at which the effect vanishes, whatever the others are; None for a parameter that has none, such
+            as a frequency.
+        grid: values at which a screen evaluates a parameter that the effect does not follow in a straight line from
+            ``absent`` on, spread as the prior is.
+
+    A parameter without ``absent`` and ``grid`` is one of the effect's :attr:`Effect.located`.
+    """
+
+    name: str
+    unit: str
+    prior: Distribution
+    absent: float | None = 0.0
+    grid: tuple[float, ...] = ()
+
+
+class Effect(ABC):
+    """Base of every effect; see the top of the file.
+
+    Args:
+        where: names of the joints, link or keypoint at which it acts; none for the whole arm.
+
+    Raises ValueError for another number of places than the effect has.
+    """
+
+    side: ClassVar[str] = "dynamics"
+    """"dynamics" for what moves the arm, "observation" for what only the camera sees."""
+    site: ClassVar[str] = "joint"
+    """"joint", "link", "keypoint", "pair" (of joints), "keypoints" (a pair) or "arm"."""
+    needs_command: ClassVar[bool] = False
+    """Whether it changes a commanded torque, and nothing without one."""
+    order: ClassVar[int] = 0
+    """Hooks are called in this order: markers 0, timing 1, geometry of the camera 2."""
+
+    located: ClassVar[tuple[str, ...]] = ()
+    """Parameters that a recording itself suggests values of, such as when a push began; any grid is a makeshift."""
+
+    place: tuple[int, ...] = ()
+    """Indices of ``where``, once bound to a body."""
+
+    def __init__(self, *where: str):
+        expected = {"arm": 0, "pair": 2, "keypoints": 2}.get(self.site, 1)
+        if len(where) != expected:
+            raise ValueError(f"{self.name}: expected {expected} name(s) of where it acts ({self.site}), got {where!r}")
+        self.where = where
+
+    @property
+    def name(self) -> str:
+        """The canonical name, the class's in snake case."""
+        return effect_name(type(self))
+
+    @property
+    def key(self) -> str:
+        """Name and place, "viscous_friction.elbow": its parameters' names begin with "effect." and this."""
+        return ".".join([self.name, *self.where])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map(repr, self.where))})"
+
+    def bound(self, body: Body) -> Self:
+        """Return the effect with its places looked up in ``body``; raises ValueError for names that it lacks."""
+        return self._bound(body, self.where)
+
+    def _bound(self, body: Body, where: Sequence[str]) -> Self:
+        names = {
+            "joint": body.joint_names,
+            "pair": body.joint_names,
+            "link": [link.name for link in body.links],
+            "keypoint": body.keypoint_names,
+            "keypoints": body.keypoint_names,
+            "arm": (),
+        }[self.site]
+        if len(set(where)) < len(where):
+            raise ValueError(f"{self.name}: expected two different {self.site}, got {', '.join(where)}")
+        for name in where:
+            if name not in names:
+                raise ValueError(f"{self.name}: expected a {self.site} among {', '.join(names)}, got {name!r}")
+        other = copy.copy(self)
+        other.place = tuple(list(names).index(name) for name in where)
+        return other
+
+    @classmethod
+    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+        """One instance for every place of ``body`` at which the effect can act; ``keypoints`` are those tracked."""
+        if cls.site == "arm":
+            return [cls()]
+        if cls.site == "pair":
+            return [cls(a, b) for a, b in zip(body.joint_names[:-1], body.joint_names[1:], strict=True)]
+        if cls.site == "keypoint":
+            return [cls(name) for name in keypoints]
+        return [cls(link.joint if cls.site == "joint" else link.name) for link in body.links]
+
+    @abstractmethod
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Priors and units, for a body of this scale; the effect is bound."""
+
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """What to report of parameter values, name → (value, unit), where it is not the parameters themselves."""
+        return {}
+
+    # -- hooks ---------------------------------------------------------------------------------
+    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """The links' numbers, (..., K)."""
+        return body
+
+    def command(self, p: Values, command: Command) -> Command:
+        """What the motors make of the command."""
+        return command
+
+    def force(self, p: Values, now: Situation) -> Tensor | None:
+        """Generalised force on the joints, (..., K) N·m, or None."""
+        return None
+
+    def friction(self, p: Values, now: Situation) -> Tensor | None:
+        """Largest dry friction at the effect's joint, (..., 1) N·m, or None; see :mod:`.dry_friction`."""
+        return None
+
+    def inertia(self, p: Values, joints: int) -> Tensor | None:
+        """Inertia of the joints' own, (..., K) kg·m², or None."""
+        return None
+
+    def interval(self, p: Values, dt: Tensor) -> Tensor:
+        """The time that a step really takes, s, (..., 1)."""
+        return dt
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """Where the camera sees the tips, (..., K, 2) m; ``view.points`` is what earlier effects made of them."""
+        return view.points
+
+    def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
+        """Standard deviation of each tip's coordinates, (..., K, 2) m."""
+        return sd
+
+    def mistake(self, p: Values) -> Stray | Swap | None:
+        """What the tracker gets wrong now and then; see :mod:`invdyn.models.mixture`."""
+        return None
+
+
+def effect_name(kind: type) -> str:
+    """Canonical name of an effect's class: its name in snake case."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+
+
+def quantiles(prior: Distribution, count: int) -> tuple[float, ...]:
+    """Values as a prior spreads them: the middles of ``count`` parts of equal probability."""
+    return tuple(prior.icdf((torch.arange(count) + 0.5) / count).tolist())
+
+
+def with_entry(vector: Tensor, place: int, value: Tensor) -> Tensor:
+    """A vector (..., K) with another value (..., 1) at a place."""
+    here = one_hot(torch.tensor(place % vector.shape[-1]), vector.shape[-1]).bool()
+    return torch.where(here, value, vector)
+
+
+def turned(vector: Tensor, angle: Tensor) -> Tensor:
+    """Vectors (..., 2) turned counter-clockwise by an angle (..., 1), rad."""
+    (x, y), (cos, sin) = vector.unbind(-1), (angle.cos()[..., 0], angle.sin()[..., 0])
+    return torch.stack(torch.broadcast_tensors(cos * x - sin * y, sin * x + cos * y), -1)

@@ -1,0 +1,71 @@
+"""A base that shakes: b(t) = a sin 2πft + c cos 2πft under the first joint."""
+
+import math
+
+import torch
+from pyro.distributions import LogNormal, Normal
+from torch import Tensor
+
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation, View
+
+LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at most
+
+
+class BaseMotion(Effect):
+    """The base moves to and fro in the plane, t from the first row: every keypoint by b(t), and gravity by −b̈.
+
+    Told apart from a shaking camera by tracking the base and the background.
+    """
+
+    site = "arm"
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Amplitudes, m, of sine and cosine along x and y, and frequency f, Hz.
+
+        A recording of length T resolves frequencies to 1/T; the grid's step is half of it, unless that gives too many.
+        """
+        amplitude = Normal(0.0, 0.02 * scale.reach)
+        count = min(FINEST, max(5, math.ceil(2 * (HIGHEST - LOWEST) * scale.duration)))
+        grid = torch.linspace(LOWEST, HIGHEST, count)
+        names = ("sine_x", "cosine_x", "sine_y", "cosine_y")
+        frequency = Parameter("frequency", "Hz", LogNormal(math.log(2.5), 0.8), None, tuple(grid.tolist()))
+        return (*(Parameter(name, "m", amplitude) for name in names), frequency)
+
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """(A_x, A_y) sin(2πft + φ), the one that is closest; the larger of A_x and A_y is positive."""
+        sine, cosine = _parts(values)
+        phase = torch.atan2(2 * (sine * cosine).sum(-1), (sine**2 - cosine**2).sum(-1)) / 2
+        amplitude = sine * phase.cos().unsqueeze(-1) + cosine * phase.sin().unsqueeze(-1)
+        larger = amplitude.gather(-1, amplitude.abs().argmax(-1, keepdim=True))
+        negative = larger.squeeze(-1) < 0
+        amplitude = torch.where(negative.unsqueeze(-1), -amplitude, amplitude)
+        phase = torch.where(negative, phase - math.pi * torch.sign(phase), phase)
+        return {
+            "amplitude_x": (amplitude[..., :1], "m"),
+            "amplitude_y": (amplitude[..., 1:], "m"),
+            "frequency": (values["frequency"], "Hz"),
+            "phase": (phase.unsqueeze(-1), "rad"),
+        }
+
+    def force(self, p: Values, now: Situation) -> Tensor:
+        """The load of the gravity −b̈ = (2πf)² b that the base's frame has in addition."""
+        extra = (2 * math.pi * p["frequency"]) ** 2 * _shift(p, now.elapsed)
+        return -now.dynamics.gravity_load(now.q, now.body._replace(gravity=extra))
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """All points moved by b(t)."""
+        return view.points + _shift(p, view.elapsed).unsqueeze(-2)
+
+
+def _parts(p: Values) -> tuple[Tensor, Tensor]:
+    sine = torch.cat(torch.broadcast_tensors(p["sine_x"], p["sine_y"]), -1)
+    return sine, torch.cat(torch.broadcast_tensors(p["cosine_x"], p["cosine_y"]), -1)
+
+
+def _shift(p: Values, elapsed: Tensor) -> Tensor:
+    """b(t), (..., 2) m."""
+    sine, cosine = _parts(p)
+    angle = 2 * math.pi * p["frequency"] * elapsed
+    return sine * angle.sin() + cosine * angle.cos()

@@ -1,0 +1,26 @@
+"""A camera that is not level: the picture turned about the frame's origin."""
+
+from pyro.distributions import Normal
+from torch import Tensor
+
+from invdyn.models.effects.base import Effect, Parameter, Values, turned
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import View
+
+
+class CameraRoll(Effect):
+    """All points turned counter-clockwise by an angle about the origin.
+
+    With the base at the origin it cannot be told from tilted gravity, unless a plumb line or the base's own orientation
+    is seen.
+    """
+
+    side, site, order = "observation", "arm", 2
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Angle, rad."""
+        return (Parameter("angle", "rad", Normal(0.0, 0.06)),)
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """R(angle) p."""
+        return turned(view.points, p["angle"].unsqueeze(-1))

@@ -1,0 +1,114 @@
+"""A commanded torque as the motors make it: within each row a straight line.
+
+A command is held from its row to the next. What a delay or a lag makes of it is no longer constant within a row; a
+straight line with the same impulse ∫u dt and first moment ∫u t dt stands for it, whose effect on the arm differs
+only in the third order of the row's length.
+
+    u(t_r + s δ_r) = mean_r + slope_r (s − ½),   0 ≤ s < 1
+
+Shapes: times (T,), mean and slope (..., T, K); row r leads from time r to the next, the last one goes on as long as
+the one before it. Before the first row the command was what it is there.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Command:
+    """See the top of the file; torques in N·m, times in s."""
+
+    time: Tensor
+    mean: Tensor
+    slope: Tensor
+
+    @classmethod
+    def held(cls, time: Tensor, torque: Tensor) -> "Command":
+        """A command (T, K) that is held within each row."""
+        return cls(time, torque, torch.zeros_like(torque))
+
+    @property
+    def length(self) -> Tensor:
+        """Length of each row, (T, 1) s."""
+        step = self.time.diff()
+        return torch.cat([step, step[-1:]]).unsqueeze(-1)
+
+    def to(self, device: torch.device | str) -> "Command":
+        """The same on ``device``."""
+        return Command(self.time.to(device), self.mean.to(device), self.slope.to(device))
+
+    def row(self, t: int | Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and slope of the row that leads into row ``t``, (..., K), beside states (..., K)."""
+        rows = [value[..., t - 1, :] for value in (self.mean, self.slope)]
+        single = isinstance(t, int) or t.ndim == 0
+        return tuple(row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
+
+    def changed(self, function) -> "Command":
+        """``function(torque)`` of each row's mean; for what acts at once, such as a gain.
+
+        The slope goes along by the difference between the row's ends.
+        """
+        ends = function(self.mean + self.slope / 2) - function(self.mean - self.slope / 2)
+        return replace(self, mean=function(self.mean), slope=ends)
+
+    def delayed(self, delay: Tensor) -> "Command":
+        """The command ``delay`` seconds later, (K,) or (..., 1, K)."""
+        edges = self._edges
+        return self._over(self.time, edges[:-1, None] - delay, edges[1:, None] - delay)
+
+    def onto(self, time: Tensor) -> "Command":
+        """The command on other rows (R,), whose lines have the impulse and first moment that it has over each."""
+        step = time.diff()
+        edges = torch.cat([time, time[-1:] + step[-1:]])
+        return self._over(time, edges[:-1, None], edges[1:, None])
+
+    @property
+    def _edges(self) -> Tensor:
+        return torch.cat([self.time, self.time[-1:] + self.length[-1]])
+
+    def _over(self, time: Tensor, start: Tensor, stop: Tensor) -> "Command":
+        """Rows at ``time`` with the command between ``start`` and ``stop`` (..., R, 1 or K)."""
+        length = self.length
+        impulse = torch.cat([torch.zeros_like(self.mean[..., :1, :]), (self.mean * length).cumsum(-2)], -2)
+        moment = impulse[..., :-1, :] * length + length**2 * (self.mean / 2 - self.slope / 12)
+        moment = torch.cat([torch.zeros_like(moment[..., :1, :]), moment.cumsum(-2)], -2)
+        first, first_moment = self._integrals(impulse, moment, start)
+        last, last_moment = self._integrals(impulse, moment, stop)
+        width = stop - start
+        mean = (last - first) / width
+        # ∫ (t − a) u dt by parts; the line of slope m about the middle has the moment m δ²/12 there.
+        first_order = width * last - (last_moment - first_moment)
+        return Command(time, mean, 12 * (first_order / width**2 - mean / 2))
+
+    def _integrals(self, impulse: Tensor, moment: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
+        """∫u and ∫∫u from the first row to the times ``at`` (..., R, 1 or K)."""
+        edges, length = self._edges, self.length
+        shape = (*torch.broadcast_shapes(at.shape[:-2], self.mean.shape[:-2]), at.shape[-2], self.mean.shape[-1])
+        at = at.expand(shape)
+        row = (torch.searchsorted(edges, at.detach().contiguous(), right=True) - 1).clamp(0, len(self.time) - 1)
+
+        def pick(values: Tensor) -> Tensor:
+            return values.expand(*shape[:-2], *values.shape[-2:]).gather(-2, row)
+
+        since = at - edges[row]  # negative before the first row, whose command held then too
+        u, m, P, W = pick(self.mean), pick(self.slope), pick(impulse[..., :-1, :]), pick(moment[..., :-1, :])
+        long = length[:, 0][row]
+        s = (since / long).clamp(0, 1)
+        bent, twice_bent = m * long * (s**2 - s) / 2, m * long**2 * (s**3 / 6 - s**2 / 4)
+        return P + u * since + bent, W + P * since + u * since**2 / 2 + twice_bent
+
+    def lagged(self, time_constant: Tensor) -> "Command":
+        """First-order lag T u̇_f + u_f = u, T seconds, (K,) or (..., 1, K); it takes the rows' means for held."""
+        ratio = time_constant / self.length  # (..., T, K); a floor only where it is divided by, for a slope at no lag
+        shape = torch.broadcast_shapes(self.mean.shape, ratio.shape)
+        u, left = self.mean.expand(shape), torch.exp(-1 / ratio.clamp_min(1e-6)).expand(shape)
+        filtered, now = [], u[..., 0, :]
+        for r in range(shape[-2]):
+            filtered.append(now)
+            now = u[..., r, :] + (now - u[..., r, :]) * left[..., r, :]
+        gap = torch.stack(filtered, -2) - u  # decays as e^{−s δ/T} within the row
+        mean_gap = ratio * (1 - left)  # ∫ e^{−s δ/T} ds over the row
+        moment = ratio * (mean_gap - left)  # ∫ s e^{−s δ/T} ds
+        return replace(self, mean=u + gap * mean_gap, slope=12 * gap * (moment - mean_gap / 2))

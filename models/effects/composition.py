@@ -1,0 +1,114 @@
+"""Several effects on one arm: their hooks, one after the other."""
+
+from collections.abc import Iterator, Mapping
+
+import torch
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.effects.base import Effect, Values
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.dry_friction import dry_friction
+from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.models.effects.situation import Situation, View
+from invdyn.models.mixture import Stray, Swap
+
+PREFIX = "effect."
+
+
+class Composition:
+    """Bound effects and the parameters that a model has for them.
+
+    Args:
+        effects: in any order; hooks run by :attr:`Effect.order`.
+    """
+
+    def __init__(self, effects: tuple[Effect, ...] = ()):
+        keys = [effect.key for effect in effects]
+        if twice := {key for key in keys if keys.count(key) > 1}:
+            raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
+        self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
+        self.has_force = any(type(effect).force is not Effect.force for effect in effects)
+        self.has_friction = any(type(effect).friction is not Effect.friction for effect in effects)
+        self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
+        self.has_command = any(type(effect).command is not Effect.command for effect in effects)
+        self.has_points = any(type(effect).points is not Effect.points for effect in effects)
+        self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
+        self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
+        hinges = [effect for effect in effects if isinstance(effect, HiddenHinge)]
+        if len(hinges) > 1:
+            keys = " and ".join(effect.key for effect in hinges)
+            raise ValueError(f"expected at most one effect with a hidden coordinate, got {keys}")
+        self.hinge = hinges[0] if hinges else None
+
+    def __iter__(self) -> Iterator[Effect]:
+        return iter(self.effects)
+
+    def __bool__(self) -> bool:
+        return bool(self.effects)
+
+    def _each(self, parameters: Mapping[str, Tensor]) -> Iterator[tuple[Effect, Values]]:
+        for effect in self.effects:
+            yield effect, own_values(effect, parameters)
+
+    def body(self, parameters: Mapping[str, Tensor], body: BodyParameters) -> BodyParameters:
+        """The links as all effects leave them."""
+        for effect, p in self._each(parameters):
+            body = effect.body(p, body)
+        return body
+
+    def command(self, parameters: Mapping[str, Tensor], command: Command) -> Command:
+        """The command as all actuators make it."""
+        for effect, p in self._each(parameters):
+            command = effect.command(p, command)
+        return command
+
+    def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
+        """Sum of the generalised forces, (..., K) N·m."""
+        forces = [effect.force(p, now) for effect, p in self._each(parameters)]
+        return sum((force for force in forces if force is not None), start=torch.zeros_like(now.q))
+
+    def friction(self, parameters: Mapping[str, Tensor], now: Situation, torque: Tensor, own: Tensor | None) -> Tensor:
+        """Dry friction on all joints under the other torques (..., K) N·m; several effects at a joint add up."""
+        levels: dict[int, Tensor] = {}
+        for effect, p in self._each(parameters):
+            level = effect.friction(p, now)
+            if level is not None:
+                joint = effect.place[0]
+                levels[joint] = levels[joint] + level if joint in levels else level
+        return dry_friction(levels, now, torque, own)
+
+    def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
+        """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""
+        own = [effect.inertia(p, joints) for effect, p in self._each(parameters)]
+        own = [inertia for inertia in own if inertia is not None]
+        return sum(own[1:], start=own[0]) if own else None
+
+    def interval(self, parameters: Mapping[str, Tensor], dt: Tensor) -> Tensor:
+        """The time that a step really takes, s."""
+        for effect, p in self._each(parameters):
+            dt = effect.interval(p, dt)
+        return dt
+
+    def points(self, parameters: Mapping[str, Tensor], view: View) -> View:
+        """The view with the points where the camera sees them."""
+        for effect, p in self._each(parameters):
+            view = view.seen_at(effect.points(p, view))
+        return view
+
+    def noise(self, parameters: Mapping[str, Tensor], view: View, sd: Tensor) -> Tensor:
+        """Standard deviations of the tips' coordinates, (..., K, 2) m."""
+        for effect, p in self._each(parameters):
+            sd = effect.noise(p, view, sd)
+        return sd
+
+    def mistakes(self, parameters: Mapping[str, Tensor]) -> list[Stray | Swap]:
+        """What the tracker gets wrong now and then."""
+        found = [effect.mistake(p) for effect, p in self._each(parameters)]
+        return [mistake for mistake in found if mistake is not None]
+
+
+def own_values(effect: Effect, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """An effect's own parameters by their own names."""
+    start = f"{PREFIX}{effect.key}."
+    return {name.removeprefix(start): value for name, value in parameters.items() if name.startswith(start)}

@@ -1,0 +1,23 @@
+"""Dry friction of a joint: −τ_c sgn θ̇."""
+
+from pyro.distributions import HalfNormal
+from torch import Tensor
+
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation
+
+
+class CoulombFriction(Effect):
+    """Torque −τ_c sgn θ̇ at a joint, whatever its speed; a joint at rest sticks.
+
+    Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Friction torque τ_c, N·m."""
+        return (Parameter("torque", "N·m", HalfNormal(0.2 * scale.torque[self.place[0]])),)
+
+    def friction(self, p: Values, now: Situation) -> Tensor:
+        """τ_c."""
+        return p["torque"]

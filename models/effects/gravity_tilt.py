@@ -1,0 +1,32 @@
+"""Gravity from another direction: the frame is not level."""
+
+from collections.abc import Sequence
+from typing import Self
+
+from pyro.distributions import Normal
+
+from invdyn.models.body import Body, BodyParameters
+from invdyn.models.effects.base import Effect, Parameter, Values, turned
+from invdyn.models.effects.scale import Scale
+
+
+class GravityTilt(Effect):
+    """Gravity turned counter-clockwise by an angle, in the frame of the body and of the camera.
+
+    Cannot be told from a rolled camera unless the picture shows a plumb line or the base's orientation.
+    """
+
+    site = "arm"
+
+    @classmethod
+    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+        """One, where there is gravity."""
+        return [cls()] if any(body.gravity) else []
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Angle, rad."""
+        return (Parameter("angle", "rad", Normal(0.0, 0.15)),)
+
+    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """R(angle) g."""
+        return body._replace(gravity=turned(body.gravity, p["angle"]))

@@ -1,0 +1,82 @@
+"""A hinge that nobody sees: one coordinate ψ more, in a chain of K + 1 links.
+
+One link becomes two, with a hinge between them: a flexible link bends there, a joint with backlash plays there. The
+state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything else of the model is as it was.
+
+    chain      the K + 1 links                                      BodyParameters → BodyParameters
+    spread     the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
+    gathered   its inverse
+
+The other effects act on the chain of K links; on the hinge itself none of them does.
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.effects.base import Effect, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.shapes import join
+
+Net = Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor | None]]
+"""(q, q̇, fraction of the step) → the torques on the joints and the joints' own inertias (or None), (..., K)."""
+
+
+class HiddenHinge(Effect):
+    """Base of the effects with a hidden coordinate; at most one of them in a model."""
+
+    @abstractmethod
+    def hidden_scale(self, scale: Scale) -> tuple[float, float]:
+        """How far ψ, rad, and ψ̇, rad/s, may be from 0 at the first row: standard deviations."""
+
+    @abstractmethod
+    def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """The K + 1 links."""
+
+    @abstractmethod
+    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+        """Angles, or rates, of the K + 1 hinges."""
+
+    @abstractmethod
+    def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
+        """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
+
+    @abstractmethod
+    def step(
+        self,
+        p: Values,
+        body: BodyParameters,
+        net: Net,
+        rigid: Dynamics,
+        hidden: Tensor,
+        q: Tensor,
+        qd: Tensor,
+        dt,
+        n: int,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later, ``dt`` s in ``n`` or more sub-steps.
+
+        By Runge–Kutta of order 4, whatever the model's integrator.
+        """
+
+    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+        """The K tips, (..., K, 2) m."""
+        k, links = self.place[0], self.chain(p, body)
+        points = dynamics_for(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), links)
+        return torch.cat([points[..., :k, :], points[..., k + 1 :, :]], -2)
+
+
+def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:
+    """(..., K) with link k's entry replaced by two (..., 1)."""
+    return join(values[..., :k], inner, outer, values[..., k + 1 :])
+
+
+def substeps_for(dt, frequency: float, n: int) -> int:
+    """Sub-steps in which Runge–Kutta of order 4 follows an oscillation of ``frequency`` Hz: a radian each at most."""
+    longest = dt.max().item() if isinstance(dt, Tensor) else dt
+    return max(n, math.ceil(longest * 2 * math.pi * frequency))

@@ -1,0 +1,39 @@
+"""A link whose mass, centre of mass and inertia are not those of the body file."""
+
+from pyro.distributions import Normal
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
+from invdyn.models.effects.scale import Scale
+
+LEAST = 0.02  # of the file's mass and inertia that is always left
+
+
+class InertialError(Effect):
+    """Differences Δm, Δcom (along the link) and ΔI (about the centre of mass) of one link from its file.
+
+    Known but for a common factor when no torque and no weight is.
+    """
+
+    site = "link"
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Differences of mass, kg, centre of mass, m, and inertia, kg·m²."""
+        mass, length, inertia = (
+            value[self.place[0]].item() for value in (scale.body.mass, scale.body.length, scale.body.inertia)
+        )
+        return (
+            Parameter("mass", "kg", Normal(0.0, 0.2 * mass)),
+            Parameter("com", "m", Normal(0.0, 0.1 * length)),
+            Parameter("inertia", "kg·m²", Normal(0.0, 0.2 * max(inertia, mass * length**2 / 12))),
+        )
+
+    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """The link with other numbers; mass and inertia stay positive."""
+        k = self.place[0]
+        mass, com, inertia = (value[..., k : k + 1] for value in (body.mass, body.com, body.inertia))
+        return body._replace(
+            mass=with_entry(body.mass, k, (mass + p["mass"]).maximum(LEAST * mass)),
+            com=with_entry(body.com, k, com + p["com"]),
+            inertia=with_entry(body.inertia, k, (inertia + p["inertia"]).maximum(LEAST * inertia)),
+        )

@@ -1,0 +1,61 @@
+"""A stop of a joint: a spring and damper past an angle, which push and never pull."""
+
+from collections.abc import Sequence
+from typing import Self
+
+from pyro.distributions import HalfNormal, Normal
+from torch import Tensor
+
+from invdyn.models.body import Body
+from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation
+
+SIDES = {"upper": 1.0, "lower": -1.0}
+
+
+class JointLimit(Effect):
+    """A stop at an angle, ``JointLimit("elbow", "upper")`` against larger angles, "lower" against smaller ones.
+
+    With the depth e = ±(θ − θ_lim) > 0 the torque is ∓max(0, k e ± d θ̇). As ``range`` in MuJoCo.
+    """
+
+    located = ("angle",)
+
+    def __init__(self, joint: str, side: str = "upper"):
+        if side not in SIDES:
+            raise ValueError(f"{self.name}: expected a side among {', '.join(SIDES)}, got {side!r}")
+        super().__init__(joint)
+        self.where, self.sign = (joint, side), SIDES[side]
+
+    def bound(self, body: Body) -> Self:
+        """Look up the joint; see :meth:`Effect.bound`."""
+        return self._bound(body, self.where[:1])
+
+    @classmethod
+    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+        """Both stops of every joint."""
+        return [cls(joint, side) for joint in body.joint_names for side in SIDES]
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""
+        j = self.place[0]
+        angle = Normal(0.0, 1.8)
+        return (
+            Parameter("angle", "rad", angle, None, quantiles(angle, 12)),
+            Parameter("stiffness", "N·m/rad", HalfNormal(12.0 * scale.torque[j])),
+            Parameter("damping", "N·m·s/rad", HalfNormal(3.0 * scale.torque[j] / scale.speed[j])),
+        )
+
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """The parameters, and the side: 1 above the angle, −1 below it."""
+        units = {"angle": "rad", "stiffness": "N·m/rad", "damping": "N·m·s/rad"}
+        side = values["angle"].new_full(values["angle"].shape, self.sign)
+        return {**{name: (values[name], unit) for name, unit in units.items()}, "side": (side, "1")}
+
+    def force(self, p: Values, now: Situation) -> Tensor:
+        """∓max(0, k e ± d θ̇) where e > 0."""
+        j = self.place[0]
+        depth = self.sign * (now.q[..., j : j + 1] - p["angle"])
+        push = p["stiffness"] * depth + p["damping"] * self.sign * now.qd[..., j : j + 1]
+        return now.at(j, -self.sign * push.clamp_min(0.0) * (depth > 0))

@@ -1,0 +1,34 @@
+"""A tracker that takes one keypoint for another: with probability ρ two of them are exchanged."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Self
+
+from pyro.distributions import Beta
+
+from invdyn.models.body import Body
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.mixture import Swap
+
+
+class LabelSwap(Effect):
+    """In a share ρ of the rows both keypoints named carry each other's detection.
+
+    Told apart from outliers by its symmetry.
+    """
+
+    side, site = "observation", "keypoints"
+
+    @classmethod
+    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+        """Every pair of tracked keypoints."""
+        return [cls(*pair) for pair in combinations(keypoints, 2)]
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Share ρ of rows."""
+        return (Parameter("rate", "1", Beta(1.0, 25.0), 0.0, (0.003, 0.01, 0.03, 0.1)),)
+
+    def mistake(self, p: Values) -> Swap:
+        """The pair, exchanged with probability ρ."""
+        return Swap(*self.place, p["rate"])

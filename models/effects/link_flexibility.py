@@ -1,0 +1,135 @@
+"""A link that bends: a hidden hinge with a spring and a damper at half its length.
+
+The halves have half the mass each, their centres a apart from the link's on either side, and the inertias that leave
+the whole as it was when straight: I/2 − m a²/2 with a = length/4, or less for a link that has not so much inertia.
+
+    torque on the hinge = −k ψ − d ψ̇
+
+A spring stiffer than the sub-steps can follow acts as the stiffest that they can; an infinite one is no hinge at all.
+"""
+
+import math
+
+import torch
+from pyro.distributions import HalfNormal, LogNormal
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.hidden import HiddenHinge, Net, split_link, substeps_for
+from invdyn.models.effects.scale import Scale
+from invdyn.models.integrators import rk4
+from invdyn.models.shapes import join
+
+FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
+"""Hz, of the outer half and what it carries, swinging on the spring with the inner half held."""
+FASTEST = 60.0
+"""Hz, of the modes that the sub-steps are made for; with the inner half free they are about twice as fast."""
+
+
+class LinkFlexibility(HiddenHinge):
+    """A link that swings about its own middle.
+
+    Told apart from a delay by driving it past its resonance.
+    """
+
+    site = "link"
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Stiffness k, N·m/rad, and damping d, N·m·s/rad."""
+        inertia = self._carried(scale)
+        grid = tuple(inertia * (2 * math.pi * f) ** 2 for f in FREQUENCIES)
+        middle = inertia * (2 * math.pi * 10.0) ** 2
+        damping = 0.2 * math.sqrt(middle * inertia)
+        return (
+            Parameter("stiffness", "N·m/rad", LogNormal(math.log(middle), 1.1), math.inf, grid),
+            Parameter("damping", "N·m·s/rad", HalfNormal(damping), None, (0.3 * damping, damping)),
+        )
+
+    def hidden_scale(self, scale: Scale) -> tuple[float, float]:
+        """Twice as far as the typical torque bends a link of 10 Hz, and as fast as it then swings."""
+        bend = 2 * scale.torque[self.place[0]] / (self._carried(scale) * (2 * math.pi * 10.0) ** 2)
+        bend = min(bend, 0.3)
+        return bend, bend * 2 * math.pi * 10.0
+
+    def _carried(self, scale: Scale) -> float:
+        """Inertia beyond the hinge about it, stretched out, kg·m²."""
+        k, links = self.place[0], self.chain({}, scale.body)
+        start = torch.cat([links.length.new_zeros(1), links.length[k + 1 :].cumsum(0)[:-1]])
+        reach = start + links.com[k + 1 :]
+        return (links.inertia[k + 1 :] + links.mass[k + 1 :] * reach**2).sum().item()
+
+    def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
+        """The two halves in place of the link."""
+        k = self.place[0]
+        length, mass, com, inertia = (value[..., k : k + 1] for value in body[:4])
+        apart = torch.minimum(length / 4, (0.8 * inertia / mass).sqrt())
+        rest = (inertia - mass * apart**2) / 2
+        return body._replace(
+            length=split_link(body.length, k, length / 2, length / 2),
+            mass=split_link(body.mass, k, mass / 2, mass / 2),
+            com=split_link(body.com, k, com - apart, com + apart - length / 2),
+            inertia=split_link(body.inertia, k, rest, rest),
+        )
+
+    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+        """The hinge's angle stands after its link's joint."""
+        k = self.place[0]
+        return join(q[..., : k + 1], hinge, q[..., k + 1 :])
+
+    def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
+        """The inverse of :meth:`spread`."""
+        k = self.place[0]
+        return torch.cat([angles[..., : k + 1], angles[..., k + 2 :]], -1), angles[..., k + 1 : k + 2]
+
+    def step(
+        self,
+        p: Values,
+        body: BodyParameters,
+        net: Net,
+        rigid: Dynamics,
+        hidden: Tensor,
+        q: Tensor,
+        qd: Tensor,
+        dt,
+        n: int,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """One row; see :meth:`HiddenHinge.step`."""
+        links, whole = self.chain(p, body), dynamics_for(q.shape[-1] + 1)
+        stiff = torch.isinf(p["stiffness"])
+
+        def held(q, qd, s):
+            torque, own = net(q, qd, s)
+            return rigid.forward(q, qd, torque, body, own)
+
+        locked = None
+        if bool(stiff.any()):
+            locked = (torch.zeros_like(hidden), *rk4(held, q, qd, dt, n))
+            if bool(stiff.all()):
+                return locked
+        parts = substeps_for(dt, FASTEST, n)
+        angles = self.spread(q, hidden[..., :1])
+        stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), dt / parts)
+
+        def bending(angles, rates, s):
+            (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
+            torque, own = net(q, qd, s)
+            own = None if own is None else self.spread(own, torch.zeros_like(own[..., :1]))
+            return whole.forward(angles, rates, self.spread(torque, -stiffness * hinge - damping * rate), links, own)
+
+        angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), dt, parts)
+        (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
+        bent = (join(hinge, rate), q, qd)
+        if locked is None:
+            return bent
+        return tuple(torch.where(stiff, rigid, own) for rigid, own in zip(locked, bent, strict=True))
+
+    def _resolved(self, p: Values, inertia: Tensor, step) -> tuple[Tensor, Tensor]:
+        """Stiffness and damping, no larger than sub-steps of this length, s, are stable with."""
+        k = self.place[0] + 1
+        unit = torch.zeros_like(inertia[..., :1])
+        unit[..., k, 0] = 1.0
+        mobility = torch.linalg.solve(inertia, unit)[..., k, :]
+        stiffness = torch.where(torch.isinf(p["stiffness"]), 0.0, p["stiffness"])
+        return stiffness.minimum((1.5 / step) ** 2 / mobility), p["damping"].minimum(0.7 / step / mobility)

@@ -1,0 +1,54 @@
+"""Parameters that effects bring to a model, and the places that they need to be seen at."""
+
+from collections.abc import Sequence
+
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+from torch.distributions import constraints
+
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import PREFIX
+from invdyn.models.effects.scale import Scale
+
+
+def parameters_of(
+    effects: Sequence[Effect], scale: Scale, dtype: torch.dtype, device: torch.device
+) -> tuple[dict[str, Tensor], dict[str, Distribution]]:
+    """Starting values (1,) and priors of what ``effects`` bring, by dotted name.
+
+    A value stands where its effect is absent or, where it is never absent, in the middle of its grid or prior.
+    """
+    starts, priors = {}, {}
+    for effect in effects:
+        for parameter in effect.parameters(scale):
+            name = f"{PREFIX}{effect.key}.{parameter.name}"
+            start = parameter.absent
+            if start is None:
+                start = parameter.grid[len(parameter.grid) // 2] if parameter.grid else parameter.prior.mean.item()
+            starts[name] = torch.full((1,), start, dtype=dtype, device=device)
+            priors[name] = _of_dtype(parameter.prior, dtype).expand((1,)).to_event(1)
+    return starts, priors
+
+
+def check_tracked(effects: Sequence[Effect], tracked: Sequence[str]) -> None:
+    """Raise ValueError for an effect on keypoints that are not among those ``tracked``."""
+    for effect in effects:
+        # a push needs no eye on the point that it acts on
+        unseen = set(effect.where) - set(tracked) if effect.side == "observation" else None
+        if unseen and effect.site in ("keypoint", "keypoints"):
+            raise ValueError(
+                f"{effect.name}: expected keypoints that are tracked, {', '.join(tracked) or 'none'}, "
+                f"got {', '.join(sorted(unseen))}"
+            )
+
+
+def is_signed(prior: Distribution) -> bool:
+    """Whether a parameter may be negative."""
+    support = getattr(prior.support, "base_constraint", prior.support)
+    return support is constraints.real
+
+
+def _of_dtype(prior: Distribution, dtype: torch.dtype) -> Distribution:
+    """A scalar distribution in the model's type: Pyro's are float32 when written with plain numbers."""
+    return type(prior)(**{name: getattr(prior, name).to(dtype) for name in prior.arg_constraints})

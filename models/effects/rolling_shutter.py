@@ -1,0 +1,27 @@
+"""A camera that reads its rows one after the other: a point at height y is seen at t + ρ y."""
+
+from pyro.distributions import Normal
+from torch import Tensor
+
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import View
+
+
+class RollingShutter(Effect):
+    """The moment τ = ρ y at which a point is seen depends on its height then; to first order τ = ρ y / (1 − ρ ẏ).
+
+    ρ < 0 where the picture is read from its top. Told apart from latency by the product of velocity and height.
+    """
+
+    side, site, order = "observation", "arm", 1
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Time ρ per height, s/m."""
+        return (Parameter("readout", "s/m", Normal(0.0, 0.15 / (max(scale.speed) * scale.reach))),)
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """p(t + ρ y)."""
+        readout = p["readout"].unsqueeze(-1)
+        stretch = (1 - readout * view.tip_velocity[..., 1:]).clamp_min(0.2)
+        return view.later(readout * view.points[..., 1:] / stretch)

@@ -1,0 +1,89 @@
+"""What is large and what is small for a body: the scales that the effects' priors follow.
+
+A mouse limb and an industrial arm have the same catalogue; only these numbers differ. Per joint, with the chain
+beyond it stretched out:
+
+    inertia   Σ I + m r² about the joint                            kg·m²
+    torque    the gravity load held level, or, without gravity, what turns it by a radian in a fifth of a second   N·m
+    speed     √(torque / inertia), of a swing under that torque     rad/s
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+
+
+def typical_torque(body: BodyParameters) -> Tensor:
+    """Torques (K,) that a body needs, N·m; see the top of the file."""
+    load = torch.stack([(mass * reach).sum() for mass, reach, _ in _beyond(body)]) * body.gravity.norm()
+    return torch.maximum(load, 5.0 * typical_inertia(body))
+
+
+def typical_inertia(body: BodyParameters) -> Tensor:
+    """Inertia (K,) about each joint, stretched out, kg·m²."""
+    return torch.stack([(inertia + mass * reach**2).sum() for mass, reach, inertia in _beyond(body)])
+
+
+def _beyond(body: BodyParameters) -> list[tuple[Tensor, Tensor, Tensor]]:
+    """Mass, reach of the centre of mass and inertia of the links from each joint outwards."""
+    pieces = []
+    for k in range(len(body.length)):
+        reach = torch.stack([body.length[k:j].sum() + body.com[j] for j in range(k, len(body.length))])
+        pieces.append((body.mass[k:], reach, body.inertia[k:]))
+    return pieces
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Scales of a body on a time grid.
+
+    Attributes:
+        body: nominal parameters, single (no batch dimensions).
+        time: (T,) s.
+        command: (T, K) N·m, or None.
+    """
+
+    body: BodyParameters
+    time: Tensor
+    command: Tensor | None = None
+
+    @cached_property
+    def torque(self) -> list[float]:
+        """Per joint, N·m; a body that no gravity loads has the size of its commands to go by, where there are any."""
+        torque = typical_torque(self.body)
+        if self.command is not None and not bool(self.body.gravity.any()):
+            given = 2 * self.command.square().mean(0).sqrt().to(torque)
+            torque = torch.where(given > 0, given, torque)
+        return torque.tolist()
+
+    @cached_property
+    def inertia(self) -> list[float]:
+        """Per joint, kg·m²."""
+        return typical_inertia(self.body).tolist()
+
+    @cached_property
+    def speed(self) -> list[float]:
+        """Per joint, rad/s."""
+        return [(t / i) ** 0.5 for t, i in zip(self.torque, self.inertia, strict=True)]
+
+    @cached_property
+    def reach(self) -> float:
+        """Sum of the links' lengths, m."""
+        return self.body.length.sum().item()
+
+    @cached_property
+    def duration(self) -> float:
+        """S."""
+        return (self.time[-1] - self.time[0]).item()
+
+    @cached_property
+    def effort(self) -> list[float]:
+        """Largest absolute command of each joint, N·m; the typical torque where there is none."""
+        if self.command is None:
+            return self.torque
+        largest = self.command.abs().amax(0)
+        return torch.where(largest > 0, largest, torch.as_tensor(self.torque, dtype=largest.dtype)).tolist()

@@ -1,0 +1,121 @@
+"""What motors make of a command, against a simulation of it in a thousand steps a row."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import cumulative_trapezoid
+
+from invdyn.models import ArmModel
+from invdyn.models.effects import (
+    ActuatorDeadzone,
+    ActuatorDelay,
+    ActuatorGain,
+    ActuatorLag,
+    ActuatorSaturation,
+    Command,
+)
+
+F64 = torch.float64
+ROWS, FINE = 12, 1000
+TIME = 0.01 * np.arange(ROWS) + 0.004 * np.sin(np.arange(ROWS))  # uneven
+GIVEN = np.random.default_rng(3).normal(size=(ROWS, 2))
+
+
+@pytest.fixture
+def motors(arm, having):
+    def make(effect, **values):
+        ideal = ArmModel(arm(2).body, TIME, command=GIVEN)
+        return having(ideal, effect, **values).motors
+
+    return make
+
+
+def held(t):
+    """The command at times t, (N,) → (N, 2); the first row's before the first."""
+    return GIVEN[np.clip(np.searchsorted(TIME, t, side="right") - 1, 0, ROWS - 1)]
+
+
+def moments(torque_at):
+    """Mean and slope of the straight line with the same impulse and first moment as u(t) in each row but the last."""
+    mean, slope = [], []
+    for start, stop in pairwise(TIME):
+        s = (np.arange(FINE) + 0.5) / FINE
+        u = torque_at(start + s * (stop - start))
+        mean.append(u.mean(0))
+        slope.append(12 * ((s[:, None] - 0.5) * u).mean(0))
+    return np.array(mean), np.array(slope)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.01, 0.0271])
+def test_a_delay_is_the_command_later(delay, motors):
+    found = motors(ActuatorDelay("joint1"), delay=delay)
+    mean, slope = moments(lambda t: np.stack([held(t)[:, 0], held(t - delay)[:, 1]], -1))
+    assert found.mean[:-1].numpy() == pytest.approx(mean, abs=5e-3)
+    assert found.slope[:-1].numpy() == pytest.approx(slope, abs=2e-2)
+    assert found.mean[:, 0].numpy() == pytest.approx(GIVEN[:, 0], abs=1e-12)
+    alike = motors(ActuatorDelay(), delay=delay)
+    torch.testing.assert_close(alike.mean[:, 1], found.mean[:, 1])
+    assert (alike.mean[:, 0] != found.mean[:, 0]).any() == (delay > 0)
+
+
+@pytest.mark.parametrize("constant", [1e-5, 0.004, 0.03])
+def test_a_lag_solves_its_equation(constant, motors):
+    """By the convolution with e^{−t/T}/T, on a grid that is fine beside T and the rows."""
+    found = motors(ActuatorLag(), time_constant=constant)
+    t = np.linspace(TIME[0], TIME[-1], 110 * FINE + 1)
+    u = held(t)
+    growth = np.exp((t - t[0]) / max(constant, 0.001))[:, None]  # a lag of 10 µs has settled at once
+    if constant < 0.001:
+        filtered = u
+    else:
+        filtered = (u[0] + cumulative_trapezoid(u * growth / constant, t, axis=0, initial=0.0)) / growth
+    mean, slope = moments(lambda at: np.stack([np.interp(at, t, column) for column in filtered.T], -1))
+    assert found.mean[:-1].numpy() == pytest.approx(mean, abs=6e-3)
+    assert found.slope[:-1].numpy() == pytest.approx(slope, abs=3e-2)
+
+
+def test_a_lag_on_a_step_has_settled_by_two_thirds_after_one_time_constant():
+    time = torch.arange(200, dtype=F64) * 1e-3
+    step = (time >= 0.05).double().unsqueeze(-1)
+    lagged = Command.held(time, step).lagged(torch.tensor([0.02], dtype=F64))
+    assert (lagged.mean + lagged.slope / 2)[69, 0].item() == pytest.approx(1 - np.exp(-1), abs=1e-4)
+
+
+def test_gain_saturation_and_deadzone_of_each_row(motors):
+    first = np.arange(2) == 0
+    for effect, values, expected in (
+        (ActuatorGain("joint0"), {"gain": 0.2}, np.where(first, 1.2 * GIVEN, GIVEN)),
+        (ActuatorGain(), {"gain": -0.1}, 0.9 * GIVEN),
+        (ActuatorSaturation("joint0"), {"limit": 0.5}, np.where(first, np.clip(GIVEN, -0.5, 0.5), GIVEN)),
+        (ActuatorDeadzone("joint0"), {"width": 0.3}, np.where(first, GIVEN - np.clip(GIVEN, -0.3, 0.3), GIVEN)),
+    ):
+        found = motors(effect, **values)
+        assert found.mean.numpy() == pytest.approx(expected)
+        assert found.slope.abs().max().item() == 0.0
+
+
+def test_one_after_the_other(arm):
+    """A gain after a lag keeps the lagged line's slope."""
+    model = arm(2).with_effects(ActuatorLag("joint0"), ActuatorGain("joint0"))
+    values = {"actuator_lag.joint0.time_constant": 0.02, "actuator_gain.joint0.gain": 0.5}
+    model = model.replace(**{f"effect.{key}": torch.tensor([value], dtype=F64) for key, value in values.items()})
+    lag = arm(2).with_effects(ActuatorLag("joint0"))
+    lag = lag.replace(**{"effect.actuator_lag.joint0.time_constant": torch.tensor([0.02], dtype=F64)})
+    torch.testing.assert_close(model.motors.mean[:, 0], 1.5 * lag.motors.mean[:, 0])
+    torch.testing.assert_close(model.motors.slope[:, 0], 1.5 * lag.motors.slope[:, 0])
+
+
+def test_the_grid_of_a_limit_follows_the_command(arm):
+    model = arm(2)
+    (limit,) = ActuatorSaturation("joint1").bound(model.body).parameters(model.scale)
+    sizes = model.command[:, 1].abs()
+    assert all(sizes.min() <= value <= sizes.max() for value in limit.grid)
+
+
+def test_one_joint_needs_no_actuator_of_all(arm):
+    assert [effect.where for effect in ActuatorGain.everywhere(arm(1).body, ())] == [("joint0",)]
+    assert [effect.where for effect in ActuatorGain.everywhere(arm(2).body, ())] == [(), ("joint0",), ("joint1",)]
+    with pytest.raises(ValueError, match="expected 1 name"):
+        ActuatorGain("joint0", "joint1")

@@ -1,0 +1,149 @@
+"""What the camera sees, against closed forms along a known motion."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.models.effects import (
+    CameraLatency,
+    CameraRoll,
+    CameraScale,
+    CameraYaw,
+    ClockRate,
+    KeypointOffset,
+    LensDistortion,
+    RollingShutter,
+    SoftTissue,
+    TimestampJitter,
+    VaryingNoise,
+)
+
+F64 = torch.float64
+
+
+def tips(model, x, t=5):
+    """Mean and standard deviation of the tips, (..., 2, 2)."""
+    emission = model.emission(x, t).base_dist
+    return tuple(value[..., :4].reshape(*value.shape[:-1], 2, 2).numpy() for value in (emission.loc, emission.scale))
+
+
+def later(model, x, seconds, t=5):
+    """The tips after so many seconds of the model's own motion from row ``t`` on, torques held."""
+    steps = 64
+    _, q, qd = model.split(x)
+    body = model.body_parameters()
+    torque = x[..., :2] + model.motors.mean[t]
+    h = seconds / steps
+    for _ in range(steps):
+        middle = q + h / 2 * qd
+        half = qd + h / 2 * model.dynamics.forward(q, qd, torque, body)
+        qd = qd + h * model.dynamics.forward(middle, half, torque, body)
+        q = q + h * half
+    return model.dynamics.keypoints(q, body).numpy()
+
+
+@pytest.fixture
+def seen(arm, having, states):
+    """(what an effect makes of the tips, its noise, the true tips, the states, the ideal arm)."""
+
+    def look(effect, **values):
+        ideal = arm(2)
+        x = states(ideal, 6)
+        return *tips(having(ideal, effect, **values), x), tips(ideal, x)[0], x, ideal
+
+    return look
+
+
+def test_an_offset_turns_with_its_link(seen):
+    found, _, true, x, _ = seen(KeypointOffset("tip1"), along=0.02, across=-0.01)
+    phi = x[:, 2:4].sum(-1).numpy()
+    turn = np.stack([np.cos(phi), np.sin(phi)], -1), np.stack([-np.sin(phi), np.cos(phi)], -1)
+    assert found[:, 1] == pytest.approx(true[:, 1] + 0.02 * turn[0] - 0.01 * turn[1])
+    assert found[:, 0] == pytest.approx(true[:, 0])
+
+
+def test_scale_roll_and_lens(seen):
+    found, _, true, _, _ = seen(CameraScale(), scale=1.05)
+    assert found == pytest.approx(1.05 * true)
+    found, _, true, _, _ = seen(CameraRoll(), angle=0.3)
+    x, y = true[..., 0], true[..., 1]
+    c, s = math.cos(0.3), math.sin(0.3)
+    assert found == pytest.approx(np.stack([c * x - s * y, s * x + c * y], -1))
+    found, _, true, _, _ = seen(LensDistortion(), k1=-0.3)
+    assert found == pytest.approx(true * (1 - 0.3 * (true**2).sum(-1, keepdims=True)))
+
+
+def test_yaw_is_a_pinhole_camera(seen):
+    """The plane's points in space, turned about the vertical, through a pinhole at D, on a plane through the origin."""
+    found, _, true, _, _ = seen(CameraYaw(), angle=0.2, distance=1.5)
+    x, y = true[..., 0], true[..., 1]
+    space = np.stack([x * math.cos(0.2), y, 1.5 + x * math.sin(0.2)], -1)  # the last: depth from the camera
+    assert found == pytest.approx(1.5 * space[..., :2] / space[..., 2:])
+
+
+def test_latency_looks_back(seen):
+    found, _, true, x, ideal = seen(CameraLatency(), latency=0.01)
+    past = later(ideal, x, -0.01)
+    third = np.abs(past - true).max() * 0.25  # what is left is of third order in δ
+    assert np.abs(found - past).max() < third
+    small, _, _, _, _ = seen(CameraLatency(), latency=0.001)
+    assert np.abs(small - later(ideal, x, -0.001)).max() < 2e-3 * third
+
+
+def test_soft_tissue_lags_the_acceleration(seen):
+    found, _, true, x, ideal = seen(SoftTissue("tip1"), kappa=1e-3)
+    h = 1e-3
+    bent = (later(ideal, x, h) - 2 * true + later(ideal, x, -h)) / h**2
+    assert found[:, 1] - true[:, 1] == pytest.approx(-1e-3 * bent[:, 1], rel=2e-3, abs=2e-5)
+    assert found[:, 0] == pytest.approx(true[:, 0])
+
+
+def test_a_rolling_shutter_sees_a_point_when_its_row_is_read(seen):
+    """p' = p(t + ρ y'), checked by reading the motion at that very moment."""
+    readout = 0.02
+    found, _, true, x, ideal = seen(RollingShutter(), readout=readout)
+    for n in range(len(x)):
+        for k in range(2):
+            then = later(ideal, x[n], readout * found[n, k, 1])[k]
+            assert np.abs(found[n, k] - then).max() < 0.1 * np.abs(found[n, k] - true[n, k]).max() + 1e-6
+
+
+def test_jitter_and_blur_widen_the_noise(seen):
+    h = 1e-5
+    found, sd, true, x, ideal = seen(TimestampJitter(), sd=0.004)
+    velocity = (later(ideal, x, h) - later(ideal, x, -h)) / (2 * h)
+    own = ideal.parameters["emission.keypoint_scale"].numpy()[:, None]
+    assert found == pytest.approx(true)
+    assert sd == pytest.approx(np.sqrt(own**2 + (0.004 * velocity) ** 2), rel=1e-5)
+    found, sd, true, _, _ = seen(VaryingNoise(), slope=0.7)
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    assert found == pytest.approx(true)
+    assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.7 * speed), sd.shape), rel=1e-5)
+
+
+def test_a_fast_clock_shortens_the_steps(arm, having, states):
+    """True time = stated time / rate, for the state and for the torque process alike."""
+    ideal = arm(2)
+    model = having(ideal, ClockRate(), rate=1.25)
+    fast = arm(2, step=0.008)
+    x = states(ideal, 6)
+    torch.testing.assert_close(model.transition_mean(x, 4), fast.transition_mean(x, 4))
+    torch.testing.assert_close(model.transition(x, 4).base_dist.scale, fast.transition(x, 4).base_dist.scale)
+    assert model.emission(x, 4).mean == pytest.approx(ideal.emission(x, 4).mean)
+
+
+def test_markers_then_timing_then_optics(arm, states):
+    """An offset is scaled with the picture, in whatever order they are named."""
+    ideal = arm(2)
+    values = {"keypoint_offset.tip1.along": 0.02, "camera_scale.scale": 1.1}
+    found = []
+    for effects in ((CameraScale(), KeypointOffset("tip1")), (KeypointOffset("tip1"), CameraScale())):
+        model = ideal.with_effects(*effects)
+        found.append(model.replace(**{f"effect.{k}": torch.tensor([v], dtype=F64) for k, v in values.items()}))
+    x = states(ideal, 6)
+    (first, _), (second, _), (true, _) = (tips(model, x) for model in (*found, ideal))
+    assert first == pytest.approx(second)
+    phi = x[:, 2:4].sum(-1).numpy()
+    assert first[:, 1] == pytest.approx(1.1 * (true[:, 1] + 0.02 * np.stack([np.cos(phi), np.sin(phi)], -1)))

@@ -1,0 +1,283 @@
+"""Forces and inertias against closed forms, written out here in numpy."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models.effects import (
+    Armature,
+    BaseMotion,
+    CoulombFriction,
+    DriftingFriction,
+    ExternalPush,
+    GravityTilt,
+    InertialError,
+    JointCoupling,
+    JointLimit,
+    JointStiffness,
+    LoadFriction,
+    Payload,
+    QuadraticDrag,
+    StribeckFriction,
+    TorqueRipple,
+    ViscousFriction,
+)
+
+F64 = torch.float64
+INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint
+
+
+def rod(rows=101, step=0.005, gravity=(0.0, 0.0), command=None, **kwargs):
+    body = Body("rod", [Link("link", "hinge", "tip", length=0.3, mass=1.5)], gravity=gravity)
+    return ArmModel(body, step * np.arange(rows), Emission([0]), command=command, **kwargs)
+
+
+def rolled(model, q, qd, rows=None):
+    """Angles and velocities (T, K) without any noise."""
+    K = len(q)
+    x = torch.cat([torch.zeros(model.state_dim - 2 * K), *(torch.tensor(value, dtype=F64) for value in (q, qd))])
+    path = [x]
+    for t in range(1, rows or model.num_steps):
+        path.append(model.transition_mean(path[-1], t))
+    path = torch.stack(path).numpy()
+    return path[:, -2 * K : -K], path[:, -K:]
+
+
+def torque_of(model, ideal, x, t=3):
+    """The extra generalised force of the effects on the K joints, N·m, (..., K), from accelerations; no own inertia."""
+    _, q, qd = ideal.split(x)
+    body = ideal.body_parameters()
+    zero = torch.zeros_like(q)
+    torque, _ = model._net(q, qd, zero, body, t, 0.0, ideal.dt[t].reshape(1))
+    return torque
+
+
+# -- friction --------------------------------------------------------------------------------------
+def test_viscous_friction_decays_exponentially(having):
+    _, qd = rolled(having(rod(), ViscousFriction("hinge"), damping=0.2), [0.0], [3.0])
+    time = 0.005 * np.arange(101)
+    assert qd[:, 0] == pytest.approx(3.0 * np.exp(-0.2 / INERTIA * time), rel=1e-6)
+
+
+def test_coulomb_friction_stops_a_rod_for_good(having):
+    """ω = ω₀ − τ t / I until it stops, at t = I ω₀/τ; half the kinetic energy has then turned to τ θ."""
+    q, qd = rolled(having(rod(), CoulombFriction("hinge"), torque=0.5), [0.0], [3.0])
+    time = 0.005 * np.arange(101)
+    expected = np.maximum(3.0 - 0.5 / INERTIA * time, 0.0)
+    assert qd[:, 0] == pytest.approx(expected, abs=0.5 / INERTIA * 0.005)
+    assert q[-1, 0] == pytest.approx(INERTIA * 3.0**2 / 2 / 0.5, rel=1e-3)
+    assert abs(qd[-1, 0]) < 1e-6
+
+
+@pytest.mark.parametrize("step", [0.005, 0.03])
+def test_coulomb_friction_holds_what_it_can(step, having):
+    """Level, a rod needs m g l/2 = 2.207 N·m: it stays under more friction than that, and falls under less."""
+    model = rod(gravity=(0.0, -9.81), step=step)
+    q, _ = rolled(having(model, CoulombFriction("hinge"), torque=2.3), [0.0], [0.0])
+    assert np.abs(q).max() < 1e-9
+    q, _ = rolled(having(model, CoulombFriction("hinge"), torque=2.1), [0.0], [0.0], rows=5)
+    fallen = -(1.5 * 9.81 * 0.15 - 2.1) / INERTIA * (4 * step) ** 2 / 2
+    assert q[-1, 0] == pytest.approx(fallen, rel=0.02)
+
+
+def test_friction_holds_two_joints_at_once(arm, having, states):
+    ideal = arm(2, command=None)
+    model = ideal.with_effects(CoulombFriction("joint0"), CoulombFriction("joint1"))
+    names = [f"effect.coulomb_friction.joint{k}.torque" for k in range(2)]
+    model = model.replace(**{name: torch.tensor([20.0], dtype=F64) for name in names})
+    q, qd = rolled(model, [0.3, 0.4], [0.0, 0.0])
+    assert np.abs(q - q[0]).max() < 1e-9
+    _, qd = rolled(model, [0.3, 0.4], [0.5, -0.4])
+    assert np.abs(qd[-1]).max() < 1e-3
+
+
+def test_friction_of_two_kinds_adds_up(arm, states):
+    ideal = arm(2)
+    both = ideal.with_effects(CoulombFriction("joint1"), LoadFriction("joint1"))
+    both = both.replace(**{"effect.coulomb_friction.joint1.torque": torch.tensor([0.2], dtype=F64)})
+    x = states(ideal, 20)
+    x[:, -1] = 4.0 * torch.sign(x[:, -1])
+    torch.testing.assert_close(torque_of(both, ideal, x)[:, 1], -0.2 * torch.sign(x[:, -1]))
+
+
+def test_stribeck_friction(arm, having, states):
+    ideal = arm(2)
+    model = having(ideal, StribeckFriction("joint0"), coulomb=0.1, static=0.3, velocity=2.0)
+    x = states(ideal, 30)
+    x[:, -2] = torch.linspace(2.0, 8.0, 30)
+    speed = x[:, -2].numpy()
+    expected = -(0.1 + 0.2 * np.exp(-((speed / 2.0) ** 2))) * np.sign(speed)
+    assert torque_of(model, ideal, x)[:, 0].numpy() == pytest.approx(expected)
+
+
+def test_load_friction_of_a_level_rod(having):
+    """Held up by its motor, u = m g l/2, the gear carries u on one side and the load on the other: 2 u."""
+    ideal = rod(gravity=(0.0, -9.81))
+    model = having(ideal, LoadFriction("hinge"), coefficient=0.1)
+    hold = 1.5 * 9.81 * 0.15
+    for speed, motor, load in ((3.0, hold, 2 * hold), (-3.0, hold, 2 * hold), (3.0, 0.0, hold), (3.0, -hold, 0.0)):
+        q, qd = torch.zeros(1, dtype=F64), torch.tensor([speed], dtype=F64)
+        given = torch.tensor([motor], dtype=F64)
+        torque, _ = model._net(q, qd, given, model.body_parameters(), 3, 0.0, ideal.dt[3])
+        assert (torque - given).item() == pytest.approx(-0.1 * load * np.sign(speed), abs=1e-12)
+
+
+def test_quadratic_drag(having):
+    """ω = ω₀ / (1 + c ω₀ t / I)."""
+    _, qd = rolled(having(rod(), QuadraticDrag("hinge"), drag=0.05), [0.0], [-6.0])
+    time = 0.005 * np.arange(101)
+    assert qd[:, 0] == pytest.approx(-6.0 / (1 + 0.05 * 6.0 / INERTIA * time), rel=1e-6)
+
+
+def test_drifting_friction(having):
+    """Log-speed falls by the integral of the damping; where that would be negative there is none."""
+    model = rod()
+    time = 0.005 * np.arange(101)
+    _, qd = rolled(having(model, DriftingFriction("hinge"), damping=0.05, slope=0.4), [0.0], [3.0])
+    assert np.log(qd[:, 0] / 3.0) == pytest.approx(-(0.05 * time + 0.2 * time**2) / INERTIA, rel=1e-5, abs=1e-9)
+    _, qd = rolled(having(model, DriftingFriction("hinge"), damping=0.05, slope=-0.4), [0.0], [3.0])
+    assert np.ptp(qd[30:]) == 0.0
+
+
+# -- springs, stops, ripple ------------------------------------------------------------------------
+def test_a_spring_swings(having):
+    q, _ = rolled(having(rod(), JointStiffness("hinge"), stiffness=2.0, rest_angle=0.5), [0.8], [0.0])
+    time = 0.005 * np.arange(101)
+    assert q[:, 0] == pytest.approx(0.5 + 0.3 * np.cos(math.sqrt(2.0 / INERTIA) * time), abs=1e-7)
+
+
+def test_coupling_is_the_slope_of_its_potential(arm, having, states):
+    ideal = arm(3)
+    model = having(ideal, JointCoupling("joint1", "joint2"), stiffness=0.7, ratio=-0.6)
+    x = states(ideal, 10)
+    q = x[:, 3:6].clone().requires_grad_()
+    potential = 0.35 * (q[:, 2] + 0.6 * q[:, 1]) ** 2
+    expected = -torch.autograd.grad(potential.sum(), q)[0]
+    torch.testing.assert_close(torque_of(model, ideal, x), expected)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("upper", 1.0), ("lower", -1.0)])
+def test_a_stop_pushes_and_never_pulls(side, sign, having):
+    ideal = rod()
+    model = having(ideal, JointLimit("hinge", side), angle=sign * 0.5, stiffness=20.0, damping=1.0)
+    for depth, speed in ((-0.1, 3.0), (0.1, 0.0), (0.1, 2.0), (0.1, -1.0), (0.1, -3.0)):
+        x = torch.tensor([0.0, sign * (0.5 + depth), sign * speed], dtype=F64)
+        expected = -sign * max(0.0, 20.0 * depth + speed) if depth > 0 else 0.0
+        assert torque_of(model, ideal, x).item() == pytest.approx(expected)
+    effect = model.effects.effects[0]
+    assert effect.described({key: torch.ones(1) for key in ("angle", "stiffness", "damping")})["side"][0] == sign
+    with pytest.raises(ValueError, match="side among upper, lower"):
+        JointLimit("hinge", "left")
+
+
+def test_ripple_is_a_sine_of_the_angle(having, states, arm):
+    ideal = arm(2)
+    A, N, phase = 0.2, 8, 2.1
+    parts = {"sine": A * math.cos(phase), "cosine": A * math.sin(phase), "periods": float(N)}
+    model = having(ideal, TorqueRipple("joint1"), **parts)
+    x = states(ideal, 10)
+    assert torque_of(model, ideal, x)[:, 1].numpy() == pytest.approx(A * np.sin(N * x[:, 3].numpy() + phase))
+    told = model.effects.effects[0].described({key: torch.tensor([value]) for key, value in parts.items()})
+    assert [told[key][0].item() for key in ("amplitude", "phase", "periods")] == pytest.approx([A, phase, N])
+
+
+# -- the body --------------------------------------------------------------------------------------
+def arm_of(links, gravity=(0.0, -9.81)):
+    return ArmModel(Body("arm", links, gravity=gravity), 0.01 * np.arange(5))
+
+
+def test_a_payload_is_a_heavier_link(arm, having, states):
+    ideal = arm(2, command=None)
+    model = having(ideal, Payload(), mass=0.4)
+    com = (1.0 * 0.125 + 0.4 * 0.25) / 1.4
+    inertia = 1.0 * 0.25**2 / 12 + 1.0 * (com - 0.125) ** 2 + 0.4 * (0.25 - com) ** 2
+    heavy = Link("fore", "joint1", "tip1", length=0.25, mass=1.4, com=com, inertia=inertia)
+    x = states(ideal, 10)
+    expected = arm_of([ideal.body.links[0], heavy]).transition_mean(x, 3)
+    torch.testing.assert_close(model.transition_mean(x, 3), expected)
+
+
+def test_inertial_error_is_another_link(arm, having, states):
+    ideal = arm(2, command=None)
+    model = having(ideal, InertialError("link0"), mass=-0.2, com=0.03, inertia=0.002)
+    other = Link("link0", "joint0", "tip0", length=0.3, mass=1.3, com=0.18, inertia=1.5 * 0.3**2 / 12 + 0.002)
+    x = states(ideal, 10)
+    torch.testing.assert_close(model.transition_mean(x, 3), arm_of([other, ideal.body.links[1]]).transition_mean(x, 3))
+
+
+def test_tilt_turns_gravity_counterclockwise(arm, having, states):
+    ideal = arm(2, command=None)
+    model = having(ideal, GravityTilt(), angle=0.2)
+    x = states(ideal, 10)
+    tilted = arm_of(ideal.body.links, gravity=(9.81 * math.sin(0.2), -9.81 * math.cos(0.2)))
+    torch.testing.assert_close(model.transition_mean(x, 3), tilted.transition_mean(x, 3))
+    weightless = Body("arm", ideal.body.links, gravity=(0.0, 0.0))
+    assert GravityTilt.everywhere(weightless, weightless.keypoint_names) == []
+
+
+def test_armature_slows_a_swing(having):
+    """ω² = m g l/2 / (I + I_a) for small swings about hanging; statics do not change."""
+    ideal = rod(gravity=(0.0, -9.81))
+    model = having(ideal, Armature("hinge"), inertia=0.03)
+    q, _ = rolled(model, [-math.pi / 2 + 1e-4], [0.0])
+    omega = math.sqrt(1.5 * 9.81 * 0.15 / (INERTIA + 0.03))
+    assert q[:, 0] + math.pi / 2 == pytest.approx(1e-4 * np.cos(omega * 0.005 * np.arange(101)), abs=1e-10)
+
+
+# -- from outside ----------------------------------------------------------------------------------
+@pytest.mark.parametrize(("start", "stop"), [(0.1, 0.2), (0.1013, 0.1987), (0.1511, 0.1532)])
+def test_a_push_gives_its_impulse(start, stop, having):
+    """A free rod gets l F (t₁ − t₀)/I across it, whatever the edges and however short; none before, none after."""
+    model = having(rod(), ExternalPush("tip"), force_x=0.0, force_y=0.02, start=start, stop=stop)
+    _, qd = rolled(model, [0.0], [0.0])
+    assert qd[-1, 0] == pytest.approx(0.3 * 0.02 * (stop - start) / INERTIA, rel=1e-5)
+    assert np.abs(qd[: int(start / 0.005)]).max() == 0.0
+    assert np.ptp(qd[int(stop / 0.005) + 2 :]) == 0.0
+
+
+def test_a_push_acts_through_the_jacobian(arm, having, states):
+    ideal = arm(3)
+    model = having(ideal, ExternalPush("tip1"), force_x=2.0, force_y=-1.0, start=0.0, stop=9.0)
+    x = states(ideal, 6)
+    q = x[:, 3:6].clone().requires_grad_()
+    tip = ideal.dynamics.keypoints(q, ideal.body_parameters())[:, 1]
+    expected = torch.autograd.grad((tip @ torch.tensor([2.0, -1.0], dtype=F64)).sum(), q)[0]
+    torch.testing.assert_close(torque_of(model, ideal, x), expected)
+
+
+def test_a_shaken_base(arm, having, states):
+    """Tips move by b(t), and the arm feels gravity g − b̈, b̈ by differences of b."""
+    ideal = arm(2, command=None, rows=40)
+    parts = {"sine_x": 0.01, "cosine_x": 0.004, "sine_y": -0.006, "cosine_y": 0.003, "frequency": 2.0}
+    model = having(ideal, BaseMotion(), **parts)
+
+    def shift(t):
+        sine, cosine = np.sin(4 * np.pi * t), np.cos(4 * np.pi * t)
+        return np.array([0.01 * sine + 0.004 * cosine, -0.006 * sine + 0.003 * cosine])
+
+    x, t = states(ideal, 5), 17
+    elapsed, h = 0.01 * t, 1e-4
+    seen = (model.emission(x, t).mean - ideal.emission(x, t).mean)[:, :4].reshape(5, 2, 2)
+    assert seen.numpy() == pytest.approx(np.broadcast_to(shift(elapsed), (5, 2, 2)), abs=1e-12)
+    bent = (shift(elapsed + h) - 2 * shift(elapsed) + shift(elapsed - h)) / h**2
+    body = ideal.body_parameters()
+    load = [
+        ideal.dynamics.gravity_load(x[:, 2:4], body._replace(gravity=torch.tensor(gravity)))
+        for gravity in (np.array([0.0, -9.81]) - bent, np.array([0.0, -9.81]))
+    ]
+    torch.testing.assert_close(torque_of(model, ideal, x, t), load[1] - load[0], rtol=1e-5, atol=1e-7)
+
+
+def test_a_shaken_base_is_told_as_amplitude_and_phase():
+    for phase in (0.4, -2.8, 3.0):
+        amplitude = np.array([0.02, -0.006])
+        values = {}
+        for axis, a in zip("xy", amplitude, strict=True):
+            values[f"sine_{axis}"] = torch.tensor([a * math.cos(phase)])
+            values[f"cosine_{axis}"] = torch.tensor([a * math.sin(phase)])
+        told = BaseMotion().described(values | {"frequency": torch.tensor([2.0])})
+        found = [told[key][0].item() for key in ("amplitude_x", "amplitude_y", "phase", "frequency")]
+        assert found == pytest.approx([0.02, -0.006, phase, 2.0], abs=1e-6)

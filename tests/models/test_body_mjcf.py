@@ -1,0 +1,156 @@
+"""Bodies out of MJCF move as MuJoCo moves them, and what is no planar chain of hinges is refused."""
+
+import builtins
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.models import Body, BodyError, dynamics_for
+
+mujoco = pytest.importorskip("mujoco")
+
+AXES = {"x": ("1 0 0", 0, 1.0), "y": ("0 1 0", 1, -1.0), "-y": ("0 -1 0", 1, 1.0), "z": ("0 0 1", 2, 1.0)}
+# the axis, its number, and whether the hinge turns counter-clockwise (1) as the picture sees it
+PLANE = {0: (1, 2), 1: (0, 2), 2: (0, 1)}
+
+
+def arm(axis, turn=0.0, more="", gravity="0 0 -9.81", last='<site name="hand" pos="{tip}"/>'):
+    """An arm of three links and a welded load; its reference pose is bent, and the base is turned about the axis."""
+    first, second = PLANE[AXES[axis][1]]
+
+    def at(a, b, off=0.0):
+        place = np.full(3, off)
+        place[[first, second]] = a, b
+        return " ".join(map(str, place))
+
+    def inertial(a, b, mass):
+        return f'<inertial pos="{at(a, b, 0.01)}" mass="{mass}" diaginertia="0.011 0.012 0.013"/>'
+
+    rotation = AXES[axis][0].replace("-", "") + f" {turn}"
+    hinge = f'type="hinge" axis="{AXES[axis][0]}"'
+    return f"""<mujoco model="arm"><compiler angle="radian"/><option gravity="{gravity}"/><worldbody>
+    <body name="stand" pos="{at(0.1, 0.2)}" axisangle="{rotation}">
+      <body name="upper"><joint name="shoulder" {hinge}/>{inertial(0.06, -0.12, 1.5)}
+        <body name="fore" pos="{at(0.15, -0.3, 0.05)}"><joint name="elbow" {hinge}/>{inertial(0.1, 0.02, 0.8)}
+          <body name="palm" pos="{at(0.25, 0.05)}"><joint name="wrist" {hinge} {more}/>{inertial(0.03, 0.06, 0.2)}
+            {last.format(tip=at(0.06, 0.12))}
+            <body name="load" pos="{at(0.05, 0.1)}"><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
+            </body>
+          </body></body></body></body></worldbody></mujoco>"""
+
+
+def read(text, tmp_path, suffix=".xml"):
+    (tmp_path / f"arm{suffix}").write_text(text)
+    return Body.load(tmp_path / f"arm{suffix}")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.filterwarnings("ignore:.*clockwise:UserWarning")
+def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
+    text = arm(axis, turn)
+    body = read(text, tmp_path)
+    assert body.joint_names == ("shoulder", "elbow", "wrist")
+    assert body.keypoint_names == ("elbow", "wrist", "hand")
+    assert [link.name for link in body.links] == ["upper", "fore", "palm"]
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    parameters, dynamics = body.parameters(), dynamics_for(3)
+    sign, plane = AXES[axis][2], list(PLANE[AXES[axis][1]])
+    for _ in range(5):
+        data.qpos[:], data.qvel[:] = rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 3)
+        torque = rng.uniform(-2, 2, 3)
+        data.qfrc_applied[:] = torque
+        mujoco.mj_forward(model, data)
+        points = np.concatenate([data.xanchor, data.site_xpos])[:, plane]
+        np.testing.assert_allclose(points[0], body.base, atol=1e-12)
+        steps = np.diff(points, axis=0)
+        np.testing.assert_allclose(np.linalg.norm(steps, axis=1), parameters.length, rtol=1e-9)
+        absolute = np.arctan2(steps[:, 1], steps[:, 0])
+        angle = torch.tensor(np.diff(absolute, prepend=0.0))
+        ours = dynamics.forward(angle, torch.tensor(sign * data.qvel), torch.tensor(sign * torque), parameters)
+        np.testing.assert_allclose(ours.numpy(), sign * data.qacc, rtol=1e-8, atol=1e-8 * np.abs(data.qacc).max())
+
+
+def exact(axis="z"):
+    """Centres of mass on the line of the joints: nothing is left out, and the dynamics are the same to rounding."""
+    return """<mujoco><worldbody><body name="a"><joint name="j1" axis="0 0 1"/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+      <body name="b" pos="0.3 0 0"><joint name="j2" axis="0 0 1"/>
+      <inertial pos="0.1 0 0.2" mass="0.5" diaginertia="0.01 0.02 0.015"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.25 0 0"/></body></body></worldbody></mujoco>"""
+
+
+def test_a_centre_of_mass_on_the_line_is_exact(tmp_path):
+    body = read(exact(), tmp_path)
+    upper, fore = body.links
+    assert (upper.length, upper.mass, upper.com, upper.inertia) == pytest.approx((0.3, 1.0, 0.1, 0.03))
+    assert (fore.length, fore.mass, fore.com, fore.inertia) == pytest.approx((0.25, 0.5, 0.1, 0.015))
+    assert fore.tip == "b_tip"
+    assert body.gravity == (0.0, 0.0)  # it acts across the plane
+    assert body.name == "arm"
+
+
+def test_what_a_rigid_body_lacks_is_named(tmp_path):
+    text = arm("x", more='damping="0.1" armature="0.01"').replace('pos="0.01 0.06 -0.12"', 'pos="0.01 0.06 -0.1"')
+    with pytest.warns(UserWarning, match=r"leaves out .*centre of mass of upper.*damping \(wrist\); armature"):
+        read(text, tmp_path)
+    with pytest.warns(UserWarning, match="shoulder, elbow, wrist turn clockwise"):
+        read(arm("y"), tmp_path)
+
+
+def test_ends_without_a_site(tmp_path):
+    welded = read(arm("x", last=""), tmp_path)
+    assert welded.keypoint_names[-1] == "load"
+    assert welded.links[-1].length == pytest.approx(np.hypot(0.05, 0.1))
+    nothing = exact().replace('<geom type="capsule" size="0.02" fromto="0 0 0 0.25 0 0"/>', "")
+    with pytest.raises(BodyError, match="give it a site"):
+        read(nothing, tmp_path)
+
+
+WRONG = {
+    "a slide": ('name="j2"', 'name="j2" type="slide"', "'j2' is of type slide"),
+    "another axis": ('name="j2" axis="0 0 1"', 'name="j2" axis="0 1 0"', r"'j2' turns about \(0, 1, 0\)"),
+    "an axis askew": ('axis="0 0 1"', 'axis="0 1 1"', "about one of the axes"),
+    "a branch": ("</body></body>", '</body><body name="c"><joint/><geom size=".1"/></body></body>', "branches at"),
+    "two hinges": ('<joint name="j2" axis="0 0 1"/>', '<joint axis="0 0 1"/><joint axis="1 0 0"/>', "has 2"),
+    "a ball": ('<joint name="j1" axis="0 0 1"/>', '<joint name="j1" type="ball"/>', "ball"),
+    "broken": ("</mujoco>", "", "MuJoCo cannot read it"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_planar_chain_is_refused(name, tmp_path):
+    good, bad, message = WRONG[name]
+    assert good in exact()
+    with pytest.raises(BodyError, match=message) as refusal:
+        read(exact().replace(good, bad), tmp_path)
+    assert "arm.xml" in str(refusal.value)
+
+
+def test_a_body_without_joints_is_refused(tmp_path):
+    with pytest.raises(BodyError, match="without joints"):
+        read('<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>', tmp_path)
+    with pytest.raises(FileNotFoundError):
+        Body.load(tmp_path / "none.xml")
+
+
+def test_without_mujoco_one_line_says_what_to_install(tmp_path, monkeypatch):
+    def without(name, *rest, real=builtins.__import__):
+        if name == "mujoco":
+            raise ImportError(name)
+        return real(name, *rest)
+
+    (tmp_path / "arm.xml").write_text(exact())
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(BodyError, match=r"pip install 'invdyn\[robots\]'"):
+        Body.load(tmp_path / "arm.xml")
+
+
+def test_every_kind_of_file_by_its_suffix(tmp_path):
+    body = read(exact(), tmp_path)
+    body.to_toml(tmp_path / "arm.toml")
+    assert Body.load(tmp_path / "arm.toml") == body
+    assert read(exact(), tmp_path, ".mjcf") == body
