@@ -1,13 +1,14 @@
-"""What a run costs: time and memory of the controlled filter against rows T, particles N and filters M.
+"""What a run costs: time and memory of the controlled filter against rows T, particles N, filters M and joints K.
 
-The paper's planar arm (see planar_paper.py, ε .1), every size in a process of its own. Seconds of the filter alone,
+The paper's planar arm (see planar_paper.py, ε .1), every size in a process of its own. Other K: its
+first links, or more like its second (1 m, .3 kg), in steps of .01 s. Seconds of the filter alone,
 and beside it those of the Gauss–Newton smoother that its guide is made of (once for all filters; without the refits,
 whose pilot runs are runs of the same filter). The sweeps count seconds of CPU on one thread, which do not depend on
 what else the machine is doing; --one gives wall time too. Memory is the process's largest resident size (ru_maxrss)
 above what it was before.
 
     python benchmarks/cost.py                          the sweeps; a table, and docs/cost.png
-    python benchmarks/cost.py --one 200 1000 64        one size: T N M
+    python benchmarks/cost.py --one 200 1000 64        one size: T N M, and --joints K
     python benchmarks/cost.py --one 10000 1000 64 --keep 300     and smooth the last 300 rows alone
     --threads 2                                        torch's threads
 """
@@ -20,12 +21,13 @@ import sys
 import time
 from pathlib import Path
 
-SWEEPS = {  # the one that varies, and the other two
-    "T": [(rows, 200, 16) for rows in (100, 200, 400, 800, 1600)],
-    "N": [(100, particles, 16) for particles in (250, 500, 1000, 2000, 4000, 8000)],
-    "M": [(100, 200, filters) for filters in (16, 32, 64, 128, 256, 512)],
+SWEEPS = {  # the one that varies, and the others
+    "T": [(rows, 200, 16, 2) for rows in (100, 200, 400, 800, 1600)],
+    "N": [(100, particles, 16, 2) for particles in (250, 500, 1000, 2000, 4000, 8000)],
+    "M": [(100, 200, filters, 2) for filters in (16, 32, 64, 128, 256, 512)],
+    "K": [(100, 1000, 16, joints) for joints in (1, 2, 3, 4, 6, 8)],
 }
-NAMES = {"T": "rows T", "N": "particles N", "M": "filters M"}
+NAMES = {"T": "rows T", "N": "particles N", "M": "filters M", "K": "joints K"}
 FIGURE = Path(__file__).parents[1] / "docs" / "cost.png"
 
 
@@ -44,21 +46,50 @@ def seconds(what: str, start: tuple[float, float], end: tuple[float, float]) -> 
     return {f"{what} s": end[0] - start[0], f"{what} CPU s": end[1] - start[1]}
 
 
-def measure(rows: int, particles: int, filters: int, keep: int | None, refits: int, threads: int) -> dict[str, float]:
-    """Run one size in this process."""
+def chain_problem(rows: int, joints: int):
+    """The paper's arm, or the like with other than two links."""
+    import numpy as np
     import torch
     from planar_paper import paper_problem
+
+    from invdyn.inference import Problem
+    from invdyn.models import ArmModel, Body, Emission, Link
+    from invdyn.simulate import PAPER, record
+
+    if joints == 2:
+        return paper_problem(0.1, seed=0, num_frames=rows)
+    names = [f"joint{k}" for k in range(joints + 1)]
+    masses = [0.5, *[0.3] * (joints - 1)]
+    links = [Link(f"link{k}", *names[k : k + 2], length=1.0, mass=masses[k]) for k in range(joints)]
+    # A long chain's last links whip round, and explicit Euler with steps of .03 s would blow that up.
+    model = ArmModel(
+        Body("chain", links, gravity=(0.0, -1.0)),
+        0.01 * np.arange(rows),
+        Emission(range(joints)),
+        torque=PAPER["torque"],
+        integrator=PAPER["integrator"],
+        parameters={**PAPER["settings"], "initial.angle_scale": 0.3, "initial.velocity_scale": 0.3},
+    )
+    recording, truth = record(model, seed=0)
+    return Problem(model, torch.as_tensor(recording.keypoints.reshape(rows, -1)), recording, truth)
+
+
+def measure(
+    rows: int, particles: int, filters: int, joints: int, keep: int | None, refits: int, threads: int
+) -> dict[str, float]:
+    """Run one size in this process."""
+    import torch
 
     from invdyn.inference import SMCOptions, backward_simulation, outer_weights, run_filters
     from invdyn.inference.smc import adapted_smoother
 
     torch.set_num_threads(threads)
     torch.manual_seed(0)
-    small = paper_problem(0.1, seed=0, num_frames=20)
+    small = chain_problem(20, joints)
     # Once small, so that imports, derivation and the allocator's first pages are not counted.
     run_filters(small.model, small.observations, SMCOptions(2, 10, refits=0))
     before = peak_mb()
-    problem = paper_problem(0.1, seed=0, num_frames=rows)
+    problem = chain_problem(rows, joints)
     model, observations = problem.model, problem.observations
     options = SMCOptions(filters, particles, refits=refits)
     clock = [now()]
@@ -66,7 +97,8 @@ def measure(rows: int, particles: int, filters: int, keep: int | None, refits: i
     clock.append(now())
     result = run_filters(model, observations, options, smoother=smoother, keep=keep)
     clock.append(now())
-    out = {"T": rows, "N": particles, "M": filters, **seconds("guide", *clock[:2]), **seconds("filter", *clock[1:])}
+    out = {"T": rows, "N": particles, "M": filters, "K": joints}
+    out |= {**seconds("guide", *clock[:2]), **seconds("filter", *clock[1:])}
     if keep is not None:
         paths = backward_simulation(model, result, observations, options.num_draws, smoother=smoother)
         out |= {"smoothed rows": paths.shape[-2], **seconds("smoothing", clock[-1], now())}
@@ -79,9 +111,10 @@ def measure(rows: int, particles: int, filters: int, keep: int | None, refits: i
     }
 
 
-def measured(size: tuple[int, int, int], threads: int) -> dict[str, float]:
+def measured(size: tuple[int, int, int, int], threads: int) -> dict[str, float]:
     """`measure` in a fresh process."""
-    command = [sys.executable, "-W", "ignore", __file__, "--threads", str(threads), "--one", *map(str, size)]
+    command = [sys.executable, "-W", "ignore", __file__, "--threads", str(threads), "--one", *map(str, size[:3])]
+    command += ["--joints", str(size[3])]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -99,23 +132,23 @@ def draw(sweeps: dict[str, list[dict[str, float]]]) -> None:
     from invdyn.plots import BLUE, GREEN, GREY, STYLE, VERMILION
 
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 5), layout="constrained")
-        axes = figure.subplots(2, 3, sharex="col", sharey="row")
+        figure = Figure(figsize=(12, 5), layout="constrained")
+        axes = figure.subplots(2, len(sweeps), sharex="col", sharey="row")
         for column, (letter, rows) in enumerate(sweeps.items()):
             x = [row[letter] for row in rows]
-            fixed = ", ".join(f"{other} = {rows[0][other]:g}" for other in "TNM" if other != letter)
+            fixed = ", ".join(f"{other} = {rows[0][other]:g}" for other in "TNMK" if other != letter)
             for place, (name, color, unit) in enumerate((("filter CPU s", BLUE, "CPU s"), ("memory MB", GREEN, "MB"))):
                 panel, y = axes[place, column], [row[name] for row in rows]
                 panel.loglog(x, [y[-1] * each / x[-1] for each in x], color=GREY, linewidth=0.9, dashes=(4, 2))
                 panel.loglog(x, y, ".-", color=color, label=name.split()[0])
-                if letter == "T" and place == 0:
+                if letter in "TK" and place == 0:
                     panel.loglog(
                         x, [row["guide CPU s"] for row in rows], ".-", color=VERMILION, label="its guide, once"
                     )
                 if column == 0:
                     panel.set_ylabel(unit)
                     panel.legend(loc="upper left")
-            axes[0, column].set_title(f"{NAMES[letter]}   ({fixed})", loc="left")
+            axes[0, column].set_title(f"{NAMES[letter]}\n({fixed})", loc="left")
             axes[1, column].set_xlabel(NAMES[letter])
             axes[1, column].set_xticks(x, [f"{each:g}" for each in x])
             axes[1, column].minorticks_off()
@@ -127,16 +160,17 @@ def draw(sweeps: dict[str, list[dict[str, float]]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--one", type=int, nargs=3, metavar=("T", "N", "M"))
+    parser.add_argument("--joints", type=int, default=2, metavar="K")
     parser.add_argument("--keep", type=int, help="rows to keep, the last ones, which are smoothed")
     parser.add_argument("--refits", type=int, default=0, help="of the guide; `invdyn infer` makes 2")
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     if arguments.one:
-        row = measure(*arguments.one, arguments.keep, arguments.refits, arguments.threads)
+        row = measure(*arguments.one, arguments.joints, arguments.keep, arguments.refits, arguments.threads)
         print(json.dumps({name: round(value, 3) for name, value in row.items()}, ensure_ascii=False))
         return
     sweeps: dict[str, list[dict[str, float]]] = {}
-    print("| T | N | M | filter CPU s | µs a particle-step | guide CPU s | memory MB |\n|---|---|---|---|---|---|---|")
+    print("| T | N | M | K | filter CPU s | µs a particle-step | guide CPU s | memory MB |\n" + "|---" * 8 + "|")
     for letter, sizes in SWEEPS.items():
         sweeps[letter] = []
         for size in sizes:
@@ -144,7 +178,7 @@ def main() -> None:
             sweeps[letter].append(row)
             each = 1e6 * row["filter CPU s"] / (row["T"] * row["N"] * row["M"])
             cells = f"{row['filter CPU s']:.2f} | {each:.2f} | {row['guide CPU s']:.2f} | {row['memory MB']:.0f}"
-            print(f"| {row['T']} | {row['N']} | {row['M']} | {cells} |", flush=True)
+            print(f"| {row['T']} | {row['N']} | {row['M']} | {row['K']} | {cells} |", flush=True)
     for letter, rows in sweeps.items():
         x = [row[letter] for row in rows]
         time_, memory = (slope(x, [row[name] for row in rows]) for name in ("filter CPU s", "memory MB"))

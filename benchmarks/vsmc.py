@@ -10,24 +10,34 @@ memory    The same arm, longer: peak memory of a process that makes the guide an
 learn     The same arm: lengths from (1.20, .70) and masses from (.30, .40), truth (1, 1) and (.5, .3), in
           rounds (4 × 50 particles), each with the smoother's path at the parameters so far; beside it the maximum
           of the linearised evidence and its posterior sd, which is what this much data can tell.
+coverage  The same arm and the same wrong start, by the method "vsmc" (50 steps; 128 filters of 50 particles, each with
+          its own lengths and masses, prior e^(±2) round the start): on --sets simulated recordings of --frames rows,
+          weighted medians, whether the 90 % intervals hold the truth, and how often they should.
+scale     Three of these recordings with the torque's scale σ_τ learned too, which trades with the masses: what the
+          posterior says about that.
 
-    python benchmarks/vsmc.py [bound step memory learn] [--seeds 4]
+    python benchmarks/vsmc.py [bound step memory learn coverage scale] [--seeds 4] [--sets 20] [--frames 200]
 """
 
 import argparse
+import json
 import multiprocessing
 import resource
 import time
+from dataclasses import replace
 
+import arviz as az
 import numpy as np
 import pyro
 import torch
 from planar_paper import paper_problem
 from pyro.infer import SVI
 from pyro.optim import Adam
+from scipy.stats import binom
 
-from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, fit, gauss_newton
+from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, SMCOptions, fit, gauss_newton
 from invdyn.inference.affine import Affine, Corrected
+from invdyn.inference.variational_smc import vsmc
 from invdyn.inference.vsmc import VSMC_ELBO
 from invdyn.models import LinearGaussian, StateSpaceModel
 
@@ -158,11 +168,67 @@ def learn(seeds: int) -> None:
             row(seed, "truth", numbers(problem.model), tightest(problem.model, y))
 
 
+def wrongly_started(seed: int, frames: int) -> Problem:
+    """A recording of the paper's arm, and its model with the wrong lengths and masses."""
+    problem = paper_problem(0.01, seed, frames)
+    wrong = {name: torch.tensor(value, dtype=torch.float64) for name, value in WRONG.items()}
+    return replace(problem, model=problem.model.replace(**wrong))
+
+
+def learned(problem: Problem, names: tuple[str, ...], seed: int) -> tuple[az.InferenceData, dict[str, np.ndarray]]:
+    """Posterior by the method, and of each entry its weighted 5, 50 and 95 % quantiles."""
+    idata = vsmc(
+        problem, free=[Free(name) for name in names], options=SMCOptions(128, 50, 1), seed=1000 + seed, steps=50
+    )
+    weights, quantiles = np.exp(idata["sample_stats"]["log_weight"].values), {}
+    for name in names:
+        values = idata["posterior"][name.removeprefix("body.")].values[:, 0]
+        for k, column in enumerate(values.T):
+            quantiles[f"{name}[{k}]"] = np.quantile(column, [0.05, 0.5, 0.95], weights=weights, method="inverted_cdf")
+    return idata, quantiles
+
+
+def coverage(sets: int, frames: int) -> None:
+    truth = dict(zip([f"{n}[{k}]" for n in LEARNED for k in (0, 1)], (1.0, 1.0, 0.5, 0.3), strict=True))
+    print(f"\n{frames} rows\n\n| set | | L₁ | L₂ | M₁ | M₂ | outer ESS | bound | gain | log Ẑ | s |")
+    print("|---" * 11 + "|")
+    hits, errors = {name: [] for name in truth}, {name: [] for name in truth}
+    for seed in range(sets):
+        start = time.process_time()
+        idata, quantiles = learned(wrongly_started(seed, frames), LEARNED, seed)
+        seconds = time.process_time() - start
+        for name, (low, middle, high) in quantiles.items():
+            hits[name].append(low <= truth[name] <= high)
+            errors[name].append(abs(middle / truth[name] - 1))
+        stats = idata["sample_stats"].attrs
+        cells = [
+            f"{m:.3f} [{low:.3f}, {high:.3f}]{'' if hits[n][-1] else ' ✗'}" for n, (low, m, high) in quantiles.items()
+        ]
+        cells += [f"{idata.attrs['outer_ess']:.0f}", f"{stats['vsmc_bound']:.2f}", f"{stats['vsmc_gain']:.2f}"]
+        cells += [f"{idata.attrs['log_evidence']:.2f}", f"{seconds:.0f}"]
+        print(f"| {seed} | | " + " | ".join(cells) + " |", flush=True)
+    low, high = binom.ppf([0.025, 0.975], sets, 0.9)
+    print(f"\n90 % intervals that hold the truth, of {sets} ({low:.0f} … {high:.0f} is what 95 % of exact ones give):")
+    for name in truth:
+        print(f"{name}: {sum(hits[name])}; error of the median: median {np.median(errors[name]):.1%}")
+
+
+def scale(frames: int) -> None:
+    for seed in range(3):
+        idata, quantiles = learned(wrongly_started(seed, frames), (*LEARNED, "torque.scale"), seed)
+        print(f"\nset {seed}, outer ESS {idata.attrs['outer_ess']:.0f} of 128")
+        for name, (low, middle, high) in quantiles.items():
+            print(f"{name}: {middle:.3f} [{low:.3f}, {high:.3f}]")
+        print(json.dumps(json.loads(idata["sample_stats"].attrs["unidentified"]), ensure_ascii=False), flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ("bound", "step", "memory", "learn")
+    parts = ("bound", "step", "memory", "learn", "coverage", "scale")
     parser.add_argument("parts", nargs="*", help=f"any of {', '.join(parts)}; all by default")
     parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--sets", type=int, default=20)
+    parser.add_argument("--frames", type=int, default=200)
     arguments = parser.parse_args()
     unknown = set(arguments.parts) - set(parts)
     if unknown:
@@ -171,7 +237,14 @@ def main() -> None:
     for part in arguments.parts or parts:
         pyro.clear_param_store()
         torch.manual_seed(0)
-        {"bound": bound, "step": step, "memory": memory, "learn": lambda: learn(arguments.seeds)}[part]()
+        {
+            "bound": bound,
+            "step": step,
+            "memory": memory,
+            "learn": lambda: learn(arguments.seeds),
+            "coverage": lambda: coverage(arguments.sets, arguments.frames),
+            "scale": lambda: scale(arguments.frames),
+        }[part]()
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ Shapes: T rows, D states; particles (M, N, D).
 """
 
 import copy
+from collections.abc import Sequence
 
 import numpy as np
 import pyro
@@ -142,7 +143,7 @@ class Corrected(Controlled):
         self._w_offset = (self._closed_offset + (S @ offset.unsqueeze(-1)).squeeze(-1)).unbind(0)
         self._w_root = (S * log_scale.exp().unsqueeze(-2)).mT.unbind(0)
         self._log_det = (S.diagonal(dim1=-2, dim2=-1).log() + log_scale).sum(-1).unbind(0)
-        self._noise = _noise_roots(self.model, torch.stack(self.path)).mT.unbind(0)
+        self._noise = _noise_roots(self.model, self.path).mT.unbind(0)
 
     def sampled(self, model: StateSpaceModel) -> "Corrected":
         """Look up the guide's parameters in Pyro's store; return the guide of ``model`` that has them."""
@@ -150,6 +151,26 @@ class Corrected(Controlled):
         other.model = model
         other._use(*(pyro.param(f"{self.name}.{key}", start.clone()) for key, start in self._start.items()))
         return other
+
+    @classmethod
+    def stacked(cls, guides: Sequence["Corrected"], model: StateSpaceModel) -> "Corrected":
+        """One guide of M filters from M guides, each of a parameter set and a smoother of its own.
+
+        ``model`` holds the sets, parameters (M, 1, own shape). For particles (M, N, D) alone.
+        """
+        whole = copy.copy(guides[0])
+        whole.model = model
+
+        def rows(name: str) -> Tensor:
+            own = (getattr(guide, name) for guide in guides)
+            return torch.stack([each if isinstance(each, Tensor) else torch.stack(each) for each in own], 1)
+
+        for name in ("path", "_alpha", "_w_offset"):
+            setattr(whole, name, rows(name).unsqueeze(-2))
+        for name in ("_A", "_w_gain", "_w_root", "_noise"):
+            setattr(whole, name, rows(name))
+        whole._log_det = rows("_log_det").unsqueeze(-1)
+        return whole
 
     def _propose(self, t: int, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
         noise = torch.randn_like(prediction)

@@ -9,7 +9,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.inference.proposal import Particles, Proposal
+from invdyn.inference.proposal import Particles, Proposal, draw
 
 
 class Bootstrap(Proposal):
@@ -19,16 +19,16 @@ class Bootstrap(Proposal):
         """p(x_0)."""
         return self.model.initial()
 
-    def conditional(self, t: int, state: Tensor) -> Distribution:
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
         """p(x_t | x_{t−1})."""
         return self.model.transition(state, t)
 
     def propose_initial(self, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
         """Draw from the prior; the ratio is one."""
-        x = self.conditional_initial().expand(torch.Size(shape)).sample()
+        x = draw(self.conditional_initial().expand(torch.Size(shape)))
         return {"x": x}, x.new_zeros(shape)
 
-    def propose(self, t: int, particles: Particles) -> tuple[Particles, Tensor]:
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw from the dynamics; the ratio is one."""
-        x = self.conditional(t, particles["x"]).sample()
+        x = draw(self.conditional(t, particles["x"]))
         return {"x": x}, x.new_zeros(x.shape[:-1])

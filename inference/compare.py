@@ -1,6 +1,7 @@
 """Methods side by side, on one recording and one model: which to trust, and at what cost.
 
-Parameters that are not known are fitted once (:mod:`.marginal_likelihood`), so all methods answer the same question.
+Parameters that are not known are fitted once (:mod:`.marginal_likelihood`), so all methods answer the same question;
+"vsmc" too, which by itself (:func:`.infer.infer`) would learn their posterior, and here trains its guide alone.
 Each row of the table is a method:
 
     <joint>_rmse, _crps, _coverage_50, _coverage_90   of the torque against the truth, if known (:mod:`.scores`)
@@ -13,7 +14,7 @@ Each row of the table is a method:
 
 Memory is the growth of the process's resident set, at its peak. In one process what earlier methods have freed is
 used again and does not count; with ``isolate`` each method has a process of its own, where what libraries load at
-their first use (some 50 MiB) counts too.
+their first use (some 50 MiB) counts too. An executor's workers are other processes: their memory is not counted.
 """
 
 import json
@@ -21,7 +22,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -58,6 +59,8 @@ class Comparison:
         notes: what is missing from a method's row, and why.
         held_out: rows that ``log_score`` is over; 0 when there is none.
         isolated: whether each method ran in a process of its own.
+        recording: its name.
+        seed: of every random number.
     """
 
     table: pd.DataFrame
@@ -66,12 +69,16 @@ class Comparison:
     notes: dict[str, str]
     held_out: int
     isolated: bool
+    recording: str
+    seed: int
 
     def to_dict(self) -> dict[str, Any]:
         """All but the posteriors, as JSON has it: None where there is no number."""
         rows = json.loads(self.table.to_json(orient="index", double_precision=15))
         return {
             "schema": 1,
+            "recording": self.recording,
+            "seed": self.seed,
             "methods": rows,
             "failures": self.failures,
             "notes": self.notes,
@@ -80,10 +87,12 @@ class Comparison:
         }
 
 
-def measured(task: Task, method: str, progress: Progress | None = None) -> tuple[az.InferenceData, float, float]:
+def measured(
+    task: Task, method: str, progress: Progress | None = None, executor: Executor | None = None
+) -> tuple[az.InferenceData, float, float]:
     """``task.run`` with its seconds and MiB."""
     before, start = resident_peak(reset=True), time.perf_counter()
-    idata = task.run(method, progress)
+    idata = task.run(method, progress, executor)
     return idata, time.perf_counter() - start, max(resident_peak() - before, 0.0)
 
 
@@ -101,6 +110,9 @@ def compare(
     held_out: float = 0.2,
     isolate: bool = False,
     progress: Progress | None = None,
+    device: str = "cpu",
+    filters_per_task: int | None = None,
+    executor: Executor | None = None,
     **binding: Any,
 ) -> Comparison:
     """Run several methods on one recording.
@@ -115,10 +127,12 @@ def compare(
         held_out: share of the rows, the last ones, that ``log_score`` is over; 0 for none.
         isolate: run each method in a process of its own.
         progress: called with (done, total, what).
+        device, filters_per_task, executor: as :func:`.infer.infer` takes them.
         binding: further options of :func:`.initialise.arm_problem`: torque, integrator, family, learn_lengths …
 
     Raises:
-        InputError: no or an unknown method, a ``held_out`` that is no share, or a recording that does not fit the body.
+        InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``, or
+            a recording that does not fit the body.
     """
     methods = tuple(dict.fromkeys(methods))
     if unknown := [method for method in methods if method not in METHODS]:
@@ -127,11 +141,13 @@ def compare(
         raise InputError(f"expected at least one method among {', '.join(METHODS)}")
     if not 0 <= held_out < 1:
         raise InputError(f"expected a share of rows to hold out from 0 up to 1, got {held_out}")
-    options = SMCOptions(num_filters, num_particles, num_draws)
+    if isolate and executor is not None:
+        raise InputError("expected isolated methods or workers, got both: memory is measured in one process")
+    options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
     bind = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
     whole = bind(recording, truth=truth, report=_stage(progress, "fit"))
     head, future, missing = _split(whole, recording, bind, held_out, _stage(progress, "fit without the tail"))
-    launch = _in_own_process if isolate else measured
+    launch = _in_own_process if isolate else partial(measured, executor=executor)
     rows, posteriors, failures, notes = {}, {}, {}, {}
     for method in methods:
         rows[method] = {}
@@ -157,7 +173,8 @@ def compare(
     table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
     table["failure"] = [failures.get(method, "") for method in table.index]
     table.index.name = "method"
-    return Comparison(table, posteriors, failures, notes, 0 if future is None else _seen(whole, head), isolate)
+    seen = 0 if future is None else _seen(whole, head)
+    return Comparison(table, posteriors, failures, notes, seen, isolate, recording.name, seed)
 
 
 def _split(

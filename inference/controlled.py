@@ -40,9 +40,8 @@ class Controlled(Proposal):
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path
 
-        def rows(values) -> list[Tensor]:
-            tensor = torch.as_tensor(np.asarray(values)).to(dtype=model.dtype, device=model.device)
-            return list(tensor.unbind(0))
+        def rows(values) -> Tensor:
+            return torch.as_tensor(np.asarray(values)).to(dtype=model.dtype, device=model.device)
 
         self.path = rows(path)
         self.num_steps = len(self.path)
@@ -54,17 +53,17 @@ class Controlled(Proposal):
         self._A, self._alpha = rows(factors.A), rows(factors.alpha)
         self._log_c = rows(factors.log_c - factors.log_n)
 
-    def _prediction(self, t: int, state: Tensor | None) -> Tensor:
+    def _prediction(self, t: int | Tensor, state: Tensor | None) -> Tensor:
         """f(x_{t−1}) − x̄_t, shape (…, D); the prior mean for t = 0."""
-        before = self.model.initial() if t == 0 else self.model.transition(state, t)
+        before = self.model.initial() if state is None else self.model.transition(state, t)
         return gaussian_mean(before) - self.path[t]
 
-    def _integral(self, t: int, prediction: Tensor) -> Tensor:
+    def _integral(self, t: int | Tensor, prediction: Tensor) -> Tensor:
         """Log ∫ N(x_t; x̄_t + prediction, Q_t) ψ_t(x_t) dx_t, shape (…), with ψ_t scaled as above."""
         misfit = prediction @ self._A[t].mT - self._alpha[t]
         return -0.5 * misfit.square().sum(-1)
 
-    def _log_psi(self, t: int, deviation: Tensor) -> Tensor:
+    def _log_psi(self, t: int | Tensor, deviation: Tensor) -> Tensor:
         misfit = deviation @ self._U[t].mT - self._b[t]
         return self._log_c[t] - 0.5 * misfit.square().sum(-1)
 
@@ -74,40 +73,39 @@ class Controlled(Proposal):
         prediction = self._prediction(0, None).expand(*shape, -1)
         return self._propose(0, prediction, self._integral(0, prediction))
 
-    def propose(self, t: int, particles: Particles) -> tuple[Particles, Tensor]:
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw x_t ~ p(x_t | x_{t−1}) ψ_t(x_t), normalised."""
         return self._propose(t, particles["prediction"], particles["log_twist"])
 
-    def _propose(self, t: int, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
+    def _propose(self, t: int | Tensor, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
         deviation = prediction @ self._gain[t].mT + self._offset[t]
         deviation = deviation + torch.randn_like(deviation) @ self._root[t].mT
-        particles = {"x": deviation + self.path[t]}
-        log_ratio = integral - self._log_psi(t, deviation)
-        if t + 1 < self.num_steps:
-            particles["prediction"] = self._prediction(t + 1, particles["x"])
-            particles["log_twist"] = self._integral(t + 1, particles["prediction"])
-        else:
-            particles["log_twist"] = torch.zeros_like(log_ratio)
-        return particles, log_ratio
+        return self.at(t, deviation + self.path[t]), integral - self._log_psi(t, deviation)
+
+    def at(self, t: int | Tensor, x: Tensor) -> Particles:
+        """x_t, where the model takes it, f(x_t) − x̄_{t+1}, and the twist; at the last row there is nothing ahead."""
+        # A compiled row's t is a tensor, and never the last.
+        if not isinstance(t, Tensor) and t + 1 >= self.num_steps:
+            return {"x": x, "log_twist": x.new_zeros(x.shape[:-1])}
+        prediction = self._prediction(t + 1, x)
+        return {"x": x, "prediction": prediction, "log_twist": self._integral(t + 1, prediction)}
 
     # -- Pyro's way in -------------------------------------------------------------------------
     def conditional_initial(self) -> Distribution:
         """q(x_0)."""
         return self._conditional(0, self._prediction(0, None))
 
-    def conditional(self, t: int, state: Tensor) -> Distribution:
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
         """q(x_t | x_{t−1} = state)."""
         return self._conditional(t, self._prediction(t, state))
 
-    def _conditional(self, t: int, prediction: Tensor) -> Distribution:
+    def _conditional(self, t: int | Tensor, prediction: Tensor) -> Distribution:
         loc = self.path[t] + prediction @ self._gain[t].mT + self._offset[t]
         return MultivariateNormal(loc, scale_tril=self._root[t], validate_args=False)
 
     def log_twist(self, state, t: int) -> Tensor:
         """Log ψ̃_t(x_t) of the particles in Pyro's state; zero at the last row."""
-        if t + 1 >= self.num_steps:
-            return state["x"].new_zeros(state["x"].shape[:-1])
-        return self._integral(t + 1, self._prediction(t + 1, state["x"]))
+        return self.at(t, state["x"])["log_twist"]
 
 
 def _triangular(root: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from invdyn.inference.initialise import Problem
 from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import Progress, SMCOptions
 from invdyn.models import BodyParameters, Emission, dynamics_for
 from invdyn.models.kinematics import link_angles
@@ -157,8 +158,7 @@ def differentiate(
     path = torch.cat([model.torque.path(torque, model.time), torch.as_tensor(q), torch.as_tensor(qd)], -1)
     if progress is not None:
         progress(1, 1, "differentiate")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with seeded(seed):
         return to_inference_data(
             problem,
             path[None, None],

@@ -29,7 +29,7 @@ from invdyn.inference.square_root import (
     forward_covariance,
     forward_mean,
 )
-from invdyn.models.missing import gaussian_rows
+from invdyn.models.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
 
@@ -114,6 +114,7 @@ def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Lin
     with torch.no_grad():
         emission = model.emission(path, rows)
         whitening, constant = gaussian_rows(emission, observations)
+    observations = explained(emission, observations)
     residual = torch.where(torch.isnan(observations), 0.0, observations - h)
     if isinstance(emission, torch.distributions.MultivariateNormal):
         E, e = whitening @ H, (whitening @ residual.unsqueeze(-1)).squeeze(-1)

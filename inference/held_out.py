@@ -19,6 +19,7 @@ from torch import Tensor
 
 from invdyn.inference.initialise import Problem
 from invdyn.inference.nested import outer_weights
+from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
@@ -98,8 +99,7 @@ def log_score(problem: Problem, head: az.InferenceData, path: Tensor, seed: int 
     tail[0] = torch.nan  # the head has seen it
     model = Continued(problem.model, first, *belief(head, problem.model))
     seen = int((~torch.isnan(tail)).any(-1).sum())
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with seeded(seed):
         smoother = gaussian_smoother(model, tail, path[first:])
         result = run_filters(model, tail, OPTIONS, smoother=smoother, keep=1)
     return outer_weights(result.log_evidence).log_evidence / seen

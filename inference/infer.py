@@ -1,6 +1,8 @@
 """The main job: from a recording and a body to the posterior of the torques."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
+from pathlib import Path
 
 import arviz as az
 
@@ -30,6 +32,10 @@ def infer(
     passive: bool = False,
     hide_torque: bool = False,
     progress: Progress | None = None,
+    device: str = "cpu",
+    filters_per_task: int | None = None,
+    executor: Executor | None = None,
+    checkpoint: str | Path | None = None,
 ) -> az.InferenceData:
     """Infer the torques that moved a recorded body.
 
@@ -41,26 +47,35 @@ def infer(
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.
         settings: parameters by dotted name that are known, such as {"torque.scale": 20.0}; the noise
-            scales, λ, σ_τ and σ_y that are not given are fitted by marginal likelihood.
+            scales, λ, σ_τ and σ_y that are not given are fitted by marginal likelihood. "vsmc" learns their
+            posterior, and that of learned lengths and masses, and integrates them out.
         torque, integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.
         passive: no torque acts (what is inferred is what acts all the same: friction, drive).
         hide_torque: ignore the recording's commands.
         progress: called with (done, total, what).
+        device: of the particle filters, "cpu" or "cuda".
+        filters_per_task: see :class:`SMCOptions`.
+        executor: any ``concurrent.futures`` executor, whose workers share the filters or, where the body is
+            uncertain, its draws; the result is the same to the bit. None: this process.
+        checkpoint: folder of this run, made when missing: the fit, the guide and the filters that are done are kept
+            there, so that the same call goes on where it was interrupted.
 
     Returns:
         InferenceData as :mod:`.posterior` lays it out.
 
     Raises:
-        InputError: the recording does not fit the body, or an unknown method or parameter.
+        InputError: the recording does not fit the body, an unknown method or parameter, a device that is not there,
+            or a checkpoint of another run.
+        LostWork: workers died and could not be replaced; the message names the filters that are missing.
     """
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
     task = prepare(
         recording,
         body,
-        options=SMCOptions(num_filters, num_particles, num_draws),
+        options=SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task),
         seed=seed,
         settings=settings,
         truth=truth,
@@ -72,5 +87,6 @@ def infer(
         family=family,
         hide_torque=hide_torque,
         passive=passive,
+        checkpoint=checkpoint,
     )
-    return task.run(method, progress)
+    return task.run(method, progress, executor, learn=True)

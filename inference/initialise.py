@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models import ArmModel, Body, Emission, TorqueProcess, dynamics_for
+from invdyn.models.arm_start import link_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -163,10 +164,10 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
     rows = observations.numpy()
     points = 2 * len(emission.tips)
     if emission.tips:
-        noise = _jitter(rows[:, :points]).reshape(-1, 2).max(axis=1)
+        noise = jitter(rows[:, :points]).reshape(-1, 2).max(axis=1)
         values["emission.keypoint_scale"] = np.clip(noise, 1e-5 * reach, 0.3 * reach)
     if emission.num_encoders:
-        sd = values["emission.angle_scale"] = np.clip(_jitter(rows[:, points:]), 1e-5, 0.1)
+        sd = values["emission.angle_scale"] = np.clip(jitter(rows[:, points:]), 1e-5, 0.1)
     else:
         sd = np.clip(1.5 * noise.max() / parameters.length.numpy(), 1e-6, 1.0)
     # Slack in the kinematics, well under what can be seen of it.
@@ -188,11 +189,13 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
     return values
 
 
-def _jitter(columns: np.ndarray) -> np.ndarray:
-    """Noise sd of each column from its third differences, robustly; 0 where too little is seen."""
-    third = np.diff(columns, n=3, axis=0)
-    with np.errstate(all="ignore"):
-        spread = [np.median(np.abs(c[np.isfinite(c)])) if np.isfinite(c).any() else 0.0 for c in third.T]
+def jitter(columns: np.ndarray) -> np.ndarray:
+    """Noise sd of each column (T, C) from its third differences, robustly; 0 where too little is seen.
+
+    Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
+    """
+    seen = [column[np.isfinite(column)] for column in columns.T]
+    spread = [np.median(np.abs(np.diff(column, n=3))) if len(column) > 3 else 0.0 for column in seen]
     return 1.4826 * np.array(spread) / np.sqrt(20.0)
 
 
@@ -209,7 +212,7 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     path = paths[len(paths) // 2]
     rows = torch.arange(1, model.num_steps)
     joints = model.body.num_joints
-    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(model._link_angle_sd(model.body_parameters()))
+    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
     substeps = 1
     with torch.no_grad():
         while substeps < MAX_SUBSTEPS:

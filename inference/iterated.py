@@ -88,10 +88,12 @@ def iterate(
     results = [result for _, result in runs]
     latest = start
     for _ in range(iterations):
-        latest = refit(model, observations, latest, results, num_points)
         try:
+            # A few particles far from the others can make the backward sweep diverge.
+            with np.errstate(over="raise", invalid="raise"):
+                latest = refit(model, observations, latest, results, num_points)
             results.append(pilot(latest))
-        except SMCFailed:
+        except (SMCFailed, FloatingPointError, np.linalg.LinAlgError):
             return start
     # Not the smallest spread of all refits: a run that has missed a region looks the steadiest.
     return latest if _spread(results[-1]) <= _spread(first) else start

@@ -26,6 +26,7 @@ from torch.distributions import constraints
 from invdyn.inference.gauss_newton import GaussianSmoother
 from invdyn.inference.initialise import Problem
 from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import Progress, SMCOptions, gaussian_smoother
 from invdyn.inference.square_root import forward_mean
 
@@ -143,8 +144,7 @@ def laplace(
     """
     options = options or SMCOptions()
     smoother = gaussian_smoother(problem.model, problem.observations, start)
-    with torch.random.fork_rng(devices=[]), torch.no_grad():
-        torch.manual_seed(seed)
+    with seeded(seed), torch.no_grad():
         paths = GaussianChain.of(smoother).sample((options.num_filters, options.num_draws))
         if progress is not None:
             progress(1, 1, "smooth")

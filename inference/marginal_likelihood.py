@@ -56,6 +56,8 @@ class Fit:
         path: (T, D) mode, a warm start for what follows.
         log_sd: per parameter, posterior sd of the log of its entries (Laplace).
         converged: whether the optimiser met its tolerance.
+        phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
+        covariance: (P, P) posterior covariance of φ (Laplace).
     """
 
     model: StateSpaceModel
@@ -63,32 +65,58 @@ class Fit:
     path: Tensor
     log_sd: dict[str, np.ndarray]
     converged: bool
+    phi: np.ndarray
+    covariance: np.ndarray
+
+
+class LogParameters:
+    """A model's free parameters as one vector φ = log(θ/θ_start), whose prior is N(0, diag sd²).
+
+    Attributes:
+        labels: (P) names of φ's entries, such as "body.mass[0]"; without an index where there is one only.
+        sd: (P,) of the prior.
+    """
+
+    def __init__(self, model: StateSpaceModel, free: Sequence[Free]):
+        self.model, self.free = model, tuple(free)
+        entries = [f.indices(model.parameters[f.name].numel()) for f in self.free]
+        sizes = [1 if f.tied else len(own) for f, own in zip(self.free, entries, strict=True)]
+        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
+        self.labels = [
+            f.name if size == 1 else f"{f.name}[{k}]"
+            for f, own, size in zip(self.free, entries, sizes, strict=True)
+            for k in own[:size]
+        ]
+
+    def at(self, phi: Tensor) -> StateSpaceModel:
+        """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""
+        values = {}
+        for f, index in zip(self.free, self.slices, strict=True):
+            start = self.model.parameters[f.name]
+            own = phi[..., index].to(start)
+            place = own.new_zeros(len(index), start.numel())
+            free = list(f.indices(start.numel()))
+            place[torch.arange(len(index)) if len(index) > 1 else 0, free] = 1.0
+            factor = (own @ place).exp()
+            if phi.ndim == 2:
+                factor = factor.unsqueeze(-2)
+            values[f.name] = start * factor.reshape(*factor.shape[:-1], *start.shape)
+        return self.model.replace(**values)
 
 
 class _Objective:
     """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
 
     def __init__(self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None):
-        self.model, self.observations, self.free = model, observations, tuple(free)
-        sizes = [1 if f.tied else len(f.indices(model.parameters[f.name].numel())) for f in self.free]
-        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-        self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
+        self.observations, self.parameters = observations, LogParameters(model, free)
+        self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
         self.path = start
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
 
     def at(self, phi: np.ndarray) -> StateSpaceModel:
-        """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape)."""
-        values = {}
-        for f, index in zip(self.free, self.slices, strict=True):
-            start = self.model.parameters[f.name]
-            free = list(f.indices(start.numel()))
-            log_factor = np.zeros((*phi.shape[:-1], start.numel()))
-            log_factor[..., free] = phi[..., index]  # a tied factor broadcasts
-            factor = torch.as_tensor(np.exp(log_factor)).to(start)
-            if phi.ndim == 2:
-                factor = factor.unsqueeze(-2)
-            values[f.name] = start * factor.reshape(*factor.shape[:-1], *start.shape)
-        return self.model.replace(**values)
+        """See :meth:`LogParameters.at`."""
+        return self.parameters.at(torch.as_tensor(phi))
 
     def value(self, phi: np.ndarray) -> float:
         """Negative log-posterior."""
@@ -167,7 +195,8 @@ def fit(
     model.replace(**{f.name: model.parameters.get(f.name) for f in free})  # checks the names
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
-        return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True)
+        none = np.zeros(0)
+        return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True, none, np.zeros((0, 0)))
     objective = _Objective(model, observations, free, start)
     reached: list[float] = []
 
@@ -194,19 +223,22 @@ def fit(
     )
     value, _, hessian = objective._evaluate(result.x)
     log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
+    covariance = _laplace(objective, hessian)
+    sd = np.sqrt(np.diagonal(covariance))
     return Fit(
         objective.at(result.x),
         log_evidence,
         objective.path,
-        _laplace(objective, hessian),
+        {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
         bool(result.success) or len(reached) < max_iterations,
+        result.x,
+        covariance,
     )
 
 
-def _laplace(objective: _Objective, hessian: np.ndarray) -> dict[str, np.ndarray]:
-    """Standard deviations of φ from the Hessian at the optimum."""
+def _laplace(objective: _Objective, hessian: np.ndarray) -> np.ndarray:
+    """Covariance of φ from the Hessian at the optimum."""
     # Directions in which it is not yet convex fall back to the prior's own curvature.
     values, vectors = np.linalg.eigh(hessian)
     values = np.maximum(values, 1 / objective.sd.max() ** 2)
-    sd = np.sqrt(np.diagonal(vectors / values @ vectors.T))
-    return {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)}
+    return vectors / values @ vectors.T

@@ -9,23 +9,30 @@ the mean of the Ẑ_m is the evidence with θ integrated out (unbiased).
 """
 
 import dataclasses
+import tempfile
 from collections.abc import Callable
+from concurrent.futures import Executor
+from pathlib import Path
 
 import arviz as az
-import pyro
+import numpy as np
 import torch
 from pyro import poutine
 
+from invdyn.inference.checkpoint import Checkpoint
+from invdyn.inference.distribute import Tensors, spread
 from invdyn.inference.initialise import Problem
-from invdyn.inference.posterior import combine
+from invdyn.inference.posterior import combine, load_posterior, save_posterior
+from invdyn.inference.seeds import derived, seeded
 from invdyn.inference.smc import Progress, SMCOptions
+
+Method = Callable[..., az.InferenceData]
 
 
 def body_draws(problem: Problem, count: int, seed: int) -> list[Problem]:
     """``count`` problems whose bodies are drawn from their priors."""
     problems = []
-    with torch.random.fork_rng(devices=[]), poutine.block():
-        pyro.set_rng_seed(seed)
+    with seeded(seed), poutine.block():
         for _ in range(count):
             drawn = problem.model.body.sample(dtype=problem.model.dtype)._asdict()
             model = problem.model.replace(**{f"body.{name}": value for name, value in drawn.items()})
@@ -34,7 +41,7 @@ def body_draws(problem: Problem, count: int, seed: int) -> list[Problem]:
 
 
 def over_bodies(
-    method: Callable[..., az.InferenceData],
+    method: Method,
     problem: Problem,
     *,
     options: SMCOptions,
@@ -43,20 +50,55 @@ def over_bodies(
     start: torch.Tensor | None = None,
     settings: dict | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> az.InferenceData:
     """Run ``method`` on ``num_sets`` bodies (at most one a filter) and combine the results.
 
-    Arguments as those of :func:`.smc.smc`. The result's posterior also holds each draw's length, mass,
-    com and inertia.
+    Arguments as those of :func:`.smc.smc`; a body is a task, and with an ``executor`` the method must pickle. The
+    result's posterior also holds each draw's length, mass, com and inertia.
     """
     num_sets = min(num_sets, options.num_filters)
     sizes = [len(part) for part in torch.arange(options.num_filters).tensor_split(num_sets)]
-    parts = []
-    for s, (size, one) in enumerate(zip(sizes, body_draws(problem, num_sets, seed), strict=True)):
-        few = dataclasses.replace(options, num_filters=size, refits=min(options.refits, 1))
-        # Seeds of different sets are far apart, and the same whatever else is run.
-        own = int(torch.tensor(seed * 1_000_003 + 7919 * (s + 1)) % (2**31))
-        parts.append(method(one, options=few, start=start, seed=own, settings=settings))
-        if progress is not None:
-            progress(s + 1, num_sets, "bodies")
-    return combine(parts, seed=seed)
+    few = [dataclasses.replace(options, num_filters=size, refits=min(options.refits, 1)) for size in sizes]
+    bodies = body_draws(problem, num_sets, seed)
+    parts = spread(
+        run_body,
+        [(method, bodies[s], few[s], derived(seed, s), start, settings) for s in range(num_sets)],
+        [f"body draw {s + 1} of {num_sets}" for s in range(num_sets)],
+        executor=executor,
+        checkpoint=checkpoint,
+        progress=None if progress is None else lambda done, total: progress(done, total, "bodies"),
+    )
+    return combine([_unpacked(part) for part in parts], seed=seed)
+
+
+def run_body(
+    method: Method,
+    problem: Problem,
+    options: SMCOptions,
+    seed: int,
+    start: torch.Tensor | None,
+    settings: dict | None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tensors:
+    """Run ``method`` on one body: what one worker does."""
+    idata = method(problem, options=options, start=start, seed=seed, settings=settings)
+    if progress is not None:
+        progress(1, 1)
+    return _packed(idata)
+
+
+def _packed(idata: az.InferenceData) -> Tensors:
+    """A posterior as the bytes of its file, the one form of it that workers and checkpoints share."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "posterior.nc"
+        save_posterior(idata, file)
+        return {"file": torch.from_numpy(np.fromfile(file, np.uint8))}
+
+
+def _unpacked(part: Tensors) -> az.InferenceData:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "posterior.nc"
+        part["file"].numpy().tofile(file)
+        return load_posterior(file)

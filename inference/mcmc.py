@@ -12,6 +12,7 @@ import arviz as az
 import numpy as np
 import pyro
 import torch
+import xarray as xr
 from pyro.distributions import Normal
 from pyro.infer import MCMC, NUTS
 from torch import Tensor
@@ -19,6 +20,7 @@ from torch import Tensor
 from invdyn.inference.initialise import Problem
 from invdyn.inference.laplace import GaussianChain
 from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import Progress, SMCOptions, gaussian_smoother
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
@@ -81,7 +83,7 @@ def nuts(
         if progress is not None:
             progress(done, chains * (warmup + draws), "nuts")
 
-    with torch.random.fork_rng(devices=[]):
+    with seeded(seed):
         for number in range(chains):
             # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
             torch.manual_seed(seed * 1_000_003 + number)
@@ -111,7 +113,8 @@ def nuts(
 
 def mixing(torque: np.ndarray) -> dict[str, float]:
     """Largest R-hat, smallest bulk and tail effective sample size of any entry of draws (chain, draw, …)."""
-    data = az.convert_to_dataset({"torque": torque})
+    # ArviZ's own conversion warns of more chains than draws, which is what batched chains are.
+    data = xr.Dataset({"torque": (["chain", "draw", *(f"dim_{k}" for k in range(torque.ndim - 2))], torque)})
     return {
         "r_hat": float(az.rhat(data)["torque"].max()),
         "ess_bulk": float(az.ess(data, method="bulk")["torque"].min()),

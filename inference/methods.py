@@ -1,4 +1,8 @@
-"""All methods by name, each called as :func:`.smc.smc` is: problem in, InferenceData out."""
+"""All methods by name, each called as :func:`.smc.smc` is: problem in, InferenceData out.
+
+"smc" and "nested" are one sampler under two names: M filters of N particles under an outer importance sampler
+(:mod:`.nested`), with the controlled guide. One filter alone is its case M = 1.
+"""
 
 import time
 from collections.abc import Callable
@@ -9,8 +13,10 @@ import arviz as az
 from invdyn.inference.differentiate import differentiate
 from invdyn.inference.laplace import laplace
 from invdyn.inference.mcmc import nuts
+from invdyn.inference.particle_gibbs import particle_gibbs
 from invdyn.inference.smc import smc
 from invdyn.inference.svi import svi
+from invdyn.inference.variational_smc import vsmc
 
 Method = Callable[..., az.InferenceData]
 """Called as :func:`.smc.smc` is."""
@@ -29,14 +35,29 @@ def timed(method: Method) -> Method:
     return run
 
 
+def named(name: str, method: Method) -> Method:
+    """Return ``method`` with its results under another name."""
+
+    @wraps(getattr(method, "func", method))
+    def run(*args, **kwargs) -> az.InferenceData:
+        idata = method(*args, **kwargs)
+        idata.attrs["method"] = idata["sample_stats"].attrs["method"] = name
+        return idata
+
+    return run
+
+
 METHODS: dict[str, Method] = {
     "smc": timed(partial(smc, guide="controlled")),
+    "nested": timed(named("nested", partial(smc, guide="controlled"))),
     "bootstrap": timed(partial(smc, guide="bootstrap")),
     "laplace": timed(laplace),
     "svi": timed(partial(svi, guide="svi")),
     "svi-markov": timed(partial(svi, guide="svi-markov")),
+    "vsmc": timed(vsmc),
     "nuts": timed(nuts),
+    "particle-gibbs": timed(particle_gibbs),
     "differentiate": timed(differentiate),
 }
-WITHOUT_EVIDENCE = frozenset({"nuts", "differentiate"})
+WITHOUT_EVIDENCE = frozenset({"nuts", "particle-gibbs", "differentiate"})
 """Methods that cannot weigh one body against another."""

@@ -22,6 +22,7 @@ plain Pyro shapes (N, …).
 
 import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import pyro
 import torch
@@ -31,10 +32,30 @@ from pyro.infer.smcfilter import SMCFailed
 from pyro.poutine.util import prune_subsample_sites
 from torch import Tensor
 
+from invdyn.inference.checkpoint import Checkpoint, digest
+from invdyn.inference.compiled import CompiledRows
+from invdyn.inference.filter_checkpoint import resumed, save
 from invdyn.inference.particles import FilterResult, FilterState, History, take
 from invdyn.inference.proposal import Particles, Proposal
-from invdyn.inference.resampling import ess, resample
-from invdyn.models.missing import observed_log_prob
+from invdyn.inference.weights import ancestors_where, normalised, row_log_prob
+
+PATIENCE = 1000
+"""Rows after which a filter that must not wait for its device looks whether it is still alive."""
+
+CARRIED = ("log_weights", "log_evidence", "ancestors")
+"""What a checkpoint holds beside particles and history."""
+
+_TWIST = object()
+"""Key beside those of Pyro's state, of which none can be the same."""
+
+
+class Row(NamedTuple):
+    """What a row leaves behind: weights (M, N), normalised; total and ESS (M,)."""
+
+    particles: Particles
+    log_weights: Tensor
+    total: Tensor
+    ess: Tensor
 
 
 class ParticleFilter(SMCFilter):
@@ -48,6 +69,9 @@ class ParticleFilter(SMCFilter):
         num_filters: M, or None for one filter of Pyro's own shapes.
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: "systematic", "stratified", "residual" or "multinomial".
+        compiled: whether :meth:`run` compiles its rows (:mod:`.compiled`), which takes 5 to 10 s before the
+            first; same numbers but for rounding, which can turn an ancestor. What cannot be compiled runs as it is,
+            after one warning. The first and the last row always do.
 
     After each row: ``log_evidence`` (M,), ``ess`` (M,) before and ``resampled`` (M,) whether there was resampling,
     ``ancestors`` (M, N) of the particles that go on, and ``row``, the number of rows seen.
@@ -63,6 +87,7 @@ class ParticleFilter(SMCFilter):
         num_filters: int | None = None,
         ess_threshold: float = 0.5,
         resampling: str = "systematic",
+        compiled: bool = False,
     ):
         if not 0 < ess_threshold <= 1:
             raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
@@ -71,6 +96,8 @@ class ParticleFilter(SMCFilter):
         super().__init__(model, guide, num_particles, max_plate_nesting, ess_threshold=ess_threshold)
         self.num_filters = num_filters
         self.resampling = resampling
+        self.compiled = compiled
+        self._rows = CompiledRows(self._advance)
         self.batch = (num_particles,) if num_filters is None else (num_filters, num_particles)
         self.state = FilterState(self.batch)
         self._restart()
@@ -80,7 +107,7 @@ class ParticleFilter(SMCFilter):
         uniform = -math.log(self.num_particles)
         self._log_weights = torch.full(self.batch, uniform, dtype=torch.float64, device=device)
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
-        self.ancestors = torch.arange(self.num_particles, device=device).expand(self.batch)
+        self.ancestors = self._itself = torch.arange(self.num_particles, device=device).expand(self.batch)
         self.row = 0
         self._log_twist: Tensor | None = None
 
@@ -123,11 +150,10 @@ class ParticleFilter(SMCFilter):
             increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
             self._log_twist = twist
         self._weigh(increment)
-        index = self._maybe_resample()
-        if index is not None:
-            self.state._resample(index)
-            if self._log_twist is not None:
-                self._log_twist = self._log_twist.gather(-1, index)
+        carried = dict(self.state) | ({} if self._log_twist is None else {_TWIST: self._log_twist})
+        carried = self._resample(carried, synchronous=self.ess.device.type == "cpu")
+        self._log_twist = carried.pop(_TWIST, None)
+        self.state._replace(carried, self._log_weights)
 
     def _trace_log_weight(self, model_trace, guide_trace) -> Tensor:
         """Log p(x, y) − log q(x) per particle, from the traces of one step."""
@@ -162,6 +188,9 @@ class ParticleFilter(SMCFilter):
         *,
         keep: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        checkpoint: Checkpoint | None = None,
+        every: int = 1000,
+        synchronous: bool | None = None,
     ) -> FilterResult:
         """Filter observations (T, O), NaN where missing.
 
@@ -170,72 +199,123 @@ class ParticleFilter(SMCFilter):
             keep: how many of the last rows to keep for smoothing (all by default). Memory is
                 keep × M × N × D numbers.
             progress: called with (rows done, rows in all).
+            checkpoint: where to go on from, if it holds anything, and what to write every so many rows; the answer
+                is the same to the bit, with or without an interruption.
+            every: rows between two checkpoints.
+            synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs
+                it and to name a row at once where all weights are zero. By default on a CPU; elsewhere each look
+                would be a wait, and a dead filter is found up to a thousand rows later.
 
-        Raises SMCFailed when all particles of some filter have weight zero.
+        Raises SMCFailed when all particles of some filter have weight zero; InputError for a checkpoint of
+        another run; ValueError when ``every`` is less than one.
         """
-        rows = len(observations)
-        self._restart(observations.device)
+        if every < 1:
+            raise ValueError(f"expected at least one row between checkpoints, got {every}")
+        rows, device = len(observations), observations.device
+        synchronous = device.type == "cpu" if synchronous is None else synchronous
         shape = self.batch if self.num_filters is not None else (1, *self.batch)
-        if self.num_filters is None:
-            self._log_weights, self.log_evidence = self._log_weights[None], self.log_evidence[None]
-            self.ancestors = self.ancestors[None]
-        guide: Proposal = self.guide
-        history = History(rows, rows if keep is None else min(keep, rows), shape[0], observations.device)
+        self._restart(device)
+        self._log_weights, self.log_evidence, self.ancestors = (
+            value.reshape(*shape[:-1], *value.shape[len(self.batch) - 1 :])
+            for value in (self._log_weights, self.log_evidence, self.ancestors)
+        )
+        self._itself = self.ancestors
+        history = History(rows, rows if keep is None else min(keep, rows), shape[0], device)
         particles: Particles = {}
-        twist = 0.0
-        for t in range(rows):
-            particles, increment = guide.propose_initial(shape) if t == 0 else guide.propose(t, particles)
-            y = observations[t]
-            if bool((~torch.isnan(y)).any()):
-                increment = increment + observed_log_prob(self.model.emission(particles["x"], t), y)
-            if "log_twist" in particles:
-                increment = increment + particles["log_twist"] - twist
-                twist = particles["log_twist"]
-            total = self._weigh(increment)
+        run = {} if checkpoint is None else self._described(observations, history)
+        if checkpoint is not None and (kept := resumed(checkpoint, run, history, device)) is not None:
+            self.row, particles, rest = kept
+            self._log_weights, self.log_evidence, self.ancestors = (rest[name] for name in CARRIED)
+        self._numbers = torch.arange(rows, device=device).unsqueeze(-1).unbind()
+        seen = ~torch.isnan(observations)
+        whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
+        for t, y in enumerate(observations.unbind()[self.row :], self.row):
+            row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
+            particles, self._log_weights, total, self.ess = row
+            self.log_evidence = self.log_evidence + total
+            self.row += 1
             history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
-            index = self._maybe_resample(last=t == rows - 1)
+            self.resampled = self._need(last=t == rows - 1)
             history.note(t, total, self.ess, self.resampled)
-            if index is not None:
-                particles = {name: take(value, index) for name, value in particles.items()}
-                twist = particles.get("log_twist", 0.0)
+            if synchronous:
+                self._alive(total[None], t)
+            elif self.row % PATIENCE == 0 or self.row == rows:
+                first = (t // PATIENCE) * PATIENCE
+                self._alive(history.increment[first : t + 1], first)
+            particles = self._resample(particles, synchronous)
+            if checkpoint is not None and (self.row % every == 0 or self.row == rows):
+                carried = (self._log_weights, self.log_evidence, self.ancestors)
+                save(checkpoint, run, self.row, particles, history, **dict(zip(CARRIED, carried, strict=True)))
             if progress is not None:
                 progress(t + 1, rows)
         return history.result(self.log_evidence)
 
-    # -- weights, evidence, resampling: shared -------------------------------------------------
-    def _weigh(self, increment: Tensor) -> Tensor:
-        """Add log-weight increments (…, N), normalise, and return the evidence's increment (…)."""
-        log_weights = self._log_weights + increment.double()
-        # A particle whose dynamics overflowed is out of reach of any data; it must not take its filter along.
-        log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
-        total = log_weights.logsumexp(-1)
-        if not bool(torch.isfinite(total).all()):
+    def _row(self, t: int, y: Tensor, seen: Tensor | None, particles: Particles, any_seen: bool, last: bool) -> Row:
+        """Row t, by a compiled graph where there is one."""
+        if self.compiled and t > 0 and not last:
+            # Rows in which nothing was seen share the graph of those with gaps.
+            owners = (self.guide, self.model)
+            return Row(*self._rows(owners, self._numbers[t], y, seen, particles, self._log_weights))
+        return self._advance(t, y if any_seen else None, seen, particles, self._log_weights)
+
+    def _advance(
+        self, t: int | Tensor, y: Tensor | None, seen: Tensor | None, particles: Particles, log_weights: Tensor
+    ) -> Row:
+        """Draw row t's particles and weigh them; t as a tensor (1,) for rows that are neither first nor last."""
+        guide: Proposal = self.guide
+        first = isinstance(t, int) and t == 0
+        drawn, increment = guide.propose_initial(tuple(log_weights.shape)) if first else guide.propose(t, particles)
+        if y is not None:
+            increment = increment + row_log_prob(self.model.emission(drawn["x"], t), y, seen)
+        if "log_twist" in drawn:
+            increment = increment + drawn["log_twist"] - particles.get("log_twist", 0.0)
+        return Row(drawn, *normalised(log_weights, increment))
+
+    def _need(self, last: bool) -> Tensor:
+        """Which filters (…) are to be resampled; the last row's weights are the posterior's, and stay."""
+        return (
+            torch.zeros_like(self.ess, dtype=torch.bool) if last else self.ess < self.ess_threshold * self.num_particles
+        )
+
+    def _resample(self, particles: Particles, synchronous: bool) -> Particles:
+        """The particles that go on; sets ``ancestors``, and the weights of those filters that were resampled."""
+        if synchronous and not bool(self.resampled.any()):
+            self.ancestors = self._itself
+            return particles
+        self.ancestors = ancestors_where(self.resampled, self._log_weights, self.resampling)
+        uniform = -math.log(self.num_particles)
+        self._log_weights = torch.where(self.resampled.unsqueeze(-1), uniform, self._log_weights)
+        return {name: take(value, self.ancestors) for name, value in particles.items()}
+
+    def _alive(self, totals: Tensor, first: int) -> None:
+        """Raise SMCFailed unless the evidence's increments (R, …) of the rows from ``first`` on are finite."""
+        # The sum is finite if all of them are, and one question is asked instead of many.
+        if not math.isfinite(totals.sum().item()):
+            rows = ~torch.isfinite(totals).reshape(len(totals), -1)
+            row = int(rows.any(-1).int().argmax())
             raise SMCFailed(
-                f"all particles of {int((~torch.isfinite(total)).sum())} filter(s) have weight zero at "
-                f"row {self.row}: the observation is out of the model's reach; use a larger "
+                f"all particles of {int(rows[row].sum())} filter(s) have weight zero at "
+                f"row {first + row}: the observation is out of the model's reach; use a larger "
                 "noise scale, more particles or the controlled guide"
             )
-        self._log_weights = log_weights - total.unsqueeze(-1)
+
+    def _described(self, observations: Tensor, history: History) -> dict[str, Any]:
+        """What a checkpoint must share with this run to be gone on from."""
+        return {
+            "guide": type(self.guide).__name__,
+            "filters": len(self.log_evidence),
+            "particles": self.num_particles,
+            "ess_threshold": self.ess_threshold,
+            "resampling": self.resampling,
+            "first_row_kept": history.first,
+            "observations": digest(observations),
+        }
+
+    # -- weights, evidence, resampling of Pyro's way in ------------------------------------------
+    def _weigh(self, increment: Tensor) -> None:
+        """Add log-weight increments (…, N) and normalise."""
+        self._log_weights, total, self.ess = normalised(self._log_weights, increment)
+        self._alive(total[None], self.row)
         self.log_evidence = self.log_evidence.to(total.device) + total
         self.row += 1
-        return total
-
-    def _maybe_resample(self, last: bool = False) -> Tensor | None:
-        """Ancestors (…, N) where any filter must resample, else None; resets those filters' weights."""
-        self.ess = ess(self._log_weights)
-        need = self.ess < self.ess_threshold * self.num_particles
-        if last:
-            # The last row's weights are the posterior's: resampling them would only add noise.
-            need = torch.zeros_like(need)
-        self.resampled = need
-        self.state._log_weights = self._log_weights
-        identity = torch.arange(self.num_particles, device=need.device).expand(self._log_weights.shape)
-        if not bool(need.any()):
-            self.ancestors = identity
-            return None
-        index = torch.where(need.unsqueeze(-1), resample(self._log_weights, self.resampling), identity)
-        uniform = -math.log(self.num_particles)
-        self._log_weights = torch.where(need.unsqueeze(-1), uniform, self._log_weights)
-        self.state._log_weights = self._log_weights
-        self.ancestors = index
-        return index
+        self.resampled = self._need(last=False)

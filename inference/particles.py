@@ -49,7 +49,8 @@ class History:
 
     def note(self, t: int, increment: Tensor, ess: Tensor, resampled: Tensor) -> None:
         """Row t's evidence increment, ESS and whether it was resampled, (M,) each."""
-        self.increment[t], self.ess[t], self.resampled[t] = increment, ess, resampled
+        for whole, value in zip((self.increment, self.ess, self.resampled), (increment, ess, resampled), strict=True):
+            whole[t].copy_(value)
 
     def keep_row(self, t: int, x: Tensor, log_weights: Tensor, parents: Tensor, log_twist: Tensor | None) -> None:
         """Row t's particles, if it is one of those to keep."""
@@ -61,6 +62,16 @@ class History:
             self._kept = [piece.new_empty(self._keep, *piece.shape) for piece in pieces]
         for whole, piece in zip(self._kept, pieces, strict=True):
             whole[t - self.first] = piece
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All that was noted so far, by name, for a checkpoint; :meth:`restore` takes it back."""
+        noted = {"increment": self.increment, "ess": self.ess, "resampled": self.resampled}
+        return noted | {f"kept.{i}": whole for i, whole in enumerate(self._kept)}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Go on from what :meth:`tensors` gave."""
+        self.increment, self.ess, self.resampled = (tensors[name] for name in ("increment", "ess", "resampled"))
+        self._kept = [tensors[f"kept.{i}"] for i in range(len(tensors) - 3)]
 
     def result(self, log_evidence: Tensor) -> FilterResult:
         """All of it."""
@@ -94,13 +105,18 @@ class FilterState(SMCState):
             raise ValueError(f"expected state[{key!r}] to begin with dimensions {self._batch}, got {shape}")
         dict.__setitem__(self, key, value)
 
-    def _resample(self, index: Tensor) -> None:
-        for key, value in self.items():
-            dict.__setitem__(self, key, take(value, index))
+    def _replace(self, values: dict[str, Tensor], log_weights: Tensor) -> None:
+        """Put in resampled values of the same keys, and the weights."""
+        dict.update(self, values)
+        self._log_weights = log_weights
 
 
 def take(value: Tensor, index: Tensor) -> Tensor:
-    """Particles (…, N, *rest) at ``index`` (…, N)."""
-    rest = value.shape[index.ndim :]
-    expanded = index.reshape(*index.shape, *([1] * len(rest))).expand(*index.shape, *rest)
-    return value.gather(index.ndim - 1, expanded)
+    """Particles (…, N, *rest) at ``index`` (…, N), stored as they were."""
+    batch = index.ndim
+    if value.ndim == batch + 1 and value.shape[-1] > 1 and value.stride(-1) != 1:  # entry by entry, as compiled rows do
+        return value.movedim(-1, 0).gather(-1, index.expand(value.shape[-1], *index.shape)).movedim(0, -1)
+    # One long list of particles: a gather with an index for each number takes four times as long.
+    start = torch.arange(0, index.numel(), index.shape[-1], device=index.device).reshape(*index.shape[:-1], 1)
+    chosen = value.flatten(0, batch - 1).index_select(0, (index + start).flatten())
+    return chosen.unflatten(0, index.shape)

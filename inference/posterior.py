@@ -34,6 +34,7 @@ from invdyn.inference.initialise import Problem
 from invdyn.inference.nested import OuterWeights, outer_weights
 from invdyn.inference.particles import FilterResult
 from invdyn.inference.resampling import resample
+from invdyn.inference.seeds import seeded
 from invdyn.recordings import InputError, atomic_path
 from invdyn.recordings.errors import first_line
 
@@ -235,8 +236,7 @@ def pooled(idata: az.InferenceData, seed: int = 0, group: str = "posterior") -> 
     """Equally weighted draws of ``group`` with dims (sample, …): chains resampled by their outer weight."""
     data = idata[group]
     draws = data.sizes["draw"]
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with seeded(seed):
         weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values)
         # As many samples as there are draws, each chain's own draws taken in turn.
         chosen = resample(weights.repeat_interleave(draws).unsqueeze(0))[0].numpy()

@@ -26,14 +26,14 @@ from invdyn.inference.gauss_newton import (
     solve,
 )
 from invdyn.inference.square_root import forward_mean
-from invdyn.models.missing import gaussian_rows
+from invdyn.models.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
 
 def posterior_linearisation(
     model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, iterations: int = 2
 ) -> GaussianSmoother:
-    """Refine a Gauss–Newton result; its path (T, D) becomes the approximate posterior mean.
+    """Refine a Gauss–Newton result; its path (…, T, D) becomes the approximate posterior mean.
 
     A fixed-point iteration, kept up only while it contracts: where the posterior is very wide a pass
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model.
@@ -46,7 +46,7 @@ def posterior_linearisation(
             refined = _one_pass(model, observations, smoother)
         except (np.linalg.LinAlgError, torch.linalg.LinAlgError):
             break  # a covariance that overflowed: the previous pass is the better answer
-        moved = abs((refined.log_evidence - smoother.log_evidence).item())
+        moved = (refined.log_evidence - smoother.log_evidence).abs().max().item()
         if not moved <= change:
             break
         smoother, change = refined, moved
@@ -76,7 +76,9 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
-        whitening, constant = gaussian_rows(model.emission(path, rows), observations)
+        emission = model.emission(path, rows)
+        whitening, constant = gaussian_rows(emission, observations)
+        observations = explained(emission, observations)
     if whitening.ndim == H.ndim - 1:
         whitening = torch.diag_embed(whitening)
     # W R Wᵀ = I where seen; with the fit's error the noise is I + (W Ω^½)(W Ω^½)ᵀ.

@@ -32,21 +32,31 @@ class Proposal(ABC):
         """q(x_0), event shape (D,)."""
 
     @abstractmethod
-    def conditional(self, t: int, state: Tensor) -> Distribution:
-        """q(x_t | x_{t−1} = state (..., D)), event shape (D,)."""
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
+        """q(x_t | x_{t−1} = state (..., D)), event shape (D,).
+
+        ``t`` is an int; a compiled filter gives a LongTensor (1,), for rows that are neither first nor last.
+        """
 
     def propose_initial(self, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
         """Draw x_0 of batch ``shape``; returns particles and log p(x_0)/q(x_0) of that shape."""
         proposal = self.conditional_initial().expand(torch.Size(shape))
-        x = proposal.sample()
+        x = draw(proposal)
         return {"x": x}, self.model.initial().log_prob(x) - proposal.log_prob(x)
 
-    def propose(self, t: int, particles: Particles) -> tuple[Particles, Tensor]:
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw x_t given the particles of row t − 1; returns particles and log p/q."""
         proposal = self.conditional(t, particles["x"])
-        x = proposal.sample()
+        x = draw(proposal)
         target = self.model.transition(particles["x"], t).log_prob(x)
         return {"x": x}, target - proposal.log_prob(x)
+
+    def at(self, t: int | Tensor, x: Tensor) -> Particles:
+        """All that is carried along with particles x_t = ``x`` (..., D)."""
+        particles = {"x": x}
+        if hasattr(self, "log_twist"):
+            particles["log_twist"] = self.log_twist(particles, t)
+        return particles
 
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------
     def init(self, state, observation: Tensor | None = None) -> None:
@@ -56,3 +66,12 @@ class Proposal(ABC):
     def step(self, state, t: int, observation: Tensor | None = None) -> None:
         """Step into row ``t`` of an ``SMCFilter`` guide; reads ``state["x"]``."""
         pyro.sample(f"x_{t}", self.conditional(t, state["x"]))
+
+
+def draw(distribution: Distribution) -> Tensor:
+    """Draw values that carry no gradient.
+
+    By ``rsample`` where there is one: ``sample`` of a Gaussian looks at its scales first, which waits for the device.
+    """
+    with torch.no_grad():
+        return distribution.rsample() if distribution.has_rsample else distribution.sample()

@@ -46,10 +46,22 @@ def stratified(weights: Tensor) -> Tensor:
 
 
 def systematic(weights: Tensor) -> Tensor:
-    """One draw in all, shifted."""
+    """One draw in all, shifted.
+
+    The points (j + u)/N are evenly spaced, so that cumulative weight C lies above ⌈N C − u⌉ of them, and point j's
+    ancestor is the number of particles that lie above no more than j: a histogram and its running sum, N
+    additions where a search would go N log N steps through memory.
+    """
     size = weights.shape[-1]
-    strata = torch.arange(size, dtype=torch.float64, device=weights.device)
-    return _inverse_cdf(weights, (strata + _uniform(weights, 1)) / size)
+    cumulative = weights.cumsum(-1)
+    total = cumulative[..., -1:]
+    below = (cumulative * (size / total) - _uniform(weights, 1)).ceil()
+    # Trailing particles of weight zero lie above all of them, whatever the rounding; so does the last one before
+    # them, and no ancestor can come to N.
+    below = torch.where(cumulative < total, below.clamp(max=size), size).long()
+    counts = torch.zeros(*weights.shape[:-1], size + 1, dtype=torch.int64, device=weights.device)
+    counts.scatter_add_(-1, below, torch.ones_like(below))
+    return counts[..., :-1].cumsum(-1)
 
 
 def residual(weights: Tensor) -> Tensor:

@@ -32,8 +32,10 @@ V (…, T−1, D, J), E (…, T, O, D), e (…, T, O), m_0 (…, D). Coordinates
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf
 
 
 @dataclass
@@ -100,7 +102,7 @@ def backward(
             fold[..., extra:inner, inner] = alpha[..., t + 1, :] - _apply(later, a[..., t, :])
         fold[..., inner : inner + rows, extra:inner] = E[..., t, :, :]
         fold[..., inner : inner + rows, inner] = e[..., t, :]
-        triangle = np.linalg.qr(fold, mode="r")
+        triangle = _triangle(fold)
         U[..., t, :, :], b[..., t, :] = (
             triangle[..., extra:inner, extra:inner],
             triangle[..., extra:inner, inner],
@@ -137,10 +139,24 @@ def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, 
     stacked[..., dim:, :dim] = U @ L
     stacked[..., dim:, dim : 2 * dim] = U
     stacked[..., dim:, 2 * dim] = b
-    triangle = np.linalg.qr(stacked, mode="r")
+    triangle = _triangle(stacked)
     top, bottom = triangle[..., :dim, :], triangle[..., dim:, dim:]
     R, B, r = top[..., :dim], top[..., dim : 2 * dim], top[..., 2 * dim]
     return R, B, r, bottom[..., :dim], bottom[..., dim]
+
+
+def _triangle(stacked: np.ndarray) -> np.ndarray:
+    """R of the QR decomposition of (…, P, N) matrices, (…, min(P, N), N)."""
+    if stacked.ndim > 2:
+        return np.linalg.qr(stacked, mode="r")
+    # One matrix at a time, what numpy does around LAPACK takes three times as long as LAPACK.
+    rows = min(stacked.shape)
+    return dgeqrf(stacked)[0][:rows] * _upper(rows, stacked.shape[1])
+
+
+@cache
+def _upper(rows: int, columns: int) -> np.ndarray:
+    return np.triu(np.ones((rows, columns)))
 
 
 def conditional(R: np.ndarray, B: np.ndarray, r: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:

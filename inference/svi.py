@@ -33,6 +33,7 @@ from invdyn.inference.gauss_newton import GaussianSmoother
 from invdyn.inference.initialise import Problem
 from invdyn.inference.laplace import GaussianChain
 from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import Progress, SMCOptions, gaussian_smoother
 from invdyn.models import StateSpaceModel
 
@@ -238,8 +239,7 @@ def svi(
     options = options or SMCOptions()
     model, observations = problem.model.to(dtype=torch.float64), problem.observations.double()
     smoother = gaussian_smoother(model, observations, start)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with seeded(seed):
         fitted = GUIDES[guide](smoother)
         steps, converged = maximise(fitted, path_model(model, observations), max_steps=max_steps, progress=progress)
         value, error = bound(fitted, model, observations)

@@ -1,20 +1,30 @@
 """A recording bound to a body, its unknown parameters fitted: what any method then runs on."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import arviz as az
 from torch import Tensor
 
+from invdyn.inference.checkpoint import Checkpoint, digest
+from invdyn.inference.distribute import inside
 from invdyn.inference.initialise import Problem, arm_problem
 from invdyn.inference.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods import METHODS, WITHOUT_EVIDENCE, timed
 from invdyn.inference.smc import Progress, SMCOptions
-from invdyn.models import Body, Learned
+from invdyn.models import ArmModel, Body, Learned
 from invdyn.recordings import InputError, Recording, Truth
+
+SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
+"""Methods that spread over an executor and keep what is done; others do so over draws of an uncertain body."""
+KEPT = SPREAD | {"vsmc"}
+"""Methods that keep what is done; of VSMC that is its training."""
 
 
 def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
@@ -53,6 +63,9 @@ class Task:
         options: sizes.
         seed: of every random number.
         record: fitted values and choices, kept with the result.
+        checkpoint: of this run, or None.
+        unfitted: the problem with the parameters that the fit began at, the centre of their prior.
+        free: parameters that were fitted.
     """
 
     problem: Problem
@@ -60,13 +73,30 @@ class Task:
     options: SMCOptions
     seed: int
     record: dict
+    checkpoint: Checkpoint | None = None
+    unfitted: Problem | None = None
+    free: tuple[Free, ...] = ()
 
-    def run(self, method: str, progress: Progress | None = None) -> az.InferenceData:
+    def run(
+        self,
+        method: str,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
+        *,
+        learn: bool = False,
+    ) -> az.InferenceData:
         """Posterior by ``method``, a key of ``METHODS``; over draws of the body where it is uncertain.
 
-        Raises InputError when the method cannot do with an uncertain body.
+        Parameters are the fitted ones. With ``learn`` "vsmc" has them uncertain, on a body that is not: their prior
+        is that of the fit, around where it began, for around what was fitted it would count the data twice.
+
+        With an ``executor`` its workers do what can be spread (:mod:`.distribute`). Raises InputError when the method
+        cannot do with an uncertain body, LostWork when workers that died could not be replaced.
         """
-        run = METHODS[method]
+        run: Callable[..., az.InferenceData] = METHODS[method]
+        places: dict[str, Any] = {"executor": executor} if method in SPREAD else {}
+        places |= {"checkpoint": self.checkpoint} if method in KEPT else {}
+        problem = self.problem
         if self.problem.model.body.has_priors:
             if method == "nuts":
                 raise InputError(
@@ -74,15 +104,24 @@ class Task:
                     "or use smc"
                 )
             if method not in WITHOUT_EVIDENCE:
-                run = timed(partial(over_bodies, run))
+                run = timed(partial(over_bodies, partial(_by_name, method)))
+                places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-bodies")}
+        elif method == "vsmc" and learn and self.free and self.unfitted is not None:
+            problem, places = self.unfitted, {**places, "free": self.free}
         return run(
-            self.problem,
+            problem,
             options=self.options,
             start=self.path,
             seed=self.seed,
             settings=self.record,
             progress=progress,
+            **places,
         )
+
+
+def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
+    """A method as workers can be sent it."""
+    return METHODS[method](problem, **options)
 
 
 def prepare(
@@ -95,13 +134,16 @@ def prepare(
     truth: Truth | None = None,
     learn_lengths: bool = False,
     report: Callable[[int, int], None] | None = None,
+    checkpoint: str | Path | None = None,
     **binding: Any,
 ) -> Task:
     """Bind ``recording`` to ``body`` and fit what is not in ``settings``.
 
     ``binding`` are further options of :func:`.initialise.arm_problem`; ``report`` is called with (done, total) of
-    the fit. Raises InputError when the recording does not fit the body, or for an unknown parameter.
+    the fit; ``checkpoint`` is a folder that keeps it, and what methods have done. Raises InputError when the recording
+    does not fit the body, for an unknown parameter, a device that is not there, or a checkpoint of another run.
     """
+    options.check()
     problem = arm_problem(
         recording,
         body.with_uncertainty(),
@@ -111,13 +153,48 @@ def prepare(
         **binding,
     )
     free = free_parameters(problem, tuple(settings or ()), learn_lengths)
-    fitted = fit(problem.model, problem.observations, free, progress=report)
+    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problem, options, seed, free))
+    model, path, converged = _fitted(problem, free, report, kept)
     record = {
-        "fitted": {f.name: fitted.model.parameters[f.name].tolist() for f in free},
-        "fit_converged": fitted.converged,
+        "fitted": {f.name: model.parameters[f.name].tolist() for f in free},
+        "fit_converged": converged,
         "integrator": problem.model.integrator,
         "substeps": problem.model.substeps,
         "family": problem.model.emission_model.family,
         "torque_process": type(problem.model.torque).__name__,
     }
-    return Task(replace(problem, model=fitted.model), fitted.path, options, seed, record)
+    return Task(replace(problem, model=model), path, options, seed, record, kept, problem, tuple(free))
+
+
+def _fitted(
+    problem: Problem, free: Sequence[Free], report, checkpoint: Checkpoint | None
+) -> tuple[ArmModel, Tensor, bool]:
+    """Model, mode, and whether it converged: from the checkpoint, or fitted and kept there."""
+    if checkpoint is not None and (kept := checkpoint.load()) is not None:
+        tensors, state = kept
+        path = tensors.pop("path")
+        return problem.model.replace(**tensors), path, state["converged"]
+    fitted = fit(problem.model, problem.observations, free, progress=report)
+    if checkpoint is not None:
+        checkpoint.save({**fitted.model.parameters, "path": fitted.path}, converged=fitted.converged)
+    return fitted.model, fitted.path, fitted.converged
+
+
+def _fingerprint(problem: Problem, options: SMCOptions, seed: int, free: Sequence[Free]) -> dict[str, Any]:
+    """All that the numbers of a run depend on, but for the method: each has a folder of its own."""
+    model = problem.model
+    emission, torque = model.emission_model, model.torque
+    data = [problem.observations, model.time]
+    data += [tensor for tensor in (model.command, emission.doubt) if tensor is not None]
+    return {
+        "version": version("invdyn"),
+        "recording": digest(*data),
+        "body": repr(model.body),
+        "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),
+        "free": [repr(f) for f in free],
+        "torque": f"{type(torque).__name__} {vars(torque)}",
+        "integrator": f"{model.integrator}, {model.substeps} sub-steps",
+        "family": emission.family,
+        "seed": seed,
+        **{name: str(value) for name, value in asdict(options).items()},
+    }

@@ -14,15 +14,19 @@ ancestors, which are integers. What becomes of their part of ∇L is a choice, b
 | "dropped"       | nothing: ancestors are constants (Naesseth et al. 2018)         | biased, least variance   |
 | "score"         | adds (later log p̂ − baseline) ∇ Σ log W^a of the ancestors a    | unbiased; see below      |
 | "stop-gradient" | after resampling w = W^a / stop(W^a), Ścibior & Wood (2021)     | biased; E[∇p̂] = ∇p(y)    |
+| "soft"          | a ~ α W + (1 − α)/N, then w = W^a/that, Karkus et al. (2018)    | biased; p̂ is not         |
+| "transport"     | particles moved, not chosen, Corenflos et al. (2021)            | of a p̂ that is biased    |
 
 "score" needs multinomial ancestors, whose probability is a product, and is unbiased where resampling does
 not hang on the parameters: at every row (``ess_threshold=1``). Its baseline is the mean of the other filters.
-Optimal-transport and soft resampling are left out: the first costs N² and biases p̂ itself.
+"soft" carries the gradient through the weights that are left, at the price of their variance: α = 1 is "dropped",
+α = 0 never resamples. "transport" (:mod:`.transport`) leaves no ancestors to be differentiated and costs N² a row;
+its particles are means of particles, so that p̂ is no longer unbiased and the bound no bound: compare models by
+another estimator's.
 
 Shapes: M filters × N particles, weights and evidence in float64 as in :mod:`.particle_filter`.
 """
 
-import copy
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -33,17 +37,20 @@ from pyro.infer import ELBO
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.pair import bound_to, draw, drawn_latents, state_space_model
 from invdyn.inference.particles import take
 from invdyn.inference.proposal import Particles, Proposal
-from invdyn.inference.resampling import RESAMPLERS, ess, resample
-from invdyn.models.missing import observed_log_prob
+from invdyn.inference.recomputed import recomputed
+from invdyn.inference.resampling import RESAMPLERS, ess
+from invdyn.inference.transport import transport
+from invdyn.inference.weights import ancestors_where, normalised, row_log_prob
 from invdyn.models.state_space import StateSpaceModel
 
-GRADIENTS = ("dropped", "score", "stop-gradient")
+GRADIENTS = ("dropped", "score", "stop-gradient", "soft", "transport")
 
 
 class _Carried(NamedTuple):
-    """What one row hands to the next; evidence and scores are (M,), weights (M, N) normalised."""
+    """What one row hands to the next; evidence and scores are (M,), weights (M, N) as the next row multiplies them."""
 
     particles: Particles
     log_weights: Tensor
@@ -75,6 +82,10 @@ class VSMC_ELBO(ELBO):
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: a scheme of :mod:`.resampling`; "score" needs "multinomial".
         gradient: see the table at the top.
+        softness: 1 − α of "soft", the share of the uniform in what ancestors are drawn from; in (0, 1].
+        regularisation: ε of "transport", relative to the particles' spread; small is less biased and slower.
+        synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs it;
+            by default on a CPU.
         chunk: rows whose graph is held at once: each stretch of them is computed a second time on the way back, and
             of the others only the first row's particles are kept. None holds all. The gradient is the same.
 
@@ -90,6 +101,9 @@ class VSMC_ELBO(ELBO):
         ess_threshold: float = 0.5,
         resampling: str = "systematic",
         gradient: str = "dropped",
+        softness: float = 0.5,
+        regularisation: float = 0.5,
+        synchronous: bool | None = None,
         chunk: int | None = None,
     ):
         if num_particles < 1 or num_filters < 1 or (chunk is not None and chunk < 1):
@@ -102,11 +116,18 @@ class VSMC_ELBO(ELBO):
             raise ValueError(f"expected a gradient among {', '.join(GRADIENTS)}, got {gradient!r}")
         if gradient == "score" and resampling != "multinomial":
             raise ValueError(f'gradient "score" needs resampling="multinomial", got {resampling!r}')
+        if not 0 < softness <= 1:
+            raise ValueError(f'expected a softness in (0, 1], got {softness}; without any, it is gradient="dropped"')
+        if not regularisation > 0:
+            raise ValueError(f"expected a regularisation above zero, got {regularisation}")
         super().__init__(num_particles=num_particles, max_plate_nesting=0)
         self.num_filters = num_filters
         self.ess_threshold = ess_threshold
         self.resampling = resampling
         self.gradient = gradient
+        self.softness = softness
+        self.regularisation = regularisation
+        self.synchronous = synchronous
         self.chunk = chunk
 
     # -- Pyro's way in -------------------------------------------------------------------------
@@ -133,15 +154,16 @@ class VSMC_ELBO(ELBO):
     # -- the bound -----------------------------------------------------------------------------
     def log_evidence(self, model, guide: Proposal, observations: Tensor) -> Tensor:
         """Log p̂(y), (M,) float64, of the filters; the mean is the bound's estimate."""
-        model = _state_space_model(model)
-        latents, ratio = _latents(model, guide)
-        seen = (~torch.isnan(observations)).any(-1).tolist()
+        model = state_space_model(model)
+        latents, ratio = drawn_latents(model, guide)
+        seen = ~torch.isnan(observations)
+        whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
 
         def advance(rows: range, before: _Carried, latents: dict[str, Tensor]) -> _Carried:
             drawn = poutine.condition(model.sampled, data=latents)()
-            bound = _bound_to(guide, drawn)
+            bound = bound_to(guide, drawn)
             for t in rows:
-                y = observations[t] if seen[t] else None
+                y = (observations[t], None if whole[t] else seen[t]) if any_seen[t] else None
                 before = self._step(drawn, bound, t, y, before, last=t == len(observations) - 1)
             return before
 
@@ -151,11 +173,11 @@ class VSMC_ELBO(ELBO):
             state = advance(every, state, latents)
         else:
             with poutine.trace(param_only=True) as params:
-                _bound_to(guide, poutine.condition(model.sampled, data=latents)())
+                bound_to(guide, poutine.condition(model.sampled, data=latents)())
             leaves = [site["value"].unconstrained() for site in params.trace.nodes.values()]
             with poutine.trace(param_only=True) as used:
                 for first in every[:: self.chunk]:
-                    state = _recomputed(advance, every[first : first + self.chunk], state, latents, leaves)
+                    state = _stretch(advance, every[first : first + self.chunk], state, latents, leaves)
             late = set(used.trace.nodes) - set(params.trace.nodes)
             if late:
                 raise TypeError(
@@ -180,38 +202,47 @@ class VSMC_ELBO(ELBO):
         return _Carried({}, weights, zero, zero, zero)
 
     def _step(
-        self, model: StateSpaceModel, guide: Proposal, t: int, y: Tensor | None, before: _Carried, last: bool
+        self,
+        model: StateSpaceModel,
+        guide: Proposal,
+        t: int,
+        y: tuple[Tensor, Tensor | None] | None,
+        before: _Carried,
+        last: bool,
     ) -> _Carried:
-        """Draw row t, weight it and, unless it is the last, resample."""
-        particles, increment = _draw(guide, t, before.particles, tuple(before.log_weights.shape))
+        """Draw row t, weight it by y (row, which entries were seen) and, unless it is the last, resample."""
+        particles, increment = draw(guide, t, before.particles, tuple(before.log_weights.shape))
         if y is not None:
-            increment = increment + observed_log_prob(model.emission(particles["x"], t), y)
+            increment = increment + row_log_prob(model.emission(particles["x"], t), *y)
         if "log_twist" in particles:
             increment = increment + particles["log_twist"] - before.particles.get("log_twist", 0.0)
-        log_weights = before.log_weights + increment.double()
-        log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
-        total = log_weights.logsumexp(-1)
-        state = before._replace(
-            particles=particles,
-            log_weights=log_weights - total.unsqueeze(-1),
-            log_evidence=before.log_evidence + total,
-        )
-        return state if last else self._resampled(state)
+        log_weights, total, _ = normalised(before.log_weights, increment)
+        state = before._replace(particles=particles, log_weights=log_weights, log_evidence=before.log_evidence + total)
+        return state if last else self._resampled(guide, t, state)
 
-    def _resampled(self, state: _Carried) -> _Carried:
+    def _resampled(self, guide: Proposal, t: int, state: _Carried) -> _Carried:
         fixed = state.log_weights.detach()
         need = ess(fixed) < self.ess_threshold * self.num_particles
         # Elsewhere the question would hold up the device, and the answer "none" changes nothing.
-        if fixed.device.type == "cpu" and not bool(need.any()):
+        synchronous = fixed.device.type == "cpu" if self.synchronous is None else self.synchronous
+        if synchronous and not bool(need.any()):
             return state
+        if self.gradient == "transport":
+            return self._transported(guide, t, state, need.unsqueeze(-1))
+        size, drawn_from = self.num_particles, state.log_weights
+        if self.gradient == "soft":
+            kept = math.log1p(-self.softness) if self.softness < 1 else -math.inf
+            drawn_from = torch.logaddexp(drawn_from + kept, torch.full_like(fixed, math.log(self.softness / size)))
+        index = ancestors_where(need, drawn_from.detach(), self.resampling)
         need = need.unsqueeze(-1)
-        identity = torch.arange(self.num_particles, device=fixed.device).expand_as(fixed)
-        index = torch.where(need, resample(fixed, self.resampling), identity)
-        uniform = torch.full_like(fixed, -math.log(self.num_particles))
-        if self.gradient != "dropped":
+        weights = torch.full_like(fixed, -math.log(size))
+        if self.gradient == "soft":
+            # W/(α W + (1 − α)/N), over N: not normalised, so that p̂ stays unbiased.
+            weights = weights + (state.log_weights - drawn_from).gather(-1, index)
+        elif self.gradient != "dropped":
             chosen = state.log_weights.gather(-1, index)
             if self.gradient == "stop-gradient":
-                uniform = uniform + chosen - chosen.detach()
+                weights = weights + chosen - chosen.detach()
             else:
                 score = torch.where(need, chosen, 0.0).sum(-1)
                 state = state._replace(
@@ -219,56 +250,15 @@ class VSMC_ELBO(ELBO):
                 )
         return state._replace(
             particles={name: take(value, index) for name, value in state.particles.items()},
-            log_weights=torch.where(need, uniform, state.log_weights),
+            log_weights=torch.where(need, weights, state.log_weights),
         )
 
-
-def _draw(guide: Proposal, t: int, particles: Particles, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
-    """Row t's particles, differentiable in all parameters, and log p(x_t | x_{t−1})/q(x_t)."""
-    if getattr(guide, "reparameterised", False):
-        return guide.propose_initial(shape) if t == 0 else guide.propose(t, particles)
-    if t == 0:
-        before, proposal = guide.model.initial(), guide.conditional_initial().expand(torch.Size(shape))
-    else:
-        before, proposal = guide.model.transition(particles["x"], t), guide.conditional(t, particles["x"])
-    if not proposal.has_rsample:
-        raise TypeError(f"expected a guide with reparameterised draws (rsample), got {proposal} at row {t}")
-    x = proposal.rsample()
-    drawn = {"x": x}
-    if hasattr(guide, "log_twist"):
-        drawn["log_twist"] = guide.log_twist(drawn, t)
-    return drawn, before.log_prob(x) - proposal.log_prob(x)
-
-
-def _state_space_model(model) -> StateSpaceModel:
-    owner = getattr(model, "__self__", model)
-    if not isinstance(owner, StateSpaceModel) or (owner is not model and model.__name__ != "sequence"):
-        raise TypeError(f"expected a StateSpaceModel or its method sequence as SVI's model, got {model!r}")
-    return owner
-
-
-def _latents(model: StateSpaceModel, guide: Proposal) -> tuple[dict[str, Tensor], Tensor | float]:
-    """Values of the sites of parameters with priors, and log p(θ)/q(θ) of those that the guide draws."""
-    draw = getattr(guide, "parameters", None)
-    drawn = poutine.trace(draw).get_trace() if draw else poutine.Trace()
-    trace = poutine.trace(poutine.replay(model.sampled, trace=drawn)).get_trace()
-    latents = {name: trace.nodes[name]["value"] for name in trace.stochastic_nodes}
-    if not draw:
-        return latents, 0.0
-    trace.compute_log_prob(lambda name, site: name in drawn.stochastic_nodes)
-    ratio = sum(trace.nodes[name]["log_prob_sum"] for name in drawn.stochastic_nodes) - drawn.log_prob_sum()
-    return latents, ratio
-
-
-def _bound_to(guide: Proposal, model: StateSpaceModel) -> Proposal:
-    """The guide of this model, its own parameters looked up in Pyro's store."""
-    if not isinstance(guide, Proposal):
-        raise TypeError(f"expected a Proposal as SVI's guide, got {type(guide).__name__}")
-    if hasattr(guide, "sampled"):
-        return guide.sampled(model)
-    guide = copy.copy(guide)
-    guide.model = model
-    return guide
+    def _transported(self, guide: Proposal, t: int, state: _Carried, need: Tensor) -> _Carried:
+        """Row t's particles moved to where they weigh the same, in the filters that ``need`` (M, 1) names."""
+        x = transport(state.particles["x"], state.log_weights, self.regularisation)
+        moved = guide.at(t, torch.where(need.unsqueeze(-1), x, state.particles["x"]))
+        uniform = torch.full_like(state.log_weights, -math.log(self.num_particles))
+        return state._replace(particles=moved, log_weights=torch.where(need, uniform, state.log_weights))
 
 
 def _centred(log_evidence: Tensor) -> Tensor:
@@ -282,15 +272,10 @@ def _centred(log_evidence: Tensor) -> Tensor:
 Advance = Callable[[range, _Carried, dict[str, Tensor]], _Carried]
 
 
-def _recomputed(
+def _stretch(
     advance: Advance, rows: range, before: _Carried, latents: dict[str, Tensor], leaves: list[Tensor]
 ) -> _Carried:
-    """``advance(rows, before, latents)``, keeping no graph of it.
-
-    ``leaves`` are the tensors that require gradients and that ``advance`` finds by itself, in Pyro's store.
-    :func:`torch.utils.checkpoint.checkpoint` keeps the nodes of the graph, if not their tensors: with small
-    particles that is most of the memory, and its hooks double the time.
-    """
+    """``advance(rows, before, latents)``, keeping no graph of it; ``leaves`` as for :func:`.recomputed.recomputed`."""
     keys: list[str] = []
 
     def flat(*tensors: Tensor) -> tuple[Tensor, ...]:
@@ -300,33 +285,5 @@ def _recomputed(
         keys[:] = after.particles
         return after[1:] + tuple(after.particles.values())
 
-    inputs = (*before[1:], *before.particles.values(), *latents.values())
-    after = _Stretch.apply(flat, len(leaves), *leaves, *inputs)
+    after = recomputed(flat, (*before[1:], *before.particles.values(), *latents.values()), leaves)
     return _Carried(dict(zip(keys, after[4:], strict=True)), *after[:4])
-
-
-class _Stretch(torch.autograd.Function):
-    """Outputs of a function without its graph; backward calls it again, with the same random numbers."""
-
-    @staticmethod
-    def forward(ctx, function, num_leaves: int, *tensors: Tensor):
-        ctx.function, ctx.leaves = function, tensors[:num_leaves]
-        ctx.save_for_backward(*tensors[num_leaves:])
-        ctx.random = torch.get_rng_state()
-        ctx.device = next((tensor.device for tensor in tensors if tensor.is_cuda), None)
-        ctx.device_random = None if ctx.device is None else torch.cuda.get_rng_state(ctx.device)
-        # Views, since what went in unchanged must not come out as the same tensor.
-        return tuple(value.view_as(value) for value in function(*tensors[num_leaves:]))
-
-    @staticmethod
-    def backward(ctx, *gradients: Tensor):
-        inputs = [tensor.detach().requires_grad_() for tensor in ctx.saved_tensors]
-        with torch.random.fork_rng(devices=[] if ctx.device is None else [ctx.device]), torch.enable_grad():
-            torch.set_rng_state(ctx.random)
-            if ctx.device is not None:
-                torch.cuda.set_rng_state(ctx.device_random, ctx.device)
-            outputs = ctx.function(*inputs)
-        pairs = [pair for pair in zip(outputs, gradients, strict=True) if pair[0].requires_grad]
-        values, gradients = zip(*pairs, strict=True)
-        found = torch.autograd.grad(values, [*ctx.leaves, *inputs], gradients, allow_unused=True)
-        return None, None, *found

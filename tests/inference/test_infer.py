@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.inference import arm_problem, free_parameters, infer, pooled
+from invdyn.inference import METHODS, SMCOptions, arm_problem, free_parameters, infer, pooled, prepare
 from invdyn.models import ArmModel, Body, Learned, Link, Matern32
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -135,8 +135,8 @@ def test_progress_is_told_for_every_stage():
         recording, body(), settings=KNOWN, progress=lambda done, total, what: told.append((what, done, total)), **SMALL
     )
     stages = {what for what, _, _ in told}
-    assert {"filter", "smooth"} <= stages
-    for stage in ("filter", "smooth"):
+    assert "filter and smooth" in stages
+    for stage in stages:
         done = [d for what, d, _ in told if what == stage]
         total = {t for what, _, t in told if what == stage}
         assert done == sorted(done)
@@ -299,3 +299,39 @@ def test_recordings_that_do_not_fit_are_input_errors():
     base_only = replace(recording, keypoints=recording.keypoints[:, :1], keypoint_names=("shoulder",))
     with pytest.raises(InputError, match="neither a keypoint nor an angle"):
         arm_problem(base_only, body())
+
+
+def test_vsmc_is_given_the_prior_and_not_what_was_fitted(monkeypatch):
+    """Beside other methods it answers their question, at the fitted parameters."""
+    given = {}
+    monkeypatch.setitem(METHODS, "vsmc", lambda problem, **options: given.update(options, problem=problem))
+    recording, _ = record(0.03 * np.arange(15))
+    known = {"torque.decay": 5.0, "noise.velocity": 0.01}
+    task = prepare(recording, body(), options=SMCOptions(**SMALL), seed=0, settings=known)
+    task.run("vsmc", learn=True)
+    assert [f.name for f in given["free"]] == ["torque.scale", "emission.keypoint_scale"]
+    start, fitted = given["problem"].model.parameters, task.problem.model.parameters
+    assert not torch.allclose(start["torque.scale"], fitted["torque.scale"])
+    assert torch.equal(start["torque.decay"], fitted["torque.decay"])
+    given.clear()
+    task.run("vsmc")
+    assert "free" not in given
+    assert given["problem"] is task.problem
+
+
+@pytest.mark.slow
+def test_vsmc_learns_what_the_others_fit():
+    recording, _ = record(0.03 * np.arange(40))
+    learned_length = body(length=(Learned(0.35), 0.3))
+    task = prepare(recording, learned_length, options=SMCOptions(8, 20, 2), seed=0)
+    names = {f.name for f in task.free}
+    assert {"torque.scale", "torque.decay", "emission.keypoint_scale", "body.length"} <= names
+    learned = task.run("vsmc", learn=True)["posterior"]
+    for name in names - {"body.length"}:
+        values = learned[name].values.reshape(8, -1)
+        assert (values > 0).all()
+        assert len(np.unique(values)) >= 8, name
+        assert np.log(values).std() < 2.0  # narrower than the prior
+    assert learned["length"].values.std() > 0
+    fixed = task.run("vsmc")["posterior"]
+    assert not names & set(fixed)

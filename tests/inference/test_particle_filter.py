@@ -225,23 +225,18 @@ def test_ancestors_lead_back_along_the_particles_own_past(chain, y):
     model = chain.model(STEPS)
     guide, pasts = Recorded(model), []
 
-    class Watched(ParticleFilter):
-        def _weigh(self, increment):
-            pasts.append(self.guide.latest)
-            return super()._weigh(increment)
-
     propose, propose_initial = guide.propose, guide.propose_initial
 
     def watch(function):
         def wrapped(*args):
             particles, ratio = function(*args)
-            guide.latest = particles["past"]
+            pasts.append(particles["past"])
             return particles, ratio
 
         return wrapped
 
     guide.propose, guide.propose_initial = watch(propose), watch(propose_initial)
-    result = Watched(model, guide, 12, num_filters=6).run(torch.as_tensor(y))
+    result = ParticleFilter(model, guide, 12, num_filters=6).run(torch.as_tensor(y))
     assert result.resampled.any()
     assert not result.resampled[:-1].all()
     past = pasts[-1]  # (M, N, T, D)

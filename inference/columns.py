@@ -1,0 +1,267 @@
+"""A recorded row rewritten column by column: each entry of a state in a stretch of memory of its own.
+
+A model writes a state as one tensor (M, N, D), whose particles lie D numbers apart: a compiler turns that into loops
+that take one particle at a time, and puts every ``cat`` and ``stack`` of entries into memory. Here the record of a
+row (:mod:`.compiled`) is run once more with each tensor (batch, event) as an array of event shape of tensors (batch),
+so that taking entries apart and putting them together costs nothing and what is left is arithmetic on (M, N):
+
+    cat, stack, split, unbind, select, slice, view of the event      an array's
+    elementwise operations                                           entry by entry
+    sums over the event, matrices times it                           sums of entries
+    whatever else                                                    of the tensor, put together again
+
+Entries of what a row leaves are stored one after the other, in memory (D, M, N), and seen as (M, N, D) as ever.
+"""
+
+import math
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.fx import GraphModule, Interpreter
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils._pytree import tree_leaves, tree_map
+
+aten = torch.ops.aten
+
+LARGEST = 256
+"""Entries of a matrix beyond which a product is left to a library: written out it would take long to compile."""
+
+
+def stored_by_columns(value: Tensor) -> Tensor:
+    """``value`` (M, N, D), its entries one after the other in memory; what has no event (M, N) as it is."""
+    return value if value.ndim < 3 else value.movedim(-1, 0).contiguous().movedim(0, -1)
+
+
+def by_columns(graph: GraphModule, example: tuple[Tensor, ...], batch: torch.Size) -> GraphModule:
+    """The record ``graph`` of a row of ``batch`` (M, N), whose arguments are like ``example``, column by column."""
+    return make_fx(lambda *arguments: _ByColumns(graph, batch).run(*arguments))(*example)
+
+
+@dataclass
+class _Columns:
+    """A tensor (*batch, *event) as an array of event shape of tensors that broadcast to the batch."""
+
+    entries: np.ndarray
+    batch: torch.Size
+
+    @classmethod
+    def of(cls, value: Tensor, event: int) -> "_Columns":
+        """A tensor whose last dimensions, ``event`` of them at most, are the event."""
+        event = min(event, value.ndim)
+        batch = value.shape[: value.ndim - event]
+        return cls.made(value.shape[len(batch) :], lambda index: value[(..., *index)], batch)
+
+    @classmethod
+    def made(cls, event: tuple[int, ...], entry: Callable[[tuple[int, ...]], Tensor], batch: torch.Size) -> "_Columns":
+        entries = np.empty(event, dtype=object)
+        for index in np.ndindex(*event):
+            entries[index] = entry(index)
+        return cls(entries, batch)
+
+    def whole(self) -> Tensor:
+        """The tensor."""
+        if not self.entries.ndim:
+            return self.entries[()].expand(self.batch)
+        pieces = [entry.expand(self.batch) for entry in self.entries.flat]
+        return torch.stack(pieces, -1).reshape(*self.batch, *self.entries.shape)
+
+    def stored(self) -> Tensor:
+        """The tensor, stored as by :func:`stored_by_columns`."""
+        pieces = [entry.expand(self.batch) for entry in self.entries.flat]
+        return torch.stack(pieces).movedim(0, -1).reshape(*self.batch, *self.entries.shape)
+
+    def axis(self, dim: int) -> int | None:
+        """The event's axis that is the tensor's dimension ``dim``; None where that is of the batch."""
+        axis = dim - len(self.batch) if dim >= 0 else dim + self.entries.ndim
+        return axis if axis >= 0 else None
+
+    def with_event(self, entries: np.ndarray | Tensor) -> "_Columns | Tensor":
+        """Other entries of the same batch; a tensor where there is no event left."""
+        if isinstance(entries, np.ndarray) and entries.ndim:
+            return _Columns(entries, self.batch)
+        entry = entries[()] if isinstance(entries, np.ndarray) else entries
+        return entry.expand(self.batch)
+
+
+class _ByColumns(Interpreter):
+    """Runs a recorded row of ``batch`` (M, N); states (M, N, D) become columns."""
+
+    def __init__(self, graph: GraphModule, batch: torch.Size):
+        super().__init__(graph)
+        self.batch = batch
+
+    def placeholder(self, target, args, kwargs):
+        value = super().placeholder(target, args, kwargs)
+        return _Columns.of(value, value.ndim - 2) if value.ndim > 2 else value
+
+    def output(self, target, args, kwargs):
+        values = super().output(target, args, kwargs)
+        return tree_map(lambda value: value.stored() if isinstance(value, _Columns) else value, values)
+
+    def call_function(self, target, args, kwargs):
+        if target is operator.getitem:  # of a list that an operation has returned
+            return super().call_function(target, args, kwargs)
+        columns = any(isinstance(value, _Columns) for value in tree_leaves((args, kwargs)))
+        rule = _RULES.get(target) if columns or target in (aten.stack.default, aten.cat.default) else None
+        if columns and rule is None and torch.Tag.pointwise in getattr(target, "tags", ()):
+            return _each(target, args, kwargs)
+        found = NotImplemented if rule is None else rule(*args, **kwargs)
+        if found is not NotImplemented:
+            return found
+        args, kwargs = tree_map(lambda value: value.whole() if isinstance(value, _Columns) else value, (args, kwargs))
+        result = super().call_function(target, args, kwargs)
+        if isinstance(result, Tensor) and result.ndim > 2 and result.shape[:2] == self.batch:
+            return _Columns.of(result, result.ndim - 2)  # noise, for one
+        return result
+
+
+def _each(target, args: tuple, kwargs: dict[str, Any]) -> _Columns:
+    """An elementwise operation, entry by entry."""
+    event = max(value.entries.ndim for value in args if isinstance(value, _Columns))
+    args = [_Columns.of(value, event) if isinstance(value, Tensor) else value for value in args]
+    columns = [value for value in args if isinstance(value, _Columns)]
+    shape = np.broadcast_shapes(*(value.entries.shape for value in columns))
+    batch = torch.broadcast_shapes(*(value.batch for value in columns))
+    entries = [np.broadcast_to(v.entries, shape) if isinstance(v, _Columns) else v for v in args]
+
+    def entry(index: tuple[int, ...]) -> Tensor:
+        return target(*(value[index] if isinstance(value, np.ndarray) else value for value in entries), **kwargs)
+
+    return _Columns.made(shape, entry, batch)
+
+
+def _cat(values, dim: int = 0):
+    columns = [value for value in values if isinstance(value, _Columns)]
+    if not columns:
+        return NotImplemented
+    event = columns[0].entries.ndim
+    values = [_Columns.of(value, event) if isinstance(value, Tensor) else value for value in values]
+    axis = columns[0].axis(dim)
+    if axis is None or any(value.entries.ndim != event for value in values):
+        return NotImplemented
+    batch = torch.broadcast_shapes(*(value.batch for value in values))
+    return _Columns(np.concatenate([value.entries for value in values], axis), batch)
+
+
+def _stack(values, dim: int = 0):
+    if all(isinstance(value, _Columns) for value in values):
+        axis = dim - len(values[0].batch) if dim >= 0 else dim + values[0].entries.ndim + 1
+        return NotImplemented if axis < 0 else values[0].with_event(np.stack([v.entries for v in values], axis))
+    # Two dimensions are filters and particles: what is stacked behind them are entries.
+    if not all(isinstance(value, Tensor) and value.ndim == 2 for value in values) or dim not in (-1, 2):
+        return NotImplemented
+    return _Columns.made((len(values),), lambda index: values[index[0]], values[0].shape)
+
+
+def _split(value: _Columns, sizes, dim: int = 0):
+    axis = value.axis(dim)
+    if axis is None:
+        return NotImplemented
+    return [value.with_event(part) for part in np.split(value.entries, np.cumsum(sizes)[:-1], axis)]
+
+
+def _unbind(value: _Columns, dim: int = 0):
+    axis = value.axis(dim)
+    if axis is None:
+        return NotImplemented
+    return [value.with_event(value.entries.take(k, axis)) for k in range(value.entries.shape[axis])]
+
+
+def _select(value: _Columns, dim: int, index: int):
+    axis = value.axis(dim)
+    return NotImplemented if axis is None else value.with_event(value.entries.take(index, axis))
+
+
+def _slice(value: _Columns, dim: int = 0, start=None, end=None, step: int = 1):
+    axis = value.axis(dim)
+    if axis is None:
+        return NotImplemented
+    return value.with_event(value.entries[(slice(None),) * axis + (slice(start, end, step),)])
+
+
+def _view(value: _Columns, shape):
+    size = math.prod(value.batch)
+    if -1 in shape:
+        known = -math.prod(shape)
+        shape = [size * value.entries.size // known if n == -1 else n for n in shape]
+    # The batch may be flattened, for a product with a matrix; it must end where the event begins.
+    fits = [k for k in range(len(shape) + 1) if math.prod(shape[:k]) == size]
+    if not fits:
+        return NotImplemented
+    k = len(value.batch) if len(value.batch) in fits else fits[-1]
+    entries, batch = value.entries.reshape(shape[k:]), torch.Size(shape[:k])
+    if batch == value.batch:
+        return value.with_event(entries)
+    return _Columns.made(entries.shape, lambda index: entries[index].expand(value.batch).reshape(batch), batch)
+
+
+def _expand(value: _Columns, shape, implicit: bool = False):
+    k = len(shape) - value.entries.ndim
+    event = [old if new == -1 else new for old, new in zip(value.entries.shape, shape[k:], strict=True)]
+    padded = (1,) * (k - len(value.batch)) + tuple(value.batch)
+    batch = [old if new == -1 else new for old, new in zip(padded, shape[:k], strict=True)]
+    return _Columns(np.broadcast_to(value.entries, event), torch.Size(batch))
+
+
+def _unsqueeze(value: _Columns, dim: int):
+    axis = dim - len(value.batch) if dim >= 0 else dim + value.entries.ndim + 1
+    return NotImplemented if axis < 0 else value.with_event(np.expand_dims(value.entries, axis))
+
+
+def _sum(value: _Columns, dims, keepdim: bool = False, dtype=None):
+    axes = [value.axis(dim) for dim in dims or ()]
+    if not axes or None in axes or dtype is not None:
+        return NotImplemented
+    return value.with_event(np.add.reduce(value.entries, axis=tuple(axes), keepdims=keepdim))
+
+
+def _matmul(value, matrix):
+    """(B, N, D) times (B, D, P), or (N, D) times (D, P)."""
+    if not isinstance(value, _Columns) or isinstance(matrix, _Columns) or value.entries.ndim != 1:
+        return NotImplemented
+    matrix = _Columns.of(matrix, 2)
+    if matrix.entries.size > LARGEST:
+        return NotImplemented
+    if matrix.batch:  # beside (B, N)
+        matrix = _Columns.made(
+            matrix.entries.shape, lambda index, old=matrix.entries: old[index].unsqueeze(-1), matrix.batch
+        )
+    return _Columns(value.entries @ matrix.entries, value.batch)
+
+
+def _randn_like(value: _Columns, **kwargs):
+    like = value.entries.flat[0]
+    noise = torch.randn(*value.batch, *value.entries.shape, dtype=like.dtype, device=like.device)
+    return _Columns.of(noise, value.entries.ndim)
+
+
+def _same(value: _Columns, **kwargs):
+    return value
+
+
+_RULES: dict[Any, Callable] = {
+    aten.cat.default: _cat,
+    aten.stack.default: _stack,
+    aten.split_with_sizes.default: _split,
+    aten.unbind.int: _unbind,
+    aten.select.int: _select,
+    aten.slice.Tensor: _slice,
+    aten.view.default: _view,
+    aten._unsafe_view.default: _view,
+    aten.reshape.default: _view,
+    aten.expand.default: _expand,
+    aten.unsqueeze.default: _unsqueeze,
+    aten.sum.dim_IntList: _sum,
+    aten.mm.default: _matmul,
+    aten.bmm.default: _matmul,
+    aten.randn_like.default: _randn_like,
+    aten.alias.default: _same,
+    aten.clone.default: _same,
+    aten.detach.default: _same,
+    aten._to_copy.default: lambda *args, **kwargs: _each(aten._to_copy.default, args, kwargs),
+}

@@ -1,0 +1,131 @@
+"""Executors for :mod:`.distribute`: processes of this machine, a Dask cluster, MPI.
+
+Whatever follows :class:`concurrent.futures.Executor` serves as well; these are the ones that the command line opens.
+"""
+
+import asyncio
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager, nullcontext
+from multiprocessing import get_context, parent_process
+from threading import Thread, current_thread, main_thread
+
+import torch
+
+from invdyn.recordings import InputError
+from invdyn.recordings.errors import first_line
+
+PATIENCE = 10
+"""Seconds in which a scheduler must answer."""
+
+
+@contextmanager
+def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor | None]:
+    """Yield the executor asked for, or None, and end it afterwards.
+
+    Args:
+        workers: of a pool of processes.
+        scheduler: address of a Dask scheduler, such as "tcp://host:8786", or "mpi".
+
+    Raises InputError for both at once, a scheduler that does not answer or has no workers, or a missing package.
+    """
+    if workers is not None and scheduler is not None:
+        raise InputError("expected a number of workers or a scheduler, got both: a scheduler has its own workers")
+    if workers is not None:
+        opened = process_pool(workers)
+    elif scheduler == "mpi":
+        opened = mpi_pool()
+    elif scheduler is not None:
+        opened = dask_cluster(scheduler)
+    else:
+        opened = nullcontext()
+    with opened as executor:
+        yield executor
+
+
+@contextmanager
+def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes (None: as many as cores); they end with the block, whatever they are doing.
+
+    They leave Ctrl-C to their parent, and end by themselves when it is killed.
+    """
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
+    try:
+        with _deaf_to_interrupt():  # the children inherit that, from before their first line of Python
+            for _ in range(pool._max_workers):
+                pool.submit(os.getpid)
+        yield pool
+    finally:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupt() -> Iterator[None]:
+    if current_thread() is not main_thread():  # where signals are not ours to set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _begin() -> None:
+    """First thing in a worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    # A worker that waits for work holds its queue open itself, and would wait for ever after its parent was killed.
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent_process().join()
+    os._exit(1)
+
+
+@contextmanager
+def dask_cluster(address: str) -> Iterator[Executor]:
+    """Yield the executor of the Dask scheduler at ``address``; raises InputError unless it answers and has workers."""
+    if "://" not in address:
+        raise InputError(f"expected a scheduler such as tcp://host:8786, or mpi, got {address!r}")
+    try:
+        from distributed import Client
+        from distributed.core import connect
+    except ImportError:
+        raise InputError("a Dask scheduler needs one more package: pip install 'invdyn[cluster]'") from None
+
+    async def greet() -> None:
+        await (await connect(address, timeout=PATIENCE)).close()
+
+    try:
+        # First by hand: a Client that fails to connect takes long to give up, and complains when it is dropped.
+        asyncio.run(greet())
+    except Exception as error:  # whatever a server of another kind may answer
+        raise InputError(f"{address}: no Dask scheduler answers there: {first_line(error)}") from None
+    with Client(address, timeout=PATIENCE, set_as_default=False) as client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise InputError(
+                f"{address}: this Dask scheduler has no workers; start some: dask worker {address}"
+            ) from None
+        yield client.get_executor()
+
+
+@contextmanager
+def mpi_pool() -> Iterator[Executor]:
+    """Yield MPI's executor; raises InputError without mpi4py, or where each rank runs the program for itself."""
+    try:
+        from mpi4py import MPI
+        from mpi4py.futures import MPIPoolExecutor
+    except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
+        raise InputError(f"MPI needs an MPI library and one more package: pip install mpi4py ({error})") from None
+    if MPI.COMM_WORLD.Get_rank() > 0:
+        raise InputError("each rank runs the whole program: start it as mpirun -n 5 python -m mpi4py.futures -m invdyn")
+    with MPIPoolExecutor() as pool:
+        yield pool

@@ -1,0 +1,47 @@
+"""A function whose graph is not kept but made anew on the way back: memory for the price of a second forward pass.
+
+:func:`torch.utils.checkpoint.checkpoint` keeps the nodes of the graph, if not their tensors: with small particles
+that is most of the memory, and its hooks double the time.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+
+def recomputed(
+    function: Callable[..., tuple[Tensor, ...]], inputs: Sequence[Tensor], leaves: Sequence[Tensor]
+) -> tuple[Tensor, ...]:
+    """``function(*inputs)``, keeping no graph of it.
+
+    ``leaves`` are the tensors that require gradients and that ``function`` finds by itself, in Pyro's store.
+    """
+    return _Stretch.apply(function, len(leaves), *leaves, *inputs)
+
+
+class _Stretch(torch.autograd.Function):
+    """Outputs of a function without its graph; backward calls it again, with the same random numbers."""
+
+    @staticmethod
+    def forward(ctx, function, num_leaves: int, *tensors: Tensor):
+        ctx.function, ctx.leaves = function, tensors[:num_leaves]
+        ctx.save_for_backward(*tensors[num_leaves:])
+        ctx.random = torch.get_rng_state()
+        ctx.device = next((tensor.device for tensor in tensors if tensor.is_cuda), None)
+        ctx.device_random = None if ctx.device is None else torch.cuda.get_rng_state(ctx.device)
+        # Views, since what went in unchanged must not come out as the same tensor.
+        return tuple(value.view_as(value) for value in function(*tensors[num_leaves:]))
+
+    @staticmethod
+    def backward(ctx, *gradients: Tensor):
+        inputs = [tensor.detach().requires_grad_() for tensor in ctx.saved_tensors]
+        with torch.random.fork_rng(devices=[] if ctx.device is None else [ctx.device]), torch.enable_grad():
+            torch.set_rng_state(ctx.random)
+            if ctx.device is not None:
+                torch.cuda.set_rng_state(ctx.device_random, ctx.device)
+            outputs = ctx.function(*inputs)
+        pairs = [pair for pair in zip(outputs, gradients, strict=True) if pair[0].requires_grad]
+        values, gradients = zip(*pairs, strict=True)
+        found = torch.autograd.grad(values, [*ctx.leaves, *inputs], gradients, allow_unused=True)
+        return None, None, *found

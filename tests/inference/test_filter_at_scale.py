@@ -1,0 +1,327 @@
+"""Long runs and other machines: no waiting for the device, checkpoints, compiled rows."""
+
+import inspect
+import signal
+import subprocess
+import sys
+import time
+import warnings
+
+import oracles
+import pyro
+import pytest
+import torch
+from pyro.infer.smcfilter import SMCFailed
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from invdyn.inference import Bootstrap, Controlled, ParticleFilter
+from invdyn.inference import compiled as compiled_module
+from invdyn.inference.affine import Corrected
+from invdyn.inference.checkpoint import Checkpoint
+from invdyn.inference.vsmc import GRADIENTS, VSMC_ELBO
+from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link
+from invdyn.recordings import InputError
+
+STEPS = 12
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """A two-joint arm with gaps among its keypoints, one row of them wholly missing."""
+    links = [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)]
+    body = Body("arm", links, gravity=(0.0, -9.81))
+    model = ArmModel(body, 0.02 * torch.arange(STEPS), Emission([0, 1])).to(torch.float32)
+    torch.manual_seed(0)
+    y = model.simulate()[1]
+    y[3] = torch.nan
+    y[5, :2] = torch.nan
+    return model, y
+
+
+@pytest.fixture(scope="module")
+def chain():
+    chain = oracles.random_chain(seed=5, noise=6.0)
+    return chain.model(STEPS), torch.as_tensor(chain.simulate(STEPS, seed=5)[1])
+
+
+def the_guide(name, model, y):
+    return {"bootstrap": Bootstrap, "controlled": lambda m: Controlled(m, y.double())}[name](model)
+
+
+# -- no waiting --------------------------------------------------------------------------------
+class Operations(TorchDispatchMode):
+    """Counts operations whose result's size or check the host must see, wherever they are called."""
+
+    NAMES = ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "equal", "normal")
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        masked = function.overloadpacket.__name__ == "index" and any(
+            index is not None and index.dtype == torch.bool for index in args[1]
+        )
+        self.count += masked or function.overloadpacket.__name__ in self.NAMES
+        return function(*args, **(kwargs or {}))
+
+
+class Values(TorchFunctionMode):
+    """Counts Python's own questions for a tensor's value; not all of them are operations."""
+
+    NAMES = ("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "is_nonzero", "numpy", "cpu")
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        self.count += getattr(function, "__name__", "") in self.NAMES
+        return function(*args, **(kwargs or {}))
+
+
+def waits(call):
+    """How often ``call`` would make the host wait until an accelerator has come that far."""
+    with Operations() as operations, Values() as values:
+        call()
+    return operations.count + values.count
+
+
+def test_the_counter_sees_what_would_wait():
+    x = torch.ones(3)
+    for call in (
+        lambda: x.sum().item(),
+        lambda: bool(x.any()),
+        lambda: float(x[0]),
+        lambda: x[x > 0],
+        lambda: torch.normal(x, x),
+    ):
+        assert waits(call) > 0
+    assert waits(lambda: torch.where(x > 0, x, 0.0).sum()) == 0
+
+
+@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
+def test_the_time_loop_of_a_filter_waits_for_nothing(arm, guide):
+    model, y = arm
+    particle_filter = ParticleFilter(model, the_guide(guide, model, y), 20, num_filters=3)
+    counts = {rows: waits(lambda rows=rows: particle_filter.run(y[:rows], synchronous=False)) for rows in (2, 8, 12)}
+    # once before the loop and once after, however many rows; the last row is Controlled's only at T
+    assert counts[2] == counts[8] == counts[12] < 6
+    assert waits(lambda: particle_filter.run(y, synchronous=True)) > counts[12] + STEPS - 1
+
+
+@pytest.mark.parametrize("gradient", GRADIENTS)
+@pytest.mark.parametrize("guide", ["affine", "corrected"])
+def test_the_time_loop_of_the_bound_waits_for_nothing(arm, gradient, guide):
+    model, y = arm
+    guide = Bootstrap(model) if guide == "affine" else Corrected(model, y.double())
+    scheme = "multinomial" if gradient == "score" else "systematic"
+    counts = []
+    for rows in (6, 12):
+        pyro.clear_param_store()
+        loss = VSMC_ELBO(8, 3, gradient=gradient, resampling=scheme, synchronous=False)
+        counts.append(waits(lambda loss=loss, rows=rows: loss.differentiable_loss(model.sequence, guide, y[:rows])))
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.parametrize("scheme", ["systematic", "multinomial"])
+def test_waiting_for_nothing_gives_the_same_filter(chain, scheme):
+    model, y = chain
+    results = []
+    for synchronous in (True, False):
+        torch.manual_seed(3)
+        # every row resamples, so that both ways draw the same random numbers
+        particle_filter = ParticleFilter(model, Bootstrap(model), 30, num_filters=4, ess_threshold=1, resampling=scheme)
+        results.append(particle_filter.run(y, synchronous=synchronous))
+    assert torch.equal(results[0].states, results[1].states)
+    assert torch.equal(results[0].log_evidence, results[1].log_evidence)
+    assert torch.equal(results[0].ancestors, results[1].ancestors)
+
+
+def test_a_dead_filter_is_found_at_the_end_with_its_row(chain):
+    model, y = chain
+    y = y.clone()
+    y[5] = torch.inf
+    with pytest.raises(SMCFailed, match=r"2 filter.*row 5"), pyro.validation_enabled(False):
+        ParticleFilter(model, Bootstrap(model), 10, num_filters=2).run(y, synchronous=False)
+
+
+# -- checkpoints ---------------------------------------------------------------------------------
+SAME = ("log_evidence", "log_evidence_increment", "ess", "resampled", "states", "log_weights", "ancestors")
+
+
+class Interrupted(Exception):
+    pass
+
+
+def stop_at(row):
+    def progress(done, rows):
+        if done == row:
+            raise Interrupted
+
+    return progress
+
+
+@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
+@pytest.mark.parametrize("keep", [None, 4, 0])
+@pytest.mark.parametrize("stop", [2, 5, 9])
+def test_a_resumed_filter_ends_as_one_that_was_never_stopped(arm, tmp_path, guide, keep, stop):
+    pytest.importorskip("safetensors")
+    model, y = arm
+    particle_filter = ParticleFilter(model, the_guide(guide, model, y), 30, num_filters=3)
+    torch.manual_seed(4)
+    whole = particle_filter.run(y, keep=keep)
+    torch.manual_seed(4)
+    with pytest.raises(Interrupted):
+        particle_filter.run(y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3, progress=stop_at(stop))
+    if stop > 3:
+        torch.manual_seed(99)  # a new program knows nothing of the old one's random numbers
+    else:
+        torch.manual_seed(4)  # stopped before the first checkpoint: it starts again
+    resumed = ParticleFilter(model, the_guide(guide, model, y), 30, num_filters=3).run(
+        y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3
+    )
+    for name in SAME:
+        assert torch.equal(getattr(whole, name), getattr(resumed, name)), name
+    # and one that had ended gives its answer again
+    again = particle_filter.run(y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3)
+    assert torch.equal(again.log_evidence, whole.log_evidence)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [({"num_particles": 31}, "particles"), ({"num_filters": 2}, "filters"), ({"resampling": "residual"}, "resampling")],
+)
+def test_another_filters_checkpoint_is_refused(chain, tmp_path, change, named):
+    pytest.importorskip("safetensors")
+    model, y = chain
+    arguments = {"num_particles": 30, "num_filters": 3}
+    ParticleFilter(model, Bootstrap(model), **arguments).run(y, checkpoint=Checkpoint(tmp_path))
+    other = ParticleFilter(model, Bootstrap(model), **{**arguments, **change})
+    with pytest.raises(InputError, match=f"other {named}; name another folder"):
+        other.run(y, checkpoint=Checkpoint(tmp_path))
+    with pytest.raises(InputError, match="other observations"):
+        ParticleFilter(model, Bootstrap(model), **arguments).run(y + 1, checkpoint=Checkpoint(tmp_path))
+
+
+def linear(wait=0.0, folder=None):
+    """A filter of 400 rows that takes ``wait`` seconds for each; log-evidence and states."""
+    one = torch.eye(2, dtype=torch.float64)
+    model = LinearGaussian(0.9 * one, one, one, one, 0 * one[0], one, 400)
+    torch.manual_seed(1)
+    y = torch.randn(400, 2, dtype=torch.float64)
+    checkpoint = None if folder is None else Checkpoint(folder)
+    result = ParticleFilter(model, Bootstrap(model), 50, num_filters=2).run(
+        y, checkpoint=checkpoint, every=20, progress=lambda *_: time.sleep(wait)
+    )
+    return result.log_evidence, result.states
+
+
+PROGRAM = """
+import sys, time, torch
+from invdyn.inference import Bootstrap, ParticleFilter
+from invdyn.inference.checkpoint import Checkpoint
+from invdyn.models import LinearGaussian
+"""
+
+
+def test_a_killed_filter_goes_on_to_the_same_answer(tmp_path):
+    pytest.importorskip("safetensors")
+    program = PROGRAM + inspect.getsource(linear) + "linear(0.02, sys.argv[1])"
+    killed = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "manifest.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    assert 20 <= Checkpoint(tmp_path).load()[1]["step"] < 400
+    for found, expected in zip(linear(folder=tmp_path), linear(), strict=True):
+        assert torch.equal(found, expected)
+
+
+# -- compiled --------------------------------------------------------------------------------------
+def test_without_a_compiler_it_runs_as_it_is_after_one_warning(arm, monkeypatch):
+    model, y = arm
+
+    def no_compiler(*args, **kwargs):
+        raise RuntimeError("no C++ compiler\nand a long story")
+
+    monkeypatch.setattr(compiled_module, "compile_record", no_compiler)
+    results = []
+    for compiled in (False, True):
+        torch.manual_seed(2)
+        particle_filter = ParticleFilter(model, Bootstrap(model), 20, num_filters=2, compiled=compiled)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            results.append(particle_filter.run(y))
+            results.append(particle_filter.run(y))
+        assert [str(w.message) for w in caught] == ["the filter runs uncompiled: no C++ compiler"] * compiled
+    assert torch.equal(results[0].states, results[2].states)
+    assert torch.equal(results[1].log_evidence, results[3].log_evidence)
+
+
+def test_a_guide_that_cannot_be_traced_runs_as_it_is(chain):
+    class Asks(Bootstrap):
+        def propose(self, t, particles):
+            return super().propose(int(t), particles)
+
+    model, y = chain
+    with pytest.warns(RuntimeWarning, match="uncompiled"):
+        result = ParticleFilter(model, Asks(model), 20, num_filters=2, compiled=True).run(y)
+    assert torch.isfinite(result.log_evidence).all()
+
+
+@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
+def test_the_recorded_row_is_the_row(arm, guide, monkeypatch):
+    """What the compiler is given: one record for all rows with gaps, one for those without; here not compiled."""
+    model, y = arm
+    compile_ = []
+    monkeypatch.setattr(compiled_module, "compile_record", lambda graph, example: compile_.append(example) or graph)
+    results = []
+    for compiled in (False, True):
+        torch.manual_seed(2)
+        particle_filter = ParticleFilter(model, the_guide(guide, model, y), 20, num_filters=2, compiled=compiled)
+        results.append(particle_filter.run(y))
+        particle_filter.run(y)
+    assert len(compile_) == 2
+    torch.testing.assert_close(results[0].states, results[1].states)
+    torch.testing.assert_close(results[0].log_evidence, results[1].log_evidence)
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_nothing_of_an_arms_row_is_put_together_but_what_it_leaves(arm, seen, monkeypatch):
+    """Column by column: of all that the model stacks, the new states alone remain, and no product with a matrix."""
+    model, y = arm
+    records = []
+    monkeypatch.setattr(compiled_module, "compile_record", lambda graph, example: records.append(graph) or graph)
+    whole = y.nan_to_num() if not seen else y
+    guide = the_guide("controlled", model, whole)
+    ParticleFilter(model, guide, 20, num_filters=2, compiled=True).run(whole)
+    for record in records:
+        record.graph.eliminate_dead_code()
+        large = [
+            node.target
+            for node in record.graph.nodes
+            if isinstance(found := node.meta.get("val"), torch.Tensor) and found.numel() >= 2 * 20 * 4
+        ]
+        names = [target.overloadpacket.__name__ for target in large if hasattr(target, "overloadpacket")]
+        assert names.count("stack") == 2  # x and where the model takes it
+        assert not {"bmm", "mm", "cat"} & set(names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
+def test_compiled_rows_are_the_rows_and_are_compiled_once(arm, guide, monkeypatch):
+    model, y = arm
+    results, count = [], []
+    inductor = compiled_module.compile_record
+    monkeypatch.setattr(compiled_module, "compile_record", lambda *a: count.append(1) or inductor(*a))
+    for compiled in (False, True):
+        torch.manual_seed(2)
+        particle_filter = ParticleFilter(model, the_guide(guide, model, y), 500, num_filters=2, compiled=compiled)
+        results.append(particle_filter.run(y))
+    torch.testing.assert_close(results[0].log_evidence, results[1].log_evidence, atol=1e-3, rtol=0)
+    torch.testing.assert_close(results[0].states[:3], results[1].states[:3], atol=1e-4, rtol=1e-4)
+    particle_filter.run(y)
+    assert len(count) == 2  # one for rows with gaps, one for those without
