@@ -1,0 +1,110 @@
+"""When an answer is the truth: by name and place; by exact equivalence; by an ambiguity set that was reported.
+
+An entry is one effect of an answer or of a cause: {"effect": …, "joint" | "link" | "keypoint": …, perhaps "partner",
+"stop", …}. A pair of places is the same in either order; an effect of the whole arm is so wherever it is said to be.
+
+Exact equivalences: for every recording of the one there is a size of the other that makes the same recording. They
+are written down here, once, and nowhere else:
+
+    gravity_tilt      ≡ camera_roll           the base at the origin
+    actuator_delay    ≡ camera_latency        all joints alike
+    camera_scale      ≡ lens_distortion       one link, the base at the origin: its tip stays on one circle
+    armature          ≡ inertial_error        first joint, its link, no gravity: both are its inertia about the joint,
+                      ≡ payload, actuator_gain           and with one link those too
+    clock_rate        ≡ armature, payload, inertial_error        passive, one link: both are its period
+
+(A marker's offset along its link is as exactly the link's length, and one gain of all motors one factor of all masses,
+but neither is an effect of the catalogue.) An effect that is another one's special case is not equivalent to it: the
+simpler of the two is the better answer.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import permutations
+
+PLACES = ("joint", "link", "keypoint", "partner", "stop")
+Entry = Mapping[str, object]
+
+
+def place(entry: Entry) -> frozenset[str]:
+    """Names of where an effect acts."""
+    return frozenset(str(entry[key]) for key in PLACES if entry.get(key) is not None)
+
+
+def same(truth: Entry, found: Entry) -> bool:
+    """Whether effect and place agree."""
+    if truth["effect"] != found.get("effect"):
+        return False
+    here, there = place(truth), place(found)
+    if "stop" in truth and "stop" not in found:
+        here = here - {str(truth["stop"])} if not {"upper", "lower"} & there else here
+    return not here or here == there
+
+
+def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
+    """Whether no recording of this case can tell two effects apart; see the top of the file."""
+    names = {str(truth["effect"]), str(found.get("effect"))}
+    joints, body = answer["joints"], answer["body"]
+    one, at_origin = len(joints) == 1, not any(body["base"])
+
+    def at_first(entry: Entry) -> bool:
+        return entry["effect"] != "armature" or entry.get("joint") == joints[0]
+
+    if names == {"gravity_tilt", "camera_roll"}:
+        return at_origin and any(body["gravity"])
+    if names == {"actuator_delay", "camera_latency"}:
+        return one or not any(place(e) for e in (truth, found) if e["effect"] == "actuator_delay")
+    if names == {"camera_scale", "lens_distortion"}:
+        return one and at_origin
+    if not any(body["gravity"]) and one and answer["regime"] == "commanded":
+        return names <= {"armature", "inertial_error", "payload", "actuator_gain"}
+    if not any(body["gravity"]) and names == {"armature", "inertial_error"}:
+        first = answer.get("links", [None])[0]
+        return at_first(truth) and at_first(found) and all(e.get("link") in (None, first) for e in (truth, found))
+    if one and answer["regime"] == "passive" and "clock_rate" in names:
+        return names <= {"clock_rate", "armature", "payload", "inertial_error"}
+    return False
+
+
+def in_group(entry: Entry, key: str) -> bool:
+    """Whether a key of an ambiguity set, "effect" or "effect.place", means this entry."""
+    effect, _, where = key.partition(".")
+    names = [str(entry[k]) for k in PLACES if entry.get(k) is not None]
+    if effect != entry["effect"]:
+        return False
+    return not where or not names or where in {".".join(order) for order in permutations(names)}
+
+
+def paired(
+    truth: Sequence[Entry], found: Sequence[Entry], agree: Callable[[Entry, Entry], bool], least: int | None = None
+) -> bool:
+    """Whether each true effect has a found one of its own that agrees; with `least`, so many of them at least."""
+    if least is None:
+        if len(truth) != len(found):
+            return False
+        least = len(truth)
+    shorter, longer = sorted((truth, found), key=len)
+    return any(
+        sum(agree(a, b) if shorter is truth else agree(b, a) for a, b in zip(shorter, order, strict=True)) >= least
+        for order in permutations(longer, len(shorter))
+    )
+
+
+def together(entries: Sequence[Entry], group: Sequence[str]) -> bool:
+    """Whether an ambiguity set has these effects, as a whole, among its keys ("a+b" for several)."""
+    return any(paired(entries, key.split("+"), in_group) for key in group)
+
+
+def alike(truth: Sequence[Entry], found: Sequence[Entry], answer: Mapping, groups: Sequence[Sequence[str]]) -> bool:
+    """Whether a cause is the truth up to what cannot be told: exactly, or by what was reported."""
+    if any(together(truth, group) and together(found, group) for group in groups):
+        return len(truth) == len(found)
+    return paired(truth, found, lambda a, b: agreeing(a, b, answer, groups))
+
+
+def agreeing(truth: Entry, found: Entry, answer: Mapping, groups: Sequence[Sequence[str]]) -> bool:
+    """Whether two effects are one up to what cannot be told."""
+    return (
+        same(truth, found)
+        or exactly_alike(truth, found, answer)
+        or any(together([truth], group) and together([found], group) for group in groups)
+    )

@@ -1,0 +1,225 @@
+"""Reality as MuJoCo plays it: a planar chain of hinges, commanded torques, and whatever mechanism is installed.
+
+Todorov, Erez & Tassa, "MuJoCo: a physics engine for model-based control", IROS 2012. Recursive dynamics, its
+Runge–Kutta integrator of order 4 with steps of at most half a millisecond, and constraints for dry friction and
+stops. The chain is a list of segments, each behind one hinge about z; a link is one segment, unless a mechanism
+splits it (a hidden hinge) or puts a rotor before it (play).
+
+A mechanism changes a `World` before it runs: its `segments`, its `gravity`, the MuJoCo specification (`on_spec`),
+the command on its way to the motors (`on_command`), or a force at every step (`on_step`).
+
+Shapes: K joints, S ≥ K segments, N steps, C command rows. SI units, radians; the joint angles are those of
+`invdyn.models.Body`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from invdyn.models import Body
+
+LONGEST_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
+FASTEST = 300.0  # rad/s; beyond it the run has diverged
+
+
+class Trajectory(NamedTuple):
+    """What really happened, at the simulator's own rate.
+
+    `time` (N+1,) s; `q`, `qd` (N+1, K); `points` (N+1, K+1, 2) m, the base and the K tips; `heading` (N+1, K) rad,
+    the absolute angle of the link that ends in each tip; `command_time` (C,) s and `command` (C, K) N·m, as given to
+    the actuators.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    points: np.ndarray
+    heading: np.ndarray
+    command_time: np.ndarray
+    command: np.ndarray
+
+
+@dataclass
+class Segment:
+    """One rigid piece behind a hinge: `joint` whose angle the hinge adds to (None: hidden), `tip` at its end."""
+
+    hinge: str
+    length: float
+    mass: float
+    com: float
+    inertia: float
+    joint: int | None
+    tip: int | None
+    driven: bool = True
+
+
+Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
+"""(row, t in s, q (K,), qd (K,)) → the command of that row, N·m (K,)."""
+
+
+class World:
+    """A body in MuJoCo, open to mechanisms until its first run.
+
+    Raises ImportError, with what to install, when MuJoCo is missing.
+    """
+
+    def __init__(self, body: Body):
+        self.mujoco = _mujoco()
+        self.num_joints = body.num_joints
+        self.base = np.array(body.base)
+        self.gravity = np.array([*body.gravity, 0.0])
+        self.segments = [
+            Segment(f"joint{k}", *(link.nominal(key) for key in ("length", "mass", "com", "inertia")), k, k)
+            for k, link in enumerate(body.links)
+        ]
+        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
+        self._spec_hooks: list[Callable] = []
+        self._command_hooks: list[Callable] = []
+        self._step_hooks: list[Callable] = []
+        self.model = None
+
+    def on_spec(self, change: Callable) -> None:
+        """Register `change(spec)`, called with the MjSpec just before it is compiled."""
+        self._spec_hooks.append(change)
+
+    def on_command(self, change: Callable) -> None:
+        """Register `change(i, step, u)`: the command (K,) that the motors get in step i, which lasts `step` s."""
+        self._command_hooks.append(change)
+
+    def on_step(self, act: Callable) -> None:
+        """Register `act(t, model, data)`, called before each step; it adds to `data.qfrc_applied`."""
+        self._step_hooks.append(act)
+
+    def hinge(self, joint: int) -> int:
+        """Index in qpos and qvel of the hinge that a joint's motor drives."""
+        return next(s for s, segment in enumerate(self.segments) if segment.joint == joint and segment.driven)
+
+    def compile(self) -> None:
+        """Build the MuJoCo model; later changes by mechanisms do nothing."""
+        mj = self.mujoco
+        spec = mj.MjSpec()
+        spec.compiler.degree = False
+        spec.option.integrator = mj.mjtIntegrator.mjINT_RK4
+        spec.option.gravity = self.gravity
+        spec.option.tolerance = 1e-12
+        spec.option.iterations = 100
+        spec.option.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
+        parent, offset = spec.worldbody, [*self.base, 0.0]
+        for segment in self.segments:
+            parent = parent.add_body(name=segment.hinge, pos=offset)
+            parent.mass, parent.ipos, parent.explicitinertial = segment.mass, [segment.com, 0.0, 0.0], True
+            # about x and y nothing turns; all three alike satisfies the triangle inequality
+            parent.inertia = [max(segment.inertia, 1e-14)] * 3
+            joint = parent.add_joint(name=segment.hinge, type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+            # dry friction and stops as hard as the step allows: the default ones creep by per cents
+            joint.solref_friction, joint.solimp_friction = [2e-3, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+            joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
+            if segment.driven:
+                motor = spec.add_actuator(name=segment.hinge, target=segment.hinge)
+                motor.trntype = mj.mjtTrn.mjTRN_JOINT
+            offset = [segment.length, 0.0, 0.0]
+        for change in self._spec_hooks:
+            change(spec)
+        self.model = spec.compile()
+        self.data = mj.MjData(self.model)
+
+    def run(
+        self,
+        command_time: np.ndarray,
+        policy: Policy,
+        q: Sequence[float],
+        qd: Sequence[float],
+        restart: tuple[Trajectory, float] | None = None,
+    ) -> Trajectory:
+        """Simulate from the first to the last of the evenly spaced `command_time` (C,).
+
+        The command of row c acts from its time to the next row's. `restart` = (trajectory, period s): take q and qd
+        from that trajectory again after every period, which keeps a replay from running away.
+        A run that diverges is NaN from there on.
+        """
+        if self.model is None:
+            self.compile()
+        mj, model, data = self.mujoco, self.model, self.data
+        interval = (command_time[-1] - command_time[0]) / (len(command_time) - 1)
+        per_row = int(np.ceil(interval / LONGEST_STEP - 1e-9))
+        model.opt.timestep = step = interval / per_row
+        total = (len(command_time) - 1) * per_row
+        time = command_time[0] + step * np.arange(total + 1)
+        window = total + 1 if restart is None else max(1, round(restart[1] / step))
+        mj.mj_resetData(model, data)
+        joint_of = np.array([[s.joint == k for s in self.segments] for k in range(self.num_joints)], dtype=float)
+        driven = [s for s, segment in enumerate(self.segments) if segment.driven]
+        data.qpos[driven], data.qvel[driven] = q, qd
+        qpos, qvel = np.empty((total + 1, len(self.segments))), np.empty((total + 1, len(self.segments)))
+        rows = np.empty((len(command_time), self.num_joints))
+        for i in range(total + 1):
+            if i and i % window == 0:
+                self._restart(restart[0], time[i])
+            qpos[i], qvel[i] = data.qpos, data.qvel
+            if not np.abs(qvel[i]).max() < FASTEST:
+                qpos[i:], qvel[i:], rows[-(-i // per_row) :] = np.nan, np.nan, np.nan
+                break
+            if i % per_row == 0:
+                rows[i // per_row] = policy(i // per_row, time[i], joint_of @ qpos[i], joint_of @ qvel[i])
+            if i == total:
+                break
+            u = rows[i // per_row]
+            for change in self._command_hooks:
+                u = change(i, step, u)
+            data.ctrl[:] = u
+            if i == 0 and model.na:
+                data.act[:] = data.ctrl[model.actuator_dyntype != mj.mjtDyn.mjDYN_NONE]
+            if self._step_hooks:
+                data.qfrc_applied[:] = 0.0
+                for act in self._step_hooks:
+                    act(time[i], model, data)
+            mj.mj_step(model, data)
+        return self._trajectory(time, qpos, qvel, joint_of, command_time, rows)
+
+    def _restart(self, true: Trajectory, t: float) -> None:
+        for s, segment in enumerate(self.segments):
+            for state, given in ((self.data.qpos, true.q), (self.data.qvel, true.qd)):
+                state[s] = np.interp(t, true.time, given[:, segment.joint]) if segment.driven else 0.0
+
+    def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """MuJoCo's own inverse dynamics: torques (N, S), N·m, of motions (N, S); passive forces are subtracted."""
+        if self.model is None:
+            self.compile()
+        torque = np.empty_like(q)
+        for i in range(len(q)):
+            self.data.qpos[:], self.data.qvel[:], self.data.qacc[:] = q[i], qd[i], qdd[i]
+            self.mujoco.mj_inverse(self.model, self.data)
+            torque[i] = self.data.qfrc_inverse
+        return torque
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """The inertia matrix, kg·m² (S, S), at a posture (S,)."""
+        if self.model is None:
+            self.compile()
+        self.data.qpos[:] = q
+        self.mujoco.mj_forward(self.model, self.data)
+        full = np.zeros((self.model.nv, self.model.nv))
+        self.mujoco.mj_fullM(self.model, self.data, full)
+        return full
+
+    def _trajectory(self, time, qpos, qvel, joint_of, command_time, rows) -> Trajectory:
+        angle = np.cumsum(qpos, axis=1)
+        lengths = np.array([segment.length for segment in self.segments])
+        steps = lengths[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        tips = [s for s, segment in enumerate(self.segments) if segment.tip is not None]
+        base = np.broadcast_to(self.base, (len(time), 1, 2))
+        points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
+        if self.base_shift is not None:
+            points = points + self.base_shift(time)[:, None]
+        q, qd = qpos @ joint_of.T, qvel @ joint_of.T
+        return Trajectory(time, q, qd, points, angle[:, tips], np.asarray(command_time), rows)
+
+
+def _mujoco():
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ImportError("the blind check needs MuJoCo to play reality: pip install 'invdyn[robots]'") from error
+    return mujoco

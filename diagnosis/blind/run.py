@@ -1,0 +1,289 @@
+"""A blind run from end to end: make cases, seal the answers, diagnose apart, open, score.
+
+    OUT/sealed.json          hash of the answers, before anything is diagnosed
+    OUT/cases/case-0000/     what the method gets (see `cases`)
+    OUT/diagnoses/case-0000/ what it says: diagnosis.json, or failed.txt; took.json
+    OUT/answers.json         opened: answers, nonce, and the hash of all diagnoses as they were then
+    OUT/scores.json, OUT/blind.html
+
+Goes on where an earlier run of the same call stopped: cases follow from the seed, and so does the nonce, so that the
+hash is the same; diagnoses that are there are not made again. The seed is on no disk before the answers are open.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from contextlib import AbstractContextManager, ExitStack, suppress
+from pathlib import Path
+
+from invdyn.diagnosis.blind.cases import make_case, planned
+from invdyn.diagnosis.blind.page import write_page
+from invdyn.diagnosis.blind.present import CATALOGUE
+from invdyn.diagnosis.blind.score import Scores, score
+from invdyn.diagnosis.blind.sealed import Sealed, digest, run_apart
+from invdyn.recordings import InputError, write_text
+
+Progress = Callable[[int, int, str], None]
+OPENED = ("answers.json", "scores.json", "blind.html")
+"""What tells answers."""
+
+
+def nonce_of(seed: int) -> bytes:
+    """32 bytes that follow from the seed and take long to try: a resumed run seals with the same."""
+    return hashlib.pbkdf2_hmac("sha256", str(seed).encode(), b"invdyn blind", 200_000)
+
+
+class Ours(AbstractContextManager):
+    """Our own method, in a process of its own that goes from case to case; where it dies with one, another comes."""
+
+    def __init__(self, threads: int | None = None):
+        self._process: subprocess.Popen | None = None
+        self._environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
+
+    def __exit__(self, *_: object) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.terminate()
+            _ended(process)
+
+    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
+        """Diagnose one case; returns what went wrong, if anything did."""
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "invdyn.diagnosis.blind.apart"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                encoding="utf-8",
+                env=self._environment,
+            )
+        process, line = self._process, ""
+        with suppress(OSError, ValueError):  # it is dead, or was ended because all of the run is
+            job = {"case": str(case.resolve()), "out": str(out.resolve()), "without": list(without)}
+            process.stdin.write(json.dumps(job) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        if not line:
+            self._process = None
+            return f"the diagnosis ended without an answer, exit code {_ended(process)}"
+        return json.loads(line).get("error")
+
+
+def _ended(process: subprocess.Popen) -> int:
+    """Exit code of a process that ends; its pipes are closed."""
+    code = process.wait()
+    with suppress(OSError):  # what was still to be written to it
+        process.stdin.close()
+    process.stdout.close()
+    return code
+
+
+class Theirs(AbstractContextManager):
+    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
+
+    def __init__(self, command: str):
+        self._words = shlex.split(command)
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
+        """Diagnose one case; returns what went wrong, if anything did."""
+        case, out = case.resolve(), out.resolve()
+        places = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
+        places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
+        words = self._words
+        for name, place in places.items():
+            words = [word.replace(f"{{{name}}}", str(place)) for word in words]
+        finished = run_apart(words, case)
+        if finished.returncode or not (out / "diagnosis.json").exists():
+            return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
+        return None
+
+
+class BlindRun:
+    """One run in a folder; the steps are `check`, `make`, `diagnose`, `score`, in this order.
+
+    Args:
+        folder: made when missing.
+        counts: cases of each kind.
+        seed: the cases follow from it.
+        workers: processes.
+        command: of another method, or None for ours.
+    """
+
+    def __init__(
+        self, folder: str | Path, counts: Mapping[str, int], seed: int, workers: int = 1, command: str | None = None
+    ):
+        self.folder, self.counts, self.seed = Path(folder), dict(counts), seed
+        self.workers, self.command = workers, command
+        self._sealed: Sealed | None = None
+
+    def check(self) -> None:
+        """Raise InputError or OSError for what would fail only after a long time."""
+        try:
+            import mujoco  # noqa: F401
+        except ImportError:
+            raise InputError("the blind check plays reality in MuJoCo: pip install 'invdyn[robots]'") from None
+        if self.command is not None:
+            words = shlex.split(self.command)
+            if not words or not any("{out}" in word for word in words):
+                raise InputError(f"--method-command: expected a command with {{out}} in it, got {self.command!r}")
+            if shutil.which(words[0]) is None:
+                raise InputError(f"--method-command: no program {words[0]!r} that can be run")
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(f"{self.folder}: expected a folder, this is a file")
+        known = {"sealed.json", "cases", "diagnoses", "oracle", ".making", *OPENED}
+        strange = sorted(p.name for p in self.folder.iterdir() if p.name not in known) if self.folder.exists() else []
+        if strange:
+            raise InputError(f"{self.folder}: expected an empty folder or an earlier run, has {strange[0]}")
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def make(self, progress: Progress | None = None) -> str:
+        """Make the cases, seal the answers, and return the hash. Raises InputError over a run of another kind."""
+        making = self.folder / ".making"
+        shutil.rmtree(making, ignore_errors=True)
+        jobs = {name: (str(making / name), *rest) for name, *rest in planned(self.counts, self.seed)}
+        answers = dict(_each(_make, jobs, self.workers, progress, "cases made"))
+        self._sealed = Sealed({name: answers[name] for name in jobs}, nonce_of(self.seed))
+        earlier = self.folder / "sealed.json"
+        if earlier.exists() and json.loads(earlier.read_text(encoding="utf-8"))["sha256"] != self._sealed.commitment:
+            shutil.rmtree(making)
+            raise InputError(
+                f"{self.folder}: holds a run of other cases, or of another MuJoCo; give --out another folder"
+            )
+        if (self.folder / "cases").exists():
+            shutil.rmtree(making)
+        else:
+            making.rename(self.folder / "cases")
+        return self._sealed.commit_to(earlier)
+
+    def diagnose(self, progress: Progress | None = None) -> None:
+        """Diagnose every case that is not yet, in processes apart."""
+        todo = {name: () for name in self._names if not (self.folder / "diagnoses" / name / "took.json").exists()}
+        if todo:  # an earlier score may have opened the answers
+            for name in OPENED:
+                (self.folder / name).unlink(missing_ok=True)
+        self._diagnose("diagnoses", todo, progress, "cases diagnosed")
+
+    def score(self, progress: Progress | None = None, oracle: bool = False) -> Scores:
+        """Hash the diagnoses, open the answers, score, and write scores.json and blind.html.
+
+        `oracle`: diagnose once more with all but the true effects struck from the catalogue.
+        """
+        before = digest(self.folder / "diagnoses")
+        answers = self._sealed.open_to(self.folder / "answers.json")
+        if oracle and self.command is None:
+            told = {
+                name: tuple(e for e in CATALOGUE if e not in {each["effect"] for each in answer["effects"]})
+                for name, answer in answers.items()
+                if answer["effects"] and {each["effect"] for each in answer["effects"]} <= set(CATALOGUE)
+            }
+            told = {name: rest for name, rest in told.items() if answers[name]["kind"] != "leave_one_out"}
+            done = {name for name in told if (self.folder / "oracle" / name / "took.json").exists()}
+            self._diagnose("oracle", {n: w for n, w in told.items() if n not in done}, progress, "oracle")
+        found, knowing = self._read("diagnoses"), self._read("oracle")
+        scores = score(answers, found, knowing)
+        took = [json.loads(p.read_text())["seconds"] for p in sorted(self.folder.glob("diagnoses/*/took.json"))]
+        about = {
+            "seed": self.seed,
+            "cases": self.counts,
+            "method": self.command or "invdyn",
+            "answers_sha256": self._sealed.commitment,
+            "diagnoses_sha256": before,
+            "median_seconds_a_case": sorted(took)[len(took) // 2] if took else None,
+        }
+        text = json.dumps({"schema": 1, "about": about, **scores.to_json()}, indent=1, ensure_ascii=False)
+        write_text(self.folder / "scores.json", text + "\n")
+        write_page(scores, about, self.folder / "blind.html")
+        return scores
+
+    def listing(self) -> str:
+        """What lies where."""
+        kinds = {"page": "blind.html", "scores": "scores.json", "answers": "answers.json", "cases": "cases"}
+        return "".join(f"\n{kind:<10} {self.folder / name}" for kind, name in kinds.items())
+
+    @property
+    def _names(self) -> list[str]:
+        return sorted(p.name for p in (self.folder / "cases").iterdir())
+
+    def _read(self, kind: str) -> dict[str, dict]:
+        found = {}
+        for path in sorted(self.folder.glob(f"{kind}/*/diagnosis.json")):
+            try:
+                found[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
+            except ValueError:
+                continue  # the score counts it as failed
+        return found
+
+    def _diagnose(self, kind: str, todo: Mapping[str, Iterable[str]], progress: Progress | None, what: str) -> None:
+        own, lock = threading.local(), threading.Lock()
+        with ExitStack() as methods, ThreadPoolExecutor(self.workers) as threads:
+
+            def one(name: str, without: Iterable[str]) -> None:
+                if not hasattr(own, "method"):
+                    method = Theirs(self.command) if self.command else Ours(1 if self.workers > 1 else None)
+                    with lock:
+                        own.method = methods.enter_context(method)
+                out, start = self.folder / kind / name, time.monotonic()
+                out.mkdir(parents=True, exist_ok=True)
+                wrong = own.method(self.folder / "cases" / name, out, without)
+                if wrong is None:
+                    (out / "failed.txt").unlink(missing_ok=True)
+                    write_text(out / "took.json", json.dumps({"seconds": round(time.monotonic() - start, 2)}) + "\n")
+                else:
+                    write_text(out / "failed.txt", wrong + "\n")
+
+            futures = [threads.submit(one, name, without) for name, without in todo.items()]
+            try:
+                for number, future in enumerate(as_completed(futures), 1):
+                    future.result()
+                    if progress is not None:
+                        progress(number, len(futures), what)
+            except BaseException:
+                threads.shutdown(wait=False, cancel_futures=True)
+                methods.close()  # ends the processes, so that the threads end too
+                raise
+
+
+def _make(folder: str, seed: int, kind: str, effect: str | None) -> dict:
+    case = make_case(seed, kind, effect)
+    case.write(folder)
+    return case.answer
+
+
+def _each(
+    work: Callable, jobs: Mapping[str, tuple], workers: int, progress: Progress | None, what: str
+) -> Iterator[tuple[str, dict]]:
+    """(name, result) of every job, as they come; in processes where there are several workers."""
+    if workers == 1:
+        for number, (name, job) in enumerate(jobs.items(), 1):
+            yield name, work(*job)
+            if progress is not None:
+                progress(number, len(jobs), what)
+        return
+    # spawned: a fork of a process with torch's threads may hang
+    context = multiprocessing.get_context("spawn")
+    # whoever interrupts reaches the children too, who would each print a traceback
+    deaf = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, **deaf) as pool:
+        names = {pool.submit(work, *job): name for name, job in jobs.items()}
+        try:
+            for number, future in enumerate(as_completed(names), 1):
+                yield names[future], future.result()
+                if progress is not None:
+                    progress(number, len(jobs), what)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

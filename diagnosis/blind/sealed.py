@@ -1,0 +1,94 @@
+"""Sealed answers: told apart from guesses made afterwards, and out of the diagnosis's reach until the score.
+
+Commit and reveal (Blum 1981). Before any diagnosis runs, the answers are turned into canonical JSON (sorted keys, no
+spaces), and
+
+    commitment = SHA-256(nonce ‖ canonical JSON),     nonce = 32 random bytes
+
+is printed and written. The answers and the nonce stay in the memory of the process that made them; nothing on the
+disk but the commitment has them, and the nonce keeps anybody from finding them by trying. The diagnosis runs as
+another process, which is given a case's folder and nothing else. Its results are hashed as well before the answers
+are opened: then `open_to` writes answers and nonce, and anybody can check that they are the ones that were promised.
+
+That protects from a mistake and from a peep at the disk. It does not hide answers from a method that makes the
+cases again from their seed: whoever enters a method keeps the seed from it.
+"""
+
+import hashlib
+import json
+import os
+import pathlib
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+
+from invdyn.recordings import InputError, write_text
+
+
+def canonical(answers: Mapping) -> bytes:
+    """The one JSON text of some answers, UTF-8. Raises ValueError for a number that is not finite."""
+    return json.dumps(answers, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+
+
+class Sealed:
+    """Answers that nobody reads until they are opened."""
+
+    def __init__(self, answers: Mapping, nonce: bytes | None = None):
+        self._answers = json.loads(canonical(answers))
+        self._nonce = os.urandom(32) if nonce is None else nonce
+        self.commitment = _commitment(self._nonce, self._answers)
+
+    def __repr__(self) -> str:
+        return f"Sealed({self.commitment})"
+
+    def commit_to(self, path: str | pathlib.Path) -> str:
+        """Write the commitment, and nothing that tells the answers; return it. Raises OSError for no place."""
+        write_text(path, json.dumps({"sha256": self.commitment, "of": "nonce, then canonical JSON"}) + "\n")
+        return self.commitment
+
+    def open_to(self, path: str | pathlib.Path) -> dict:
+        """Write answers and nonce for all to check; return the answers. Raises OSError for no place."""
+        opened = {"sha256": self.commitment, "nonce": self._nonce.hex(), "answers": self._answers}
+        write_text(path, json.dumps(opened, sort_keys=True, indent=1, ensure_ascii=False) + "\n")
+        return self._answers
+
+
+def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict:
+    """Return opened answers after checking them against their hash, and against the one printed before, if given.
+
+    Raises InputError when they are not what was sealed, or no such file; OSError when it cannot be read.
+    """
+    try:
+        opened = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
+        stated, nonce, answers = opened["sha256"], bytes.fromhex(opened["nonce"]), opened["answers"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected opened answers, with sha256, nonce and answers: {error!r}") from error
+    if _commitment(nonce, answers) != stated or commitment not in (None, stated):
+        raise InputError(f"{path}: these are not the answers that were sealed as {commitment or stated}")
+    return answers
+
+
+def run_apart(
+    command: Sequence[str], folder: str | pathlib.Path, timeout: float | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a diagnosis as a process of its own inside `folder`, a case's; nothing is inherited but the environment.
+
+    Neither memory nor open files pass to it, and its standard input is empty. Returns the finished process, whatever
+    its exit code. Raises subprocess.TimeoutExpired, OSError when it cannot be started.
+    """
+    command = [sys.executable if word == "{python}" else word for word in command]
+    return subprocess.run(
+        command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True, timeout=timeout
+    )
+
+
+def digest(folder: str | pathlib.Path) -> str:
+    """SHA-256 over the names and bytes of every file in a folder: what was diagnosed before the answers opened."""
+    folder, total = pathlib.Path(folder), hashlib.sha256()
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        total.update(str(path.relative_to(folder)).encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return total.hexdigest()
+
+
+def _commitment(nonce: bytes, answers: Mapping) -> str:
+    return hashlib.sha256(nonce + canonical(answers)).hexdigest()

@@ -1,0 +1,144 @@
+"""Confirmation by SMC: the evidence of a cause without linearising, its parameters integrated out.
+
+The nested sampler of this project (Biderman et al. 2020, §3) over parameters too, as importance sampling squared (Tran,
+Scharth, Pitt & Kohn 2013): filter m gets its own parameters φ_m ~ q, Student's t around the refined estimate, a guide
+linearised about its own path, and the outer weight
+
+    W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
+
+which is unbiased whatever q and the guide are. Noise scale and residual stand at their estimates; what integrating over
+the residual's size adds is taken from the refinement.
+
+Shapes: M filters, N particles, T rows, p unknowns.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import arviz as az
+import numpy as np
+import torch
+from pyro.distributions import MultivariateStudentT
+from torch import Tensor
+
+from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.screen import log_prior, sizes
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.inference.controlled import Controlled, _triangular
+from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.nested import OuterWeights, outer_weights
+from invdyn.inference.particle_filter import ParticleFilter
+from invdyn.inference.particles import FilterResult
+from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.seeds import seeded
+from invdyn.inference.smoothing import genealogy
+from invdyn.models import ArmModel
+
+FILTERS, PARTICLES = 16, 40
+TAIL = 8.0
+"""Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """What SMC says of a cause.
+
+    Attributes:
+        log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with :attr:`.Refined.log_evidence`.
+        values: (M, p) parameters.
+        outer: weights of the filters.
+        result: of the filters, evidences weighted.
+        model: with one parameter set a filter.
+    """
+
+    log_evidence: float
+    log_evidence_sd: float
+    values: np.ndarray
+    outer: OuterWeights
+    result: FilterResult
+    model: ArmModel
+
+
+class _Each(Controlled):
+    """The controlled guide with a smoother of its own for each of M filters."""
+
+    def __init__(self, model: ArmModel, smoothers: GaussianSmoother):
+        super(Controlled, self).__init__(model)
+        self.smoother = smoothers
+        factors = smoothers.factors
+
+        def rows(values, vector: bool = False) -> Tensor:
+            each = torch.as_tensor(np.asarray(values)).to(dtype=model.dtype).movedim(1, 0)
+            return each.unsqueeze(-2) if vector else each
+
+        self.path = rows(smoothers.path, True)
+        self.num_steps = len(self.path)
+        self._gain, self._offset = rows(factors.gain), rows(factors.offset, True)
+        self._root = rows(_triangular(factors.root))
+        self._U, self._b = rows(factors.U), rows(factors.b, True)
+        self._A, self._alpha = rows(factors.A), rows(factors.alpha, True)
+        self._log_c = rows(factors.log_c - factors.log_n).unsqueeze(-1)
+
+
+def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS) -> Confirmed:
+    """Run M = ``filters`` filters of ``PARTICLES`` particles each under the cause; same seed, same result."""
+    among = unknowns(setting, cause.effects)
+    levels = sizes(setting.regime)
+    top = int(cause.by_size.argmax())
+    with seeded(seed):
+        values, log_ratio = _draw(setting, cause, filters)
+        model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
+        model = scaled(setting, model, float(levels[top]), cause.kappa)
+        start = cause.path.expand(filters, *cause.path.shape)
+        smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
+        particle_filter = ParticleFilter(model, _Each(model, smoothers), PARTICLES, num_filters=filters)
+        result = particle_filter.run(setting.observations)
+    result = replace(result, log_evidence=result.log_evidence + log_ratio)
+    outer = outer_weights(result.log_evidence)
+    rest = cause.log_evidence - cause.by_size[top] + log_prior(levels)[top] + cause.noise_log
+    return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), outer, result, model)
+
+
+def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmModel:
+    """``model`` with a residual of ``size`` and all noise ``kappa`` times as large."""
+    quiet = setting.with_residual(size * kappa, model)
+    names = ("emission.keypoint_scale", "emission.angle_scale", "noise.angle", "noise.velocity")
+    return quiet.replace(**{n: kappa * quiet.parameters[n] for n in names if n in quiet.parameters})
+
+
+def _draw(setting: Setting, cause: Refined, count: int) -> tuple[Tensor, Tensor]:
+    """Parameters (M, p), antithetic in pairs, and log p(φ)/q(φ) (M,)."""
+    among = unknowns(setting, cause.effects)
+    p = len(among.names)
+    if not p:
+        return torch.zeros(count, 0, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
+    mean = torch.as_tensor(cause.mean)
+    root = torch.linalg.cholesky(torch.as_tensor(cause.covariance + 1e-12 * np.diag(among.sd**2)))
+    q = MultivariateStudentT(torch.tensor(TAIL, dtype=torch.float64), mean, root)
+    half = q.sample((math.ceil(count / 2),))
+    values = torch.cat([half, 2 * mean - half])[:count]
+    inside = torch.as_tensor((values.numpy() > among.lower) & (values.numpy() < among.upper)).all(-1)
+    # Outside its prior's support a draw weighs nothing; its filter runs at the mean.
+    ratio = among.log_prior(torch.where(inside[:, None], values, mean)) - q.log_prob(values)
+    return torch.where(inside[:, None], values, mean), torch.where(inside, ratio, -torch.inf)
+
+
+def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int) -> az.InferenceData:
+    """Posterior of torques, angles and effect parameters under a cause, one chain a filter."""
+    with seeded(seed):
+        # One model for all chains' predictions: the parameters differ by less than the paths know.
+        at_mean = scaled(setting, cause.model, float(sizes(setting.regime)[cause.by_size.argmax()]), cause.kappa)
+        paths = genealogy(confirmed.result, 4)
+        idata = to_inference_data(
+            replace(setting.problem, model=at_mean),
+            paths,
+            confirmed.result,
+            method="diagnosis",
+            seed=seed,
+            settings={"cause": cause.key, "regime": setting.regime},
+        )
+    draws = idata["posterior"].sizes["draw"]
+    for name, column in zip(unknowns(setting, cause.effects).names, confirmed.values.T, strict=True):
+        idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.repeat(column[:, None], draws, 1))
+    return idata

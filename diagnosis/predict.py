@@ -1,0 +1,113 @@
+"""What a cause makes of a recording: one-step predictions, the residual torque that is left, and open-loop replay.
+
+* One-step predictive log density of every row given all before it, from the whitened innovations:
+  log p(y_t | y_{<t}) = −½ |w_t|²/κ² − n_t log κ − ½ log |S_t| + const.
+* Residual torque: its smoothed posterior.
+* Replay: the simulation alone, set to the smoothed state every ``WINDOW`` seconds and left to run.
+
+Shapes: T rows, K joints.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.screen import SPIKE, sizes, whiten
+from invdyn.diagnosis.setting import Setting
+from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.models import ArmModel
+
+WINDOW = 1.0
+"""s between the states that a replay is set to."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Per row, nats; NaN where nothing was seen.
+
+    Attributes:
+        score: (T,) of the prediction.
+        floor: (T,) what a simulation without any gap would score on average under the same noise.
+    """
+
+    score: np.ndarray
+    floor: np.ndarray
+
+
+def best_size(setting: Setting, cause: Refined) -> float:
+    """The residual's size that a cause has the highest evidence with."""
+    return float(sizes(setting.regime)[int(cause.by_size.argmax())])
+
+
+def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scores:
+    """One-step predictive scores of ``setting``'s rows under a cause found there or on another recording.
+
+    ``path`` is linearised along, the cause's own by default.
+    """
+    path = cause.path if path is None else path
+    none = Columns(
+        np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
+    )
+    quietest = SPIKE if setting.regime != "unknown_torque" else best_size(setting, cause)
+    whitened = whiten(setting, cause.model, path, none, np.array([best_size(setting, cause), quietest]))
+    seen, kappa = whitened.seen, cause.kappa
+    squares = np.full(len(path), np.nan)
+    rows = whitened.columns[0, :, 0].reshape(-1, setting.observations.shape[-1])
+    squares[seen > 0] = (rows**2).sum(-1)
+    constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
+    score = constant - whitened.row_log_det[0] - 0.5 * squares / kappa**2
+    floor = constant - whitened.row_log_det[1] - 0.5 * seen
+    return Scores(score, np.where(seen > 0, floor, np.nan))
+
+
+def smoothed(setting: Setting, cause: Refined) -> GaussianSmoother:
+    """Posterior of the states under a cause, with its own residual size."""
+    quiet = setting.with_residual(max(best_size(setting, cause), 1e-3), cause.model)
+    return gauss_newton(quiet, setting.observations, start=cause.path, max_iterations=3)
+
+
+def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and sd (T, K) of the residual torque, N·m."""
+    smoother = smoothed(setting, cause)
+    K = cause.model.body.num_joints
+    variance = smoother.covariance().diagonal(dim1=-2, dim2=-1)[:, :K]
+    return smoother.path[:, :K].numpy(), variance.clamp_min(0).sqrt().numpy()
+
+
+@torch.no_grad()
+def replay(model: ArmModel, path: Tensor) -> np.ndarray:
+    """Tips (T, K, 2) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D)."""
+    path = path.clone()
+    path[:, : model.body.num_joints] = 0.0  # no residual
+    time = model.time.numpy()
+    starts = np.searchsorted(time, np.arange(time[0], time[-1], WINDOW))
+    starts = np.unique(starts)
+    lengths = np.diff(np.append(starts, len(time)))
+    states, state = path.clone(), path[starts]
+    for step in range(1, int(lengths.max())):
+        alive = lengths > step
+        rows = torch.as_tensor(starts + step).clamp(max=len(time) - 1)
+        state = model.transition_mean(state, rows)
+        state[:, : model.body.num_joints] = 0.0
+        states[starts[alive] + step] = state[torch.as_tensor(alive)]
+    _, q, _ = model.split(states)
+    return model.dynamics.keypoints(q, model.body_parameters()).nan_to_num(posinf=np.nan, neginf=np.nan).numpy()
+
+
+def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
+    """Where the camera would see the tips along ``path``, (T, P, 2) m, P tracked."""
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        emission = model.emission(path, rows)
+        loc = getattr(emission, "base_dist", emission).loc
+    return loc[..., : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy()
+
+
+def replay_rms(replayed: np.ndarray, smooth: np.ndarray) -> float:
+    """Root mean square, m, over rows and tips between a replay and the smoothed tips, (T, K, 2) each."""
+    distance = ((replayed - smooth) ** 2).sum(-1)
+    return float(np.sqrt(np.nanmean(distance)))

@@ -1,0 +1,28 @@
+"""Prior probabilities of causes.
+
+The number of effects at work comes first, then which ones, then where each acts, all alike:
+
+    P(0) = .4, P(1) = .5, P(2) = .08, P(3) = .02,     P(effect) = 1/E for E effects in the catalogue,
+    P(place | effect) = 1/places.
+
+An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
+believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.screen`).
+"""
+
+import math
+from collections.abc import Sequence
+
+from invdyn.models.effects.base import Effect
+
+NUMBER = (0.4, 0.5, 0.08, 0.02)
+MOST = len(NUMBER) - 1
+
+
+def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:
+    """Log prior probability of a cause among ``candidates``, all effects at all places that are considered."""
+    names = {candidate.name for candidate in candidates}
+    total = math.log(NUMBER[len(effects)]) + math.lgamma(len(effects) + 1)
+    for effect in effects:
+        places = sum(candidate.name == effect.name for candidate in candidates)
+        total -= math.log(max(len(names), 1)) + math.log(max(places, 1))
+    return total

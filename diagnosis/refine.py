@@ -1,0 +1,241 @@
+"""A candidate in its own right: path and parameters together, until they agree.
+
+The screen expands every candidate about one path and about its absence. Here a candidate has a path of its own,
+found by Gauss–Newton under its own dynamics with its own parameters and residual, and is expanded about the
+parameters that it has reached; the regression on its columns then moves them, until they stay. It is Gauss–Newton
+on path and parameters in turns, and its evidence is that of the model linearised about both: a Laplace
+approximation.
+
+Nothing is assumed of the effects but that the model's three distributions follow their parameters smoothly enough for
+differences of a twentieth of their uncertainty. Parameters of all effects in the model are free.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+from torch import Tensor
+
+from invdyn.diagnosis.candidates import slopes
+from invdyn.diagnosis.evidence import Regression, regression
+from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
+from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import Unknowns, unknowns
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import PREFIX
+
+ROUNDS = 6
+STEPS, CLOSE = 3, 0.3
+"""Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+
+EARNED = 2.0
+"""Nats that an effect on the scatter must gain over its base on the grid, to be searched further."""
+
+FIRM = 1e-3
+"""Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
+
+SETTLED = 0.1
+"""Change of a parameter, in its own standard deviations, under which it stays."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A cause, one or several effects together, with its parameters' posterior.
+
+    Attributes:
+        effects: bound; empty for "no effect".
+        names: p parameters, "viscous_friction.elbow.damping".
+        mean, covariance: (p,), (p, p) of their posterior.
+        log_evidence: parameters and sizes of the residual integrated out.
+        by_size: (G,) log-evidence with the prior weight of each size.
+        kappa: factor on the observations' noise at the best size.
+        path: (T, D) its own.
+        model: with the parameters at their means.
+        noise, noise_sd: parameters of effects on the scatter, which are no part of ``names``.
+        noise_log: what their integral added to the log evidence.
+    """
+
+    effects: tuple[Effect, ...]
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    by_size: np.ndarray
+    kappa: float
+    path: Tensor
+    model: ArmModel
+    noise: dict[str, float]
+    noise_sd: dict[str, float]
+    noise_log: float
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, sorted and joined; "" for none."""
+        return key_of(self.effects)
+
+    def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
+        """The same cause with another model and path."""
+        return replace(self, model=model, path=path)
+
+    def carried_to(self, other: Setting) -> ArmModel:
+        """The model of another recording with this cause's effects and parameters."""
+        values = {name: value for name, value in self.model.parameters.items() if name.startswith(PREFIX)}
+        values |= {
+            name: self.model.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")
+        }
+        return other.model.with_effects(*self.effects).replace(**values)
+
+
+def key_of(effects: Sequence[Effect]) -> str:
+    """Keys of effects, sorted and joined."""
+    return "+".join(sorted(effect.key for effect in effects))
+
+
+def refine(
+    setting: Setting,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    path: Tensor,
+    size: float,
+    *,
+    noise_log: float = 0.0,
+    enough: float = -np.inf,
+    doubtful: float = -np.inf,
+    rounds: int = ROUNDS,
+) -> Refined:
+    """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
+
+    ``size`` is the residual's that its first path is found under. A cause that has not reached ``enough`` nats
+    after two rounds is left as it is. Parameters of effects on the scatter stay where ``values`` has them;
+    ``noise_log`` is what their integral adds to the log evidence.
+    """
+    model = setting.model.with_effects(*effects)
+    effects = tuple(model.effects)
+    noise = {f"{e.key}.{p.name}" for e in effects if is_noise(e) for p in e.parameters(setting.model.scale)}
+    noise = {name: float(values[name]) for name in noise}
+    model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
+    path = lifted(model, path)
+    among = unknowns(setting, effects)
+    point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
+    point = np.clip(point, among.lower, among.upper)
+    levels = sizes(setting.regime)
+    step = 0.05 * 0.2 * among.sd
+    best: Refined | None = None
+
+    def once(point: np.ndarray, path: Tensor, size: float) -> tuple[Refined, np.ndarray]:
+        """Path and expansion about ``point``; the cause, and where its parameters would go."""
+        here = among.set_in(model, point)
+        quiet = setting.with_residual(max(size, FIRM), here)
+        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=STEPS, tolerance=CLOSE).path
+        columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
+        whitened = whiten(setting, here, path, columns, levels)
+        outcomes = expansions(whitened, among, point)
+        by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
+        top = outcomes[int(by_size.argmax())]
+        target = np.clip(point + top.mean[0], among.lower, among.upper)
+        evidence = float(logsumexp(by_size))
+        cause = Refined(
+            effects,
+            among.names,
+            target,
+            top.covariance[0],
+            evidence,
+            by_size,
+            float(top.kappa[0]),
+            path,
+            here,
+            noise,
+            {},
+            noise_log,
+        )
+        return cause, target
+
+    # With the residual's own size first; then stiffer: a residual that bends the path lets wrong parameters stand.
+    for stiffness, most in ((1.0, rounds), (0.1, 2), (0.0, 2)):
+        if stiffness < 1.0 and (rounds < ROUNDS or int(best.by_size.argmax()) == 0 or best.log_evidence < enough):
+            break
+        if stiffness < 1.0:
+            point, path, size = best.mean, best.path, float(levels[best.by_size.argmax()])
+        for done in range(most):
+            cause, target = once(point, path, stiffness * size)
+            path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
+            step = 0.05 * sd
+            if best is None or cause.log_evidence > best.log_evidence:
+                best = cause
+            if (np.abs(target - point) < SETTLED * sd).all() or best.log_evidence < (enough if done else doubtful):
+                break
+            point = target
+    return replace(best, model=among.set_in(model, best.mean))
+
+
+def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:
+    """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
+    index = np.arange(1, len(point) + 1)[None]
+    prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None]
+    return [
+        regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
+        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
+    ]
+
+
+def lifted(model: ArmModel, path: Tensor) -> Tensor:
+    """A path (T, D) in the states of ``model``: a hidden hinge that it does not know yet is at rest."""
+    missing = model.state_dim - path.shape[-1]
+    if not missing:
+        return path
+    torque = model.torque_size
+    if missing < 0:
+        return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
+    return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)
+
+
+def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+    """``base`` and an effect on the scatter (:mod:`.noise`), whose parameters are searched.
+
+    None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
+    """
+    parameters, points = grid(effect, setting.model.scale)
+    names = [f"{effect.key}.{p.name}" for p in parameters]
+    known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
+    model = base.model.with_effects(effect)
+    levels = sizes(setting.regime)
+    common = unknowns(setting, base.effects)
+    columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
+    path, some = base.path, _telling(base, levels)
+
+    def score(log_values: np.ndarray) -> float:
+        values = np.exp(log_values)
+        given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
+        whitened = whiten(setting, model.replace(**given), path, columns, levels[some])
+        by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
+        return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
+
+    tried = [score(np.log(point)) - log_prior_of(parameters, np.array(point)) for point in points]
+    if max(tried) + base.noise_log < max(base.log_evidence + EARNED, enough):
+        return None
+    start = np.log(points[int(np.argmax(tried))])
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, FIRM, rounds=2)
+    path, some = cause.path, _telling(cause, levels)
+    start, covariance, integral = climb(score, start)
+    volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, FIRM, noise_log=base.noise_log + volume, rounds=3)
+    spreads = np.exp(start) * np.sqrt(np.diag(covariance))
+    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
+
+
+def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:
+    """Numbers of the sizes that matter to a cause: its best and their neighbours, and the spike."""
+    best = int(cause.by_size.argmax())
+    return np.unique(np.clip([0, best - 1, best, best + 1], 0, len(levels) - 1))

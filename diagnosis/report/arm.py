@@ -1,0 +1,159 @@
+"""The arm, true to length, with the share of the gap at each joint, link and keypoint."""
+
+import math
+
+import numpy as np
+from markupsafe import Markup
+
+from invdyn.diagnosis.report.numbers import known, percent
+from invdyn.diagnosis.report.sentences import best
+from invdyn.diagnosis.result import Diagnosis
+
+WIDTH, LOWEST, HIGHEST = 400, 150, 320
+"""Of the picture; its height follows from the arm's."""
+
+EDGE = 56
+"""Room above and below; at the sides there is room for the longest words."""
+
+LONGEST = 14
+"""Letters of a name in the drawing."""
+
+
+class View:
+    """Metres to the units of a picture: y up becomes y down, one scale for both."""
+
+    def __init__(self, points: np.ndarray, size: tuple[int, int], room: tuple[int, int]):
+        points = points[np.isfinite(points).all(-1)]
+        low, high = (points.min(0), points.max(0)) if len(points) else (np.zeros(2), np.ones(2))
+        span = np.maximum(high - low, 1e-9)
+        free = np.array(size) - 2 * np.array(room)
+        self.scale = float(min(free / span)) if (high > low).any() else 1.0
+        self._middle, self._centre = (low + high) / 2, np.array(size) / 2
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """(…, 2) m to picture units."""
+        return self._centre + (np.asarray(points, float) - self._middle) * self.scale * np.array([1.0, -1.0])
+
+
+def chain(diagnosis: Diagnosis) -> tuple[np.ndarray, int | None]:
+    """(K+1, 2) m of base and tips at a typical posture, and its row: the one nearest to the median angles.
+
+    Without tracks the arm hangs, slightly bent, and there is no row.
+    """
+    tracks, lengths = diagnosis.tracks, np.array(diagnosis.lengths, float)
+    row, base = None, np.zeros(2)
+    angle = np.array([-np.pi / 2 + 0.35, *[0.5] * (len(lengths) - 1)])
+    if tracks is not None:
+        base = tracks.base
+        good = np.flatnonzero(np.isfinite(tracks.angle).all(-1))
+        if good.size:
+            off = np.abs(tracks.angle[good] - np.median(tracks.angle[good], 0)).sum(-1)
+            row = int(good[off.argmin()])
+            angle = tracks.angle[row]
+    direction = np.cumsum(angle)
+    steps = lengths[:, None] * np.stack([np.cos(direction), np.sin(direction)], -1)
+    return np.concatenate([[base], base + np.cumsum(steps, 0)]), row
+
+
+def nodes_of_keypoints(diagnosis: Diagnosis) -> dict[str, int]:
+    """Keypoint to the number of the base (0) or tip (1 …) that it stays nearest to; in order where nothing was seen."""
+    tracks, found = diagnosis.tracks, {}
+    names = tracks.keypoint_names if tracks is not None else tuple(diagnosis.where.keypoints)
+    for p, name in enumerate(names):
+        found[name] = min(p + 1, len(diagnosis.lengths))
+        if tracks is not None and np.isfinite(tracks.observed[:, p]).any():
+            base = np.broadcast_to(tracks.base, (len(tracks.time), 1, 2))
+            away = np.linalg.norm(np.concatenate([base, tracks.smoothed], 1) - tracks.observed[:, p : p + 1], axis=-1)
+            if np.isfinite(away).any(0).all():
+                found[name] = int(np.nanmedian(away, 0).argmin())
+    return found
+
+
+def arm(diagnosis: Diagnosis) -> Markup:
+    """The drawing."""
+    points, _ = chain(diagnosis)
+    names = (*diagnosis.joint_names, *diagnosis.where.keypoints)
+    side = 26 + 8 * min(max(map(len, names), default=0), LONGEST)
+    span = np.ptp(points, 0)
+    height = int(np.clip((WIDTH - 2 * side) * span[1] / max(span[0], 1e-9) + 2 * EDGE, LOWEST, HIGHEST))
+    view = View(points, (WIDTH, height), (side, EDGE))
+    spots = view(points)
+    where, count = diagnosis.where, len(diagnosis.lengths)
+    cause = best(diagnosis)
+    links = {f.where["link"]: cause.probability for f in cause.effects if "link" in f.where} if cause else {}
+    drawn = [_ground(spots[0], 1 if spots[1][1] < spots[0][1] else -1)]
+    for k in range(count):
+        share = links.get(diagnosis.link_names[k]) if diagnosis.gap.detected else None
+        (x0, y0), (x1, y1) = spots[k], spots[k + 1]
+        drawn.append(
+            Markup('<path class="link s{}" d="M{:.1f} {:.1f}L{:.1f} {:.1f}"/>').format(level(share), x0, y0, x1, y1)
+        )
+        if share is not None:
+            middle = (spots[k] + spots[k + 1]) / 2
+            text = f"{_short(diagnosis.link_names[k])} {percent(share)}"
+            drawn.append(_words(middle, [text], [spot - middle for spot in spots], level_first=0.0))
+    attached = nodes_of_keypoints(diagnosis)
+    for k, spot in enumerate(spots):
+        lines: list[str] = []
+        if k < count:
+            name = diagnosis.joint_names[k]
+            share = where.joints.get(name)
+            lines += [_short(name)] + ([percent(share)] if known(share) else [])
+            radius = 7 + 6 * (share if known(share) else 0)
+            mark = '<circle class="joint s{}" cx="{:.1f}" cy="{:.1f}" r="{:.1f}"/>'
+            drawn.append(Markup(mark).format(level(share), *spot, radius))
+        for name in [n for n, node in attached.items() if node == k]:
+            share = where.keypoints.get(name)
+            r = f"{4 + 5 * (share if known(share) else 0):.1f}"
+            mark = '<path class="keypoint s{}" d="M{:.1f} {:.1f}l{r} {r}l-{r} {r}l-{r} -{r}Z"/>'
+            drawn.append(Markup(mark).format(level(share), spot[0], spot[1] - float(r), r=r))
+            if k < count and name == diagnosis.joint_names[k] and known(share):
+                lines.append(f"seen {percent(share)}")
+            elif k == count or (known(share) and share >= 0.005):
+                lines += [_short(name)] + ([percent(share)] if known(share) else [])
+        neighbours = [spots[n] - spot for n in (k - 1, k + 1) if 0 <= n < len(spots)]
+        if k == 0:
+            neighbours.append(np.array([0.0, 1.0 if spots[1][1] < spot[1] else -1.0]))
+        drawn.append(_words(spot, lines, neighbours))
+    shares = [f"{name} {percent(share)}" for name, share in (*where.joints.items(), *where.keypoints.items())]
+    return Markup('<svg class="arm" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+        WIDTH, height, f"The arm with the share of the gap at each place: {', '.join(shares)}", Markup("").join(drawn)
+    )
+
+
+def level(share: float | None) -> int:
+    """Class of a share, 0 (none) to 4 (nearly all)."""
+    return 0 if not known(share) else int(np.searchsorted([0.05, 0.25, 0.5, 0.8], share, side="right"))
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+
+
+def _words(spot: np.ndarray, lines: list[str], neighbours: list[np.ndarray], level_first: float = 0.5) -> Markup:
+    """Lines of text beside `spot`, in the direction furthest from its neighbours, level ones preferred, then up."""
+    if not lines:
+        return Markup("")
+    away = [math.atan2(n[1], n[0]) for n in neighbours]
+
+    def clear(turn: float) -> float:
+        nearest = min((abs(math.remainder(turn - a, math.tau)) for a in away), default=math.pi)
+        return min(nearest, 1.4) + level_first * abs(math.cos(turn)) - 0.05 * math.sin(turn)
+
+    turn = max((i * math.pi / 4 for i in range(8)), key=clear)
+    x, y = spot + 19 * np.array([math.cos(turn), math.sin(turn)])
+    anchor = "start" if math.cos(turn) > 0.3 else "end" if math.cos(turn) < -0.3 else "middle"
+    top = y + 4 - 16 * (len(lines) - 1) * (1 - math.sin(turn)) / 2
+    texts = [
+        Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>').format(x, top + 16 * i, anchor, line)
+        for i, line in enumerate(lines)
+    ]
+    return Markup("").join(texts)
+
+
+def _ground(spot: np.ndarray, side: int) -> Markup:
+    """What the base is fixed to, on the `side` (+1 below, −1 above) that the first link does not go to."""
+    x, y = spot[0], spot[1] + 20 * side
+    hatch = "".join(f"M{x - 16 + 8 * i:.1f} {y:.1f}l-5 {7 * side}" for i in range(5))
+    plate = f"M{x:.1f} {spot[1]:.1f}V{y:.1f}M{x - 20:.1f} {y:.1f}h40"
+    return Markup('<path class="ground" d="{}"/>').format(plate + hatch)

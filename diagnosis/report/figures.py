@@ -1,0 +1,101 @@
+"""Timeline, state-space maps and residual torques."""
+
+import numpy as np
+from markupsafe import Markup
+
+from invdyn.diagnosis.report.drawing import MOST, Plot, limits
+from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain
+from invdyn.diagnosis.result import Diagnosis
+
+Z90 = 1.6448536269514722
+"""Half a central 90 % interval of a Gaussian, in standard deviations."""
+
+QUIET = 0.15
+"""Share of frames beyond a 90 % band up to which nothing is there but what the band itself leaves out."""
+
+FAINT = 0.15
+"""Share of the largest residual on a map under which a point stays grey, unless its own uncertainty reaches further."""
+
+
+def timeline(diagnosis: Diagnosis) -> Markup | None:
+    """What the corrected simulation predicts each frame better by, with the stretches that hold the gap."""
+    tracks = diagnosis.tracks
+    if tracks is None or not np.isfinite(tracks.frame_gap).any():
+        return None
+    time = tracks.time
+    low, high = limits(tracks.frame_gap, zero=True)
+    room = 0.2 * (high - low) if diagnosis.where.intervals else 0.0  # for the shares
+    plot = Plot(limits(time, margin=0), (low, high + room), "time, s", "nats a frame", height=150)
+    for interval in diagnosis.where.intervals:
+        plot.span(interval.start, interval.stop, percent(interval.share) if interval.share >= 0.1 else "")
+    plot.level(0.0)
+    plot.line(time, tracks.frame_gap, "line gap")
+    spans = [f"{percent(i.share)} from {i.start:.2f} to {i.stop:.2f} s" for i in diagnosis.where.intervals]
+    total = fixed(float(np.nanmean(tracks.frame_gap)), 2)
+    return plot.html(
+        f"Gap of each frame over time, {total} nats a frame on average; {'; '.join(spans) or 'no stretch'}"
+    )
+
+
+def maps(diagnosis: Diagnosis) -> list[dict]:
+    """Of each joint: name, residual torque over angle and velocity before and after, its key, whether it is quiet."""
+    tracks = diagnosis.tracks
+    if tracks is None:
+        return []
+    found = []
+    for j, name in enumerate(diagnosis.joint_names):
+        before, after = tracks.residual_before[:, j], tracks.residual_after[:, j]
+        angle, velocity = np.degrees(tracks.angle[:, j]), np.degrees(tracks.velocity[:, j])
+        if not np.isfinite(before).any() or not np.isfinite(angle).any():
+            continue
+        peak = float(np.nanquantile(np.abs(before), 0.98))
+        spread = tracks.residual_before_sd[:, j]
+        doubt = Z90 * float(np.nanmedian(spread)) if np.isfinite(spread).any() else 0.0
+        low = max(FAINT * peak, doubt, 1e-9)
+        edges = low + max(peak - low, low) * np.array([0.0, 1 / 3, 2 / 3])
+        stride = -(-len(angle) // (2 * MOST))
+        sides, loud = [], 0.0
+        for words, residual in (("before", before), ("after", after)):
+            plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)
+            plot.level(0.0)
+            classes = np.where(np.isfinite(residual), np.searchsorted(edges, np.abs(residual)), -1)
+            loud = max(loud, float(np.mean(classes > 0)))
+            for c in range(len(edges) + 1):  # large ones last, on top
+                for sign, mask in (("plus", residual >= 0), ("minus", residual < 0)):
+                    here = np.flatnonzero(mask & (classes == c))[:: stride if c == 0 else max(stride // 2, 1)]
+                    plot.dots(angle[here], velocity[here], f"dot {sign} c{c}")
+            rms = handy(_rms(residual), "N·m")
+            sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
+        key = [plain(edge, 2) for edge in edges]
+        found.append({"joint": name, "before": sides[0], "after": sides[1], "key": key, "quiet": loud <= QUIET})
+    return found
+
+
+def residuals(diagnosis: Diagnosis) -> list[dict]:
+    """Of each joint: name, residual torque over time before and after with 90 % bands, and their rms."""
+    tracks = diagnosis.tracks
+    if tracks is None:
+        return []
+    found = []
+    for j, name in enumerate(diagnosis.joint_names):
+        pairs = [
+            ("before", tracks.residual_before[:, j], Z90 * tracks.residual_before_sd[:, j]),
+            ("after", tracks.residual_after[:, j], Z90 * tracks.residual_after_sd[:, j]),
+        ]
+        everything = [v for _, mean, half in pairs for v in (mean - half, mean + half)]
+        plot = Plot(limits(tracks.time, margin=0), limits(*everything, zero=True), "time, s", "N·m", height=150)
+        for words, mean, half in pairs:
+            plot.band(tracks.time, mean - half, mean + half, f"band {words}")
+        plot.level(0.0)
+        for words, mean, _ in pairs:
+            plot.line(tracks.time, mean, f"line {words}")
+        rms = [handy(_rms(mean), "N·m") for _, mean, _ in pairs]
+        label = f"Residual torque of {name} over time: {rms[0]} rms before, {rms[1]} after"
+        command = None if tracks.command is None else handy(_rms(tracks.command[:, j]), "N·m")
+        found.append({"joint": name, "figure": plot.html(label), "before": rms[0], "after": rms[1], "command": command})
+    return found
+
+
+def _rms(values: np.ndarray) -> float | None:
+    seen = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else None

@@ -1,0 +1,114 @@
+"""Numbers as a reader wants them: to the digits that their uncertainty supports, in units of a handy size.
+
+A number and its unit stay on one line: the space between them is one that does not break.
+
+The rule for digits is the Particle Data Group's: two digits of the uncertainty where it begins with 1 or 2, else one.
+"""
+
+import math
+from collections.abc import Mapping
+
+from invdyn.diagnosis.result import Estimate
+
+NOTHING = "–"
+"""Stands for a number that was not measured."""
+
+HANDY = {
+    "m": (0.1, 1e3, "mm"),
+    "s": (0.1, 1e3, "ms"),
+    "kg": (0.1, 1e3, "g"),
+    "rad": (math.inf, 180 / math.pi, "°"),
+    "rad/s": (math.inf, 180 / math.pi, "°/s"),
+}
+"""Unit → size under which it is changed, factor, unit that it is changed to."""
+
+
+def known(value: float | None) -> bool:
+    """Whether there is a finite number at all."""
+    return value is not None and math.isfinite(value)
+
+
+def decimals(uncertainty: float) -> int:
+    """Decimal places that a standard deviation supports; negative: whole tens, hundreds …"""
+    exponent = math.floor(math.log10(uncertainty))
+    return (1 if uncertainty / 10.0**exponent < 2.95 else 0) - exponent
+
+
+def fixed(value: float | None, places: int) -> str:
+    """`value` to so many decimal places, with a true minus sign and a power of ten where it needs one."""
+    if not known(value):
+        return NOTHING
+    if places > 5 or places < -3:
+        exponent = max(math.floor(math.log10(abs(value))) if value else -places, -places)
+        number = _signed(f"{value / 10.0**exponent:.{places + exponent}f}")
+        return number if number == "0" else f"{number} × 10{_superscript(exponent)}"
+    return _signed(f"{round(value, places):.{max(places, 0)}f}")
+
+
+def plain(value: float | None, digits: int = 3) -> str:
+    """`value` to so many significant digits, where nothing is known of its uncertainty."""
+    if not known(value):
+        return NOTHING
+    if value == 0:
+        return "0"
+    return fixed(value, min(digits - 1 - math.floor(math.log10(abs(value))), 9))
+
+
+def percent(share: float | None) -> str:
+    """A probability or share, "97 %"; near certainty one digit more, and never a flat 0 or 100 that is not meant."""
+    if not known(share):
+        return NOTHING
+    if 0 < share < 0.001:
+        return "<\u00a00.1\u00a0%"
+    if 0.9995 <= share < 1:
+        return ">\u00a099.9\u00a0%"
+    return f"{fixed(100 * share, 1 if 0.99 < share < 0.9995 or 0 < share < 0.01 else 0)}\u00a0%"
+
+
+def handy(value: float | None, unit: str) -> str:
+    """A number with its unit, two digits."""
+    factor, unit = _handy(value, unit)
+    return _with_unit(plain(value * factor, 2) if known(value) else NOTHING, unit)
+
+
+def estimate(e: Estimate) -> tuple[str, str]:
+    """A posterior's mean with its unit, and its 90 % interval in the same unit."""
+    factor, unit = _handy(max(map(abs, (e.mean, *e.interval_90))), e.unit)
+    width = e.sd if known(e.sd) and e.sd > 0 else abs(e.interval_90[1] - e.interval_90[0]) / 3.29
+    if known(width) and width > 0:
+        places = decimals(width * factor)
+        numbers = [fixed(v * factor, places) for v in (e.mean, *e.interval_90)]
+    else:
+        numbers = [plain(v * factor, 4) for v in (e.mean, *e.interval_90)]
+    return _with_unit(numbers[0], unit), _with_unit(f"{numbers[1]} to {numbers[2]}", unit)
+
+
+def plus_minus(value: float, sd: float, unit: str) -> str:
+    """A number and its standard deviation."""
+    places = decimals(sd) if known(sd) and sd > 0 else 3
+    return _with_unit(f"{fixed(value, places)} ± {fixed(sd, places)}", unit)
+
+
+def largest(shares: Mapping[str, float]) -> tuple[str, float] | None:
+    """The name with the largest share, the first of equals; None where there is none above zero."""
+    finite = {name: share for name, share in shares.items() if known(share) and share > 0}
+    return max(finite.items(), key=lambda item: item[1]) if finite else None
+
+
+def _handy(value: float | None, unit: str) -> tuple[float, str]:
+    limit, factor, better = HANDY.get(unit, (0.0, 1.0, unit))
+    return (factor, better) if known(value) and abs(value) < limit else (1.0, unit)
+
+
+def _with_unit(number: str, unit: str) -> str:
+    if unit in ("", "–", "-", "1"):
+        return number
+    return f"{number}{unit}" if unit == "°" else f"{number}\u00a0{unit}"
+
+
+def _signed(text: str) -> str:
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text.replace("-", "−")
+
+
+def _superscript(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -1,0 +1,97 @@
+"""The replay: recorded keypoints, the simulation as it is and with the cause, over one another, as data for the page.
+
+Positions become whole tenths of the picture's units, rows are thinned to `FRAMES`; missing is null.
+"""
+
+import numpy as np
+
+from invdyn.diagnosis.report.arm import View
+from invdyn.diagnosis.report.drawing import Plot, dots, limits
+from invdyn.diagnosis.report.numbers import fixed
+from invdyn.diagnosis.result import Diagnosis
+
+FRAMES = 600
+WIDTH, HEIGHT = 480, 360
+GHOSTS = 400
+"""Recorded points of each keypoint that stay in the background."""
+
+
+def replay(diagnosis: Diagnosis) -> dict | None:
+    """Data of the animation, its still picture and the error over time; None where nothing was replayed."""
+    tracks = diagnosis.tracks
+    if tracks is None or not np.isfinite(tracks.nominal_replay).any():
+        return None
+    rows = np.arange(0, len(tracks.time), -(-len(tracks.time) // FRAMES))
+    time, observed = tracks.time[rows], tracks.observed[rows]
+    sides = {"nominal": tracks.nominal_replay[rows], "corrected": tracks.corrected_replay[rows]}
+    seen = _usual(np.concatenate([observed.reshape(-1, 2), tracks.smoothed[rows].reshape(-1, 2)]))
+    drawn = _usual(np.concatenate([v.reshape(-1, 2) for v in sides.values()]))
+    view = View(_within(np.concatenate([seen, drawn, tracks.base[None]]), seen), (WIDTH, HEIGHT), (14, 14))
+    base = 10 * view(tracks.base)
+    off = {name: 1e3 * np.linalg.norm(v[:, -1] - tracks.smoothed[rows, -1], axis=-1) for name, v in sides.items()}
+    worst = int(np.nanargmax(off["nominal"])) if np.isfinite(off["nominal"]).any() else 0
+    data = {
+        "time": [round(float(t), 4) for t in time - time[0]],
+        "start": worst,
+        "base": _whole(base),
+        "observed": _whole(10 * view(observed)),
+        "off": {name: _whole(10 * v) for name, v in off.items()},
+        **{name: _whole(10 * view(v)) for name, v in sides.items()},
+    }
+    plot = Plot(limits(time - time[0], margin=0), limits(*off.values(), zero=True), "time, s", "mm", height=90)
+    plot.line(time - time[0], off["nominal"], "line before")
+    plot.line(time - time[0], off["corrected"], "line after")
+    label = ", ".join(f"{name} {fixed(_rms(v), 1)} mm rms" for name, v in off.items())
+    ghosts = observed[:: -(-len(rows) // GHOSTS)].reshape(-1, 2)
+    return {
+        "data": data,
+        "width": 10 * WIDTH,
+        "height": 10 * HEIGHT,
+        "ghosts": dots(10 * view(ghosts)),
+        "still": {name: chain(base, 10 * view(v[worst])) for name, v in sides.items()},
+        "points": dots(10 * view(observed[worst])),
+        "last": len(rows) - 1,
+        "time": fixed(float(time[worst] - time[0]), 2),
+        "off": {name: fixed(float(v[worst]), 1) for name, v in off.items()},
+        "errors": plot.html(f"Distance of the replayed tip from the recorded one over time: {label}"),
+        "window": tracks.replay_window,
+        "thinned": len(rows) < len(tracks.time),
+    }
+
+
+def chain(base: np.ndarray, tips: np.ndarray) -> str:
+    """SVG path from the base through the tips; empty where one is missing."""
+    if not np.isfinite(tips).all():
+        return ""
+    return "M" + "L".join(f"{round(x)} {round(y)}" for x, y in [base.tolist(), *tips.tolist()])
+
+
+def _whole(values: np.ndarray) -> list:
+    values = np.asarray(values)
+    if values.ndim > 1:
+        return [_whole(v) for v in values]
+    return [round(v) if np.isfinite(v) else None for v in values.tolist()]
+
+
+def _usual(points: np.ndarray) -> np.ndarray:
+    """Without those far outside of where nearly all are: a detection gone astray must not shrink the picture."""
+    points = points[np.isfinite(points).all(-1)]
+    if not len(points):
+        return points
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    room = 0.5 * (high - low).max()
+    return points[((points >= low - room) & (points <= high + room)).all(-1)]
+
+
+def _within(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Points pulled to at most one width of what was seen outside of it: a replay may run away."""
+    if not len(seen):
+        return points
+    low, high = seen.min(0), seen.max(0)
+    room = (high - low).max()
+    return np.clip(points, low - room, high + room)
+
+
+def _rms(values: np.ndarray) -> float | None:
+    seen = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else None

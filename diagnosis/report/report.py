@@ -1,0 +1,212 @@
+"""`report.html`: one page, without anything from outside, that tells a person in a minute what was found.
+
+Same diagnosis, same bytes. Whatever a file contained (names of joints, keypoints, recordings) is escaped by the
+template; beyond that the page's content security policy lets only the one script run whose digest it carries, and no
+request out.
+"""
+
+import base64
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2.utils import htmlsafe_json_dumps
+from markupsafe import Markup
+
+from invdyn.diagnosis.report.arm import arm
+from invdyn.diagnosis.report.figures import maps, residuals, timeline
+from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
+from invdyn.diagnosis.report.replay import replay
+from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
+from invdyn.diagnosis.report.words import REGIMES, SHORT_SIDES, cause_words, finding_words, key_words, meaning
+from invdyn.diagnosis.result import Cause, Diagnosis
+from invdyn.recordings.atomic import write_text
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+SHOWN = 5
+"""Causes in full view; the rest are folded away."""
+
+CLEAR, FAINT = 5.0, 2.0
+"""Changes over the noise (d′) above which an effect of typical size shows, and under which it cannot."""
+
+
+def write_report(diagnosis: Diagnosis, path: str | Path, *, generated: str | None = None) -> None:
+    """Write the page to `path`, whole or not at all. Raises OSError as :func:`invdyn.recordings.check_writable`."""
+    write_text(path, render(diagnosis, generated=generated))
+
+
+def render(diagnosis: Diagnosis, *, generated: str | None = None) -> str:
+    """The page as HTML; `generated` is a line at its foot that says when it was made."""
+    answer = kind(diagnosis)
+    script = (TEMPLATES / "replay.js").read_text(encoding="utf-8")
+    enough = answer != "not_enough_data"
+    moving = replay(diagnosis) if enough else None
+    page = _environment().get_template("report.html.j2")
+    return page.render(
+        d=diagnosis,
+        answer=answer,
+        verdict=verdict(diagnosis),
+        details=details(diagnosis),
+        regime=REGIMES.get(diagnosis.regime, diagnosis.regime),
+        tiles=_tiles(diagnosis) if enough else [],
+        sides=SHORT_SIDES,
+        arm=arm(diagnosis),
+        timeline=timeline(diagnosis) if enough else None,
+        maps=maps(diagnosis) if enough else [],
+        residuals=residuals(diagnosis) if enough else [],
+        ranked=_ranked(diagnosis),
+        shown=SHOWN,
+        replay=moving,
+        data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
+        left=left(diagnosis),
+        hidden_torque=diagnosis.regime == "unknown_torque",
+        hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
+        visible=_visible(diagnosis),
+        screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
+        numbers=_numbers(diagnosis),
+        method={name.replace("_", " "): text for name, text in diagnosis.method.items()},
+        percent=percent,
+        script=Markup(script),
+        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
+        digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        generated=generated,
+    )
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _ranked(diagnosis: Diagnosis) -> list[dict]:
+    """Rows of the causes, "outside the catalogue" among them, most probable first."""
+    best = max((c.log_evidence for c in diagnosis.causes if known(c.log_evidence)), default=0.0)
+    rows = [_cause(cause, best) for cause in diagnosis.causes]
+    outside = diagnosis.outside
+    if rows or known(outside.probability):
+        rows.append(
+            {
+                "words": "outside the catalogue",
+                "probability": outside.probability if known(outside.probability) else 0.0,
+                "percent": percent(outside.probability),
+                "meanings": ["Something that no effect of the catalogue explains"],
+                "spread": "",
+                "parameters": [
+                    {"name": name, "of": None, "value": plus_minus(*term), "interval": ""}
+                    for name, term in outside.terms.items()
+                ],
+                "note": left_over(diagnosis),
+            }
+        )
+    return sorted(rows, key=lambda row: -row["probability"])
+
+
+def _cause(cause: Cause, best: float) -> dict:
+    behind = best - cause.log_evidence
+    evidence = "Best evidence" if behind == 0 else f"Evidence {fixed(behind, 1)} nats behind the best"
+    return {
+        "words": cause_words(cause),
+        "probability": cause.probability if known(cause.probability) else 0.0,
+        "percent": percent(cause.probability),
+        "meanings": [m for f in cause.effects if (m := meaning(f.effect))],
+        "spread": "90 % interval",
+        "parameters": [
+            {
+                "name": name.replace("_", " "),
+                "of": finding_words(f) if len(cause.effects) > 1 else None,
+                "value": estimate(e)[0],
+                "interval": estimate(e)[1],
+            }
+            for f in cause.effects
+            for name, e in f.parameters.items()
+        ],
+        "note": f"{evidence} (Monte Carlo error {fixed(cause.log_evidence_sd, 1)})." if known(behind) else "",
+    }
+
+
+def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Name, number and note of the few numbers that stand beside the verdict."""
+    gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
+    tiles = [("Gap", percent(gap.probability), "probability that there is one")]
+    nominal, corrected = (gap.elpd_per_frame.get(name) for name in ("nominal", "corrected"))
+    if gap.detected and known(nominal) and known(corrected):
+        tiles.append(("Size", f"{fixed(corrected - nominal, 2)} nats", "a frame, gained by the correction"))
+    if gap.detected and known(shrinkage.gap_closed):
+        low, high = shrinkage.interval_90 or (None, None)
+        note = f"90 % interval {percent(low)} to {percent(high)}" if known(low) else "share of the gap"
+        tiles.append(("Closed", percent(shrinkage.gap_closed), note))
+    before, after = (gap.replay_rms_m.get(name) for name in ("nominal", "corrected"))
+    if known(before):
+        fixed_by = f"; corrected {handy(after, 'm')}" if gap.detected and known(after) else ""
+        tiles.append(("Replay", handy(before, "m"), f"rms off the recording{fixed_by}"))
+    return tiles
+
+
+def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Every number of the diagnosis beside the figures: name, value, what it means."""
+    gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
+    rows = [
+        (
+            "Probability of a gap",
+            percent(gap.probability),
+            "That the simulation as it is, with its stated uncertainty, the noise and the integrator's own error, did "
+            "not make this recording.",
+        )
+    ]
+    what = {
+        "nominal": "Mean log density that the simulation as it is gives to the next frame, from the frames before it.",
+        "corrected": "The same with the cause added; the difference between the two is the gap that was closed.",
+        "noise_floor": "What a perfect simulation would reach: the noise of the keypoints alone.",
+    }
+    for name, value in gap.elpd_per_frame.items():
+        label = f"Prediction, {name.replace('_', ' ')}"
+        rows.append((label, f"{fixed(value, 3)} nats a frame", what.get(name, "Mean log density of the next frame.")))
+    torque = (
+        "Torque that the joint must have exerted for the recording to come about, root mean square; before → after."
+        if diagnosis.regime == "unknown_torque"
+        else "Torque that has to be added at the joint so that the simulation follows the recording, root mean square; "
+        "before → after the cause is added."
+    )
+    for name, value in gap.residual_torque_rms.items():
+        after = shrinkage.residual_torque_rms_after.get(name)
+        rows.append((f"Residual torque, {name}", f"{handy(value, 'N·m')} → {handy(after, 'N·m')}", torque))
+    for name, value in gap.replay_rms_m.items():
+        rows.append(
+            (
+                f"Replay, {name.replace('_', ' ')}",
+                handy(value, "m"),
+                "Distance of the simulated from the recorded keypoints when the simulation runs by itself, root mean "
+                "square.",
+            )
+        )
+    if known(shrinkage.gap_closed):
+        data = "on data that the fit has not seen" if shrinkage.held_out else "on the data of the fit"
+        rows.append(
+            ("Gap closed", percent(shrinkage.gap_closed), f"Share of the gap that the cause takes away, {data}.")
+        )
+    if known(diagnosis.outside.probability):
+        rows.append(
+            (
+                "Outside the catalogue",
+                percent(diagnosis.outside.probability),
+                "Probability that no effect of the catalogue, nor those added together, is the cause.",
+            )
+        )
+    return rows
+
+
+def _visible(diagnosis: Diagnosis) -> dict[str, list]:
+    """Candidates by whether the recording could have shown them, with d′."""
+    groups = {"yes": [], "faintly": [], "no": []}
+    for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):
+        name = "no" if not v.dprime >= FAINT else "yes" if v.dprime >= CLEAR else "faintly"
+        groups[name].append((key_words(v.key, diagnosis), plain(v.dprime, 2)))
+    return groups

@@ -1,0 +1,190 @@
+"""The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
+
+from invdyn.diagnosis.report.numbers import handy, known, largest, percent
+from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
+from invdyn.diagnosis.result import Cause, Diagnosis, named
+
+COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+def kind(diagnosis: Diagnosis) -> str:
+    """Which answer it is: "not_enough_data", "none", "outside", "unclear", "ambiguous" or "cause"."""
+    if diagnosis.not_enough_data is not None:
+        return "not_enough_data"
+    if not diagnosis.gap.detected:
+        return "none"
+    cause = best(diagnosis)
+    rival = 0.5 if cause is None else alike(diagnosis, cause)[1]
+    if known(diagnosis.outside.probability) and diagnosis.outside.probability > rival:
+        return "outside"
+    if cause is None:
+        return "unclear"
+    return "ambiguous" if len(alike(diagnosis, cause)[0]) > 1 else "cause"
+
+
+def best(diagnosis: Diagnosis) -> Cause | None:
+    """The most probable cause that has an effect."""
+    return max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability, default=None)
+
+
+def alike(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
+    """What the recording cannot tell from a cause, itself first, in words; and their probability together.
+
+    Two causes are alike where each effect of one is the other's, or in one ambiguity set with it.
+    """
+
+    def group(finding):
+        names = {finding.key, finding.effect}
+        found = [i for i, keys in enumerate(diagnosis.ambiguity_set) if names & set(keys) and len(keys) > 1]
+        return f"#{found[0]}" if found else finding.key
+
+    signature = sorted(group(f) for f in cause.effects)
+    same = [c for c in diagnosis.causes if c.effects and sorted(group(f) for f in c.effects) == signature]
+    words = [cause_words(c) for c in sorted(same, key=lambda c: c is not cause)]
+    if len(cause.effects) == 1 and signature[0].startswith("#"):
+        mine, ranked = cause.effects[0], {n for c in same for f in c.effects for n in (f.key, f.effect)}
+        others = [k for k in diagnosis.ambiguity_set[int(signature[0][1:])] if k not in ranked and k != mine.key]
+        words += [key_words(key, diagnosis) for key in others]
+    return tuple(dict.fromkeys(words)), min(sum(c.probability for c in same), 1.0)
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """One sentence."""
+    answer, probability = kind(diagnosis), percent(diagnosis.gap.probability)
+    hidden = diagnosis.regime == "unknown_torque"
+    if answer == "not_enough_data":
+        return f"Not enough data to say whether there is a gap: {diagnosis.not_enough_data.strip().rstrip('.')}."
+    if answer == "none" and hidden:
+        return (
+            "No gap shows, but the joint torques are unknown and could hide one in how the arm moves "
+            f"(probability of a gap {probability})."
+        )
+    if answer == "none":
+        return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
+    if answer == "outside":
+        place = _place(diagnosis)
+        return (
+            f"There is a gap{place}, and no effect in the catalogue explains it "
+            f"({percent(diagnosis.outside.probability)} probable)."
+        )
+    if answer == "unclear":
+        return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
+    cause = best(diagnosis)
+    words, together = alike(diagnosis, cause)
+    if answer == "ambiguous":
+        them = "either" if len(words) == 2 else "any of them"
+        return (
+            f"There is a gap, caused by {' or '.join((', '.join(words[:-1]), words[-1]))}, which this recording cannot "
+            f"tell apart (together {percent(together)} probable); {_closing(diagnosis, them)}."
+        )
+    count = len(cause.effects)
+    what = cause_words(cause)
+    missing = f"{COUNTS.get(count, count)} effects: {what}" if count > 1 else what
+    if cause.probability < 0.5:
+        return (
+            f"There is a gap; its most probable cause is {what}, at only {percent(cause.probability)}; "
+            f"{_closing(diagnosis, 'it' if count == 1 else 'them')}."
+        )
+    return (
+        f"There is a gap: the simulation leaves out {missing} ({percent(cause.probability)} probable); "
+        f"{_closing(diagnosis, 'it' if count == 1 else 'them')}."
+    )
+
+
+def _closing(diagnosis: Diagnosis, them: str) -> str:
+    closed = diagnosis.shrinkage.gap_closed
+    if not known(closed):
+        return "how far that closes the gap was not measured"
+    if closed <= 0:
+        return f"adding {them} closes none of the gap"
+    return f"adding {them} closes {'all' if closed >= 0.995 else percent(closed)} of the gap"
+
+
+def _place(diagnosis: Diagnosis) -> str:
+    top, side = largest(diagnosis.where.joints), largest(diagnosis.where.side)
+    if side and side[0] == "observation":
+        top = largest(diagnosis.where.keypoints)
+        return f" at {place_words('keypoint', top[0])}" if top and top[1] >= 0.5 else " in how the motion is seen"
+    return f" at {place_words('joint', top[0])}" if top and top[1] >= 0.5 else ""
+
+
+def details(diagnosis: Diagnosis) -> list[str]:
+    """The sentences under the verdict."""
+    answer = kind(diagnosis)
+    if answer == "not_enough_data":
+        return ["Record longer, or with more frames in which keypoints are seen, and run the diagnosis again."]
+    found = []
+    if answer != "none":
+        found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis)) if s]
+    if answer in ("outside", "none") and diagnosis.outside.description:
+        found.append(f"What is left over looks like {diagnosis.outside.description}.")
+    elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
+        found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")
+    if answer in ("ambiguous", "outside", "unclear") and diagnosis.separating_experiment:
+        found.append(f"What would tell: {diagnosis.separating_experiment.strip().rstrip('.')}.")
+    if diagnosis.regime == "unknown_torque" and answer != "none":
+        found.append("The joint torques are unknown, so what they could imitate by themselves cannot be blamed.")
+    return found
+
+
+def where(diagnosis: Diagnosis) -> str | None:
+    """Side, place and time."""
+    w = diagnosis.where
+    parts = []
+    if side := largest(w.side):
+        parts.append(f"in {SIDES.get(side[0], side[0])} ({percent(side[1])})")
+    shares = ("keypoint", w.keypoints) if side and side[0] == "observation" else ("joint", w.joints)
+    if (top := largest(shares[1])) and len(shares[1]) > 1:
+        much = "" if top[1] >= 0.9 else "mostly " if top[1] > 0.5 else "in part "
+        parts.append(f"{much}at {place_words(shares[0], top[0])} ({percent(top[1])})")
+    if w.intervals:
+        top = max(w.intervals, key=lambda i: i.share)
+        if top.share >= 0.3:
+            parts.append(f"{percent(top.share)} of it between {top.start:.2f} s and {top.stop:.2f} s")
+    return f"The gap lies {', '.join(parts)}." if parts else None
+
+
+def depends(diagnosis: Diagnosis) -> str | None:
+    """What the residual follows."""
+    names = [variable_words(v) for v in diagnosis.where.depends_on]
+    return f"What is missing follows {named(names)}." if names else None
+
+
+def _closed(diagnosis: Diagnosis) -> str | None:
+    shrinkage, before = diagnosis.shrinkage, diagnosis.gap.residual_torque_rms
+    parts = []
+    if known(shrinkage.gap_closed) and shrinkage.interval_90 is not None:
+        low, high = shrinkage.interval_90
+        on = "data held out from the fit" if shrinkage.held_out else "the same data as the fit"
+        parts.append(f"the share closed is {percent(low)} to {percent(high)} with 90 % probability, on {on}")
+    top = None if diagnosis.regime == "unknown_torque" else largest(before)
+    if top and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
+        place = place_words("joint", top[0])
+        parts.append(
+            f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"
+        )
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}." if text else None
+
+
+def left(diagnosis: Diagnosis) -> list[str]:
+    """What the recording leaves open, one sentence a set."""
+    found = []
+    for group in diagnosis.ambiguity_set:
+        if len(group) > 1:
+            words = [key_words(key, diagnosis) for key in group]
+            found.append(f"{named(words)} change this recording in the same way: it cannot tell them apart.")
+    return [f"{s[0].upper()}{s[1:]}" for s in found]
+
+
+def left_over(diagnosis: Diagnosis) -> str:
+    """Whether something outside the catalogue remains."""
+    outside = diagnosis.outside
+    if outside.description is None:
+        return "No formula was found for what is left over."
+    gain = (
+        f"; it improves each held-out frame by {handy(outside.gain_per_frame, 'nats')}"
+        if known(outside.gain_per_frame)
+        else ""
+    )
+    return f"Short formula for what is left over: {outside.description}{gain}."

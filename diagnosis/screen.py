@@ -1,0 +1,273 @@
+"""The fast screen: evidence of every candidate along the data's own path, the residual torque's size integrated out.
+
+One Kalman pass whitens the data and all candidates' columns for every size of the residual (:mod:`.innovations`); each
+candidate's evidence is then a small regression (:mod:`.evidence`). Sizes: the *spike*, a residual far too small to
+matter, says "this cause explains all there is"; the *slab*, sizes spread evenly over the powers of ten up to a typical
+torque, says "something is left that the residual must imitate". A cause found with the spike leaves nothing to explain.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+from torch import Tensor
+
+from invdyn.diagnosis.candidates import Columns, Hypothesis, bursts, hypotheses, slopes
+from invdyn.diagnosis.evidence import Regression, regression
+from invdyn.diagnosis.innovations import Innovations, innovations
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import Unknowns
+from invdyn.inference.gauss_newton import linearise
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+from invdyn.models.missing import gaussian_rows
+from invdyn.models.state_space import gaussian_moments
+
+SPIKE = 1e-4
+SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
+"""Sizes of the residual torque, in typical torques."""
+
+PEAKS = 2
+"""Stretches of time that are kept, for each size that they are sought under."""
+
+BLOCK = 200
+"""Columns that are whitened together."""
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Data and columns, whitened for every size.
+
+    Attributes:
+        sizes: (G,) of the residual.
+        gram: (G, 1 + J, 1 + J).
+        row_log_det: (G, T) ½ log |S_t|, less the observations' own normaliser.
+        seen: (T,) observations seen in each row.
+        columns: (G, rows that were seen · O, 1 + J).
+    """
+
+    sizes: np.ndarray
+    gram: np.ndarray
+    row_log_det: np.ndarray
+    seen: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def log_det(self) -> np.ndarray:
+        """(G,): with it the regression's evidence is that of the data, not of whitened rows."""
+        return self.row_log_det.sum(-1)
+
+    @property
+    def count(self) -> int:
+        """Observations seen."""
+        return int(self.seen.sum())
+
+
+def sizes(regime: str) -> np.ndarray:
+    """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
+    return np.array(SLAB if regime == "unknown_torque" else (SPIKE, *SLAB))
+
+
+def whiten(setting: Setting, model: ArmModel, path: Tensor, columns: Columns, levels: np.ndarray) -> Whitened:
+    """Whiten the data and ``columns`` about ``path`` under ``model``."""
+    linear = linearise(setting.with_residual(1.0, model), path, setting.observations)
+    rows = torch.arange(len(path))
+    loud = setting.with_residual(1.0, model)
+    with torch.no_grad():
+        first = gaussian_moments(loud.initial())[1].numpy()
+        noise = gaussian_moments(loud.transition(path[:-1], rows[1:]))[1].numpy()
+        whitening, normaliser = gaussian_rows(model.emission(path, rows), setting.observations)
+    joints = model.body.num_joints
+    scale = np.ones((len(levels), model.state_dim))
+    scale[:, :joints] = levels[:, None]
+    Q = _square(scale[:, None, :, None] * noise)
+    P0 = _square(scale[:, :, None] * first)
+    result: Innovations = innovations(
+        linear.F,
+        linear.a,
+        Q,
+        linear.E,
+        linear.e,
+        linear.m0,
+        P0,
+        columns.g,
+        whitening.numpy()[..., None] * columns.d,
+    )
+    rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
+    w = result.columns[:, rows_seen]
+    # The regression counts −½ log 2π for each observation, as the normaliser does.
+    seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
+    row_log_det = result.log_det - normaliser.numpy() - 0.5 * np.log(2 * np.pi) * seen
+    return Whitened(levels, np.swapaxes(w, -1, -2) @ w, row_log_det, seen, w)
+
+
+def _square(root: np.ndarray) -> np.ndarray:
+    return root @ np.swapaxes(root, -1, -2)
+
+
+def windows(setting: Setting, model: ArmModel, path: Tensor) -> list[tuple[float, float]]:
+    """The ``PEAKS`` stretches of time in which a burst of torque on the joints would explain most."""
+    K = model.body.num_joints
+    response = linearise(setting.with_residual(1.0, model), path, setting.observations).F[:, :, :K].copy()
+    response[:, :K] = 0.0
+    times, columns = bursts(model, response)
+    whitened = whiten(setting, model, path, columns, np.array([SPIKE, SLAB[0], SLAB[2]]))
+    gains = np.zeros((3, len(times)))
+    for g, gram in enumerate(whitened.gram):
+        index = 1 + np.arange(len(times) * K).reshape(-1, K)
+        A = gram[index[:, :, None], index[:, None, :]] + 1e-9 * np.trace(gram) * np.eye(K)
+        r = gram[index, 0]
+        gains[g] = np.einsum("wi,wij,wj->w", r, np.linalg.inv(A), r) * whitened.count / gram[0, 0]
+    found = []
+    for gain in gains:
+        for _ in range(PEAKS):
+            top = int(gain.argmax())
+            found.append(times[top])
+            gain[max(top - 2, 0) : top + 3] = -np.inf
+    return sorted(set(found))
+
+
+def blocks(
+    model: ArmModel, effects: Sequence[Effect], path: Tensor, times: Sequence[tuple[float, float]] = ()
+) -> Iterator[tuple[list[Hypothesis], Columns, list[int]]]:
+    """Effects' hypotheses and columns side by side, in blocks that memory holds; and each hypothesis' first column."""
+    found, pieces, first, count = [], [], [], 0
+    for effect in effects:
+        mine, columns = hypotheses(model, effect, path, times)
+        if count and count + columns.g.shape[-1] > BLOCK:
+            yield found, _beside(pieces), first
+            found, pieces, first, count = [], [], [], 0
+        found += mine
+        first += [count] * len(mine)
+        pieces.append(columns)
+        count += columns.g.shape[-1]
+    yield found, _beside(pieces), first
+
+
+def _beside(pieces: Sequence[Columns]) -> Columns:
+    return Columns(np.concatenate([c.g for c in pieces], -1), np.concatenate([c.d for c in pieces], -1))
+
+
+def evidences(
+    whitened: Whitened, found: Sequence[Hypothesis], first: Sequence[int], common: Unknowns, point: np.ndarray
+) -> list[Regression]:
+    """Regression of every hypothesis, one result per size; hypothesis −1 (the last) is "no effect".
+
+    The last columns belong to the unknowns that all hypotheses have in ``common``, expanded about ``point``.
+    """
+    shared = len(common.names)
+    own = max((len(h.free) for h in found), default=0)
+    p = own + shared
+    H = len(found) + 1
+    index, offset = np.zeros((H, p), int), np.zeros(H, int)
+    mean, sd, lower = np.zeros((H, p)), np.ones((H, p)), np.full((H, p), -np.inf)
+    for i, (h, start) in enumerate(zip(found, first, strict=True)):
+        n = len(h.free)
+        index[i, :n] = 1 + start + np.array(h.columns)
+        offset[i] = 0 if h.offset is None else 1 + start + h.offset
+        mean[i, :n], sd[i, :n], lower[i, :n] = h.mean, h.sd, h.lower
+    index[:, own:] = whitened.gram.shape[-1] - shared + np.arange(shared)
+    mean[:, own:], sd[:, own:], lower[:, own:] = common.mean - point, common.sd, common.lower - point
+    return [
+        regression(gram, index, offset, mean, sd, lower, whitened.count, log_det)
+        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
+    ]
+
+
+def log_prior(levels: np.ndarray) -> np.ndarray:
+    """Log prior weight of each size: half for the spike, where there is one."""
+    if levels[0] == SPIKE:
+        return np.log(np.r_[0.5, np.full(len(levels) - 1, 0.5 / (len(levels) - 1))])
+    return np.full(len(levels), -np.log(len(levels)))
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Evidence of one effect at one place.
+
+    Attributes:
+        effect: bound; None for "no effect".
+        log_evidence: sizes and grid integrated out.
+        by_size: (G,) grid integrated out.
+        best: its best grid point; None for "no effect".
+        values: estimates of all parameters there, by name.
+        size: the residual's, at its best.
+        dprime: how far an effect of typical size would move the whitened data, in their sds; infinite for none.
+    """
+
+    effect: Effect | None
+    log_evidence: float
+    by_size: np.ndarray
+    best: Hypothesis | None
+    values: dict[str, float]
+    size: float
+    dprime: float
+
+
+def _visibility(whitened: Whitened, results, size: int, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
+    """d′ of the most visible parameter at two thirds of its prior's spread, or of an offset."""
+    gram, kappa = whitened.gram[size], results[size].kappa[-1]
+    largest = 0.0
+    for hypothesis, start in zip(mine, first, strict=True):
+        if hypothesis.offset is not None:
+            norm = gram[1 + start + hypothesis.offset, 1 + start + hypothesis.offset]
+            largest = max(largest, float(np.sqrt(norm)))
+            continue
+        for column, sd in zip(hypothesis.columns, hypothesis.sd, strict=True):
+            norm = gram[1 + start + column, 1 + start + column]
+            largest = max(largest, float(0.67 * sd * np.sqrt(norm)))
+    return largest / float(kappa)
+
+
+def screen(
+    setting: Setting,
+    model: ArmModel,
+    path: Tensor,
+    effects: Sequence[Effect],
+    common: Unknowns,
+    point: np.ndarray,
+    quiet: bool = False,
+) -> list[Screened]:
+    """Evidence of each effect added to ``model``, and of none, best first.
+
+    ``common`` are unknowns that stay free in all of them, now at ``point`` in ``model``; ``quiet`` says that ``model``
+    leaves little, so that the smaller sizes do.
+    """
+    levels = sizes(setting.regime)
+    levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
+    rest = slopes(model, common, point, 0.05 * common.sd, path)
+    weights = log_prior(levels)
+    screened = []
+    times = windows(setting, model, path) if any("start" in effect.located for effect in effects) else ()
+    for found, columns, first in blocks(model, effects, path, times):
+        whitened = whiten(setting, model, path, _beside([columns, rest]), levels)
+        results = evidences(whitened, found, first, common, point)
+        table = np.stack([r.log_evidence for r in results])  # (G, H)
+        none = table[:, -1] + weights
+        keys = [h.effect.key for h in found]
+        for key in dict.fromkeys(keys):
+            mine = [i for i, other in enumerate(keys) if other == key]
+            part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
+            size, place = np.unravel_index(part.argmax(), part.shape)
+            best = found[mine[place]]
+            values = dict(best.point)
+            for name, change, low in zip(best.free, results[size].mean[mine[place]], best.lower, strict=False):
+                values[name] = best.point[name] + max(change, low)
+            by_size = logsumexp(part, axis=1)
+            screened.append(
+                Screened(
+                    best.effect,
+                    float(logsumexp(part)),
+                    by_size,
+                    best,
+                    values,
+                    float(levels[size]),
+                    _visibility(
+                        whitened, results, int(none.argmax()), [found[i] for i in mine], [first[i] for i in mine]
+                    ),
+                )
+            )
+    screened.append(Screened(None, float(logsumexp(none)), none, None, {}, 0.0, np.inf))
+    return sorted(screened, key=lambda s: -s.log_evidence)

@@ -1,0 +1,269 @@
+"""The search for causes: screen, refine the best, add another effect, measure again.
+
+Forward selection with replacement over sets of at most three effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
+set scored by its evidence and its prior:
+
+    1  "no effect" by itself
+    2  given the best set so far, screen every effect that could be added; refine the most promising ones
+    3  where the best set has grown, drop each older effect in turn and look for a better one in its place
+    4  again from 2, until nothing that is added raises the posterior
+
+Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
+that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.prior import MOST, log_prior_of
+from invdyn.diagnosis.refine import Refined, key_of, refine, refine_noise
+from invdyn.diagnosis.screen import Screened, screen, sizes
+from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import ArmModel
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.backlash import Backlash
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import HiddenHinge
+
+WIDTH, SWAPS = (10, 3, 2), 1
+"""Candidates refined when the first, second and third effect is sought, and when one is to take another's place."""
+
+HOPELESS, SHARE = 60.0, 0.1
+"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them
+gain so large a share of what the best gains: where much is to be gained, it errs by much."""
+
+KIN = (
+    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
+    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
+    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
+    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
+)
+"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
+
+MISTAKES = ("outliers", "label_swap")
+"""Effects that leave stray detections, and are not looked for where there are none."""
+
+DOUBT = 5.0
+"""Nats by which the screen may err: less promising ones are not refined."""
+
+STRAY = 5.0
+"""Standard deviations beyond which a detection counts as stray when the first path is judged."""
+
+
+@dataclass
+class Search:
+    """The pool of causes that were refined, and what the first screen said of all.
+
+    Attributes:
+        candidates: all effects at all places that were considered.
+        pool: refined causes by key.
+        first: the screen of every single effect.
+        path: (T, D) that the data ask for, whatever the cause.
+        stray: whether some detections are far from it.
+    """
+
+    candidates: list[Effect]
+    pool: dict[str, Refined]
+    first: list[Screened]
+    path: Tensor
+    stray: bool
+
+    def score(self, cause: Refined) -> float:
+        """Log posterior but for a constant."""
+        return cause.log_evidence + log_prior_of(cause.effects, self.candidates)
+
+    @property
+    def ranked(self) -> list[Refined]:
+        """The pool, best first, without sets that a part of them beats."""
+        scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
+
+        def earns_its_size(cause: Refined) -> bool:
+            mine = frozenset(e.key for e in cause.effects)
+            return all(scores[mine] > score for other, score in scores.items() if other < mine)
+
+        kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
+        return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
+
+    def add(self, cause: Refined) -> None:
+        """Keep a cause, or the better of two versions of it."""
+        known = self.pool.get(cause.key)
+        if known is None or cause.log_evidence > known.log_evidence:
+            self.pool[cause.key] = cause
+
+
+def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
+    """Every effect of the catalogue at every place at which it can act in this regime, bound."""
+    body = setting.model.body
+    tracked = [body.keypoint_names[tip] for tip in setting.model.emission_model.tips]
+    found = []
+    for name, kind in EFFECTS.items():
+        if name in without or (kind.needs_command and setting.regime != "commanded"):
+            continue
+        if kind.side == "observation" and not tracked and name != "clock_rate":
+            continue
+        found += [effect.bound(body) for effect in kind.everywhere(body, tracked)]
+    return found
+
+
+def data_path(setting: Setting) -> tuple[Tensor, bool]:
+    """The path that the data ask for: the simulation under a large residual, robust against stray detections.
+
+    And whether there are any.
+    """
+    loose = setting.with_residual(LOOSE)
+    path = gauss_newton(loose, setting.observations).path
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        seen = loose.emission(path, rows).base_dist
+        far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
+    if not bool(far.any()):
+        return path, False
+    return gauss_newton(_heavy_tailed(loose), setting.observations).path, True
+
+
+def _heavy_tailed(model: ArmModel) -> ArmModel:
+    """The model with Student-t observations."""
+    other = copy.copy(model)
+    other.emission_model = copy.copy(model.emission_model)
+    other.emission_model.family = "student_t"
+    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
+    return other
+
+
+def search(
+    setting: Setting,
+    without: Sequence[str] = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Search:
+    """Search for causes among the catalogue ``without`` some effects' names."""
+    path, stray = data_path(setting)
+    candidates = considered(setting, without)
+    none = refine(setting, (), {}, path, LOOSE)
+    found = Search(candidates, {none.key: none}, [], path, stray)
+    for number in range(MOST):
+        best = found.ranked[0]
+        if len(best.effects) < number:
+            break
+        found.first = found.first or []
+        screened = _extend(setting, found, best, WIDTH[number])
+        found.first = found.first or screened
+        grown = found.ranked[0]
+        if len(grown.effects) > 1:
+            for old in best.effects:
+                rest = tuple(effect for effect in grown.effects if effect.key != old.key)
+                base = found.pool.get(key_of(rest)) or refine(setting, rest, _values(grown), grown.path, LOOSE)
+                found.add(base)
+                _extend(setting, found, base, SWAPS)
+        if progress is not None:
+            progress(number + 1, MOST, "causes")
+    return found
+
+
+def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
+    """Screen every effect that may join ``base``, refine the best ``width``, and keep them."""
+    taken = {effect.key for effect in base.effects}
+    free = [e for e in found.candidates if e.key not in taken]
+    busy = any(isinstance(effect, HiddenHinge) for effect in base.effects)
+    straight = [e for e in free if not is_noise(e) and not isinstance(e, HiddenHinge if busy else Backlash)]
+    common = unknowns(setting, base.effects)
+    if base.effects:
+        model, path, point = base.model, base.path, base.mean
+    else:
+        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
+        model, path, point = setting.model, found.path, common.mean
+    few = _explained(base) and bool(base.effects)
+    screened = screen(setting, model, path, straight, common, point, few)
+    # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
+    nothing = next(s.log_evidence for s in screened if s.effect is None)
+    alone = nothing + log_prior_of(base.effects, found.candidates)
+    promising = [
+        s
+        for s in screened
+        if s.effect is not None
+        and s.log_evidence + log_prior_of((*base.effects, s.effect), found.candidates) > alone - DOUBT
+    ]
+    top = max(cause.log_evidence for cause in found.pool.values())
+    most = screened[0].log_evidence - nothing
+    for place, each in enumerate(promising[:width]):
+        gained = each.log_evidence - nothing
+        if place >= 3 and gained < min(most - HOPELESS, SHARE * most):
+            continue
+        values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | _values(base)
+        limits = {
+            "enough": top - HOPELESS,
+            "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
+        }
+        effects = (*base.effects, each.effect)
+        try:
+            cause = refine(setting, effects, values, path, each.size, noise_log=base.noise_log, **limits)
+        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            continue  # parameters that the screen took too far for the simulation to run at all
+        found.add(cause)
+        top = max(top, cause.log_evidence)
+    _refine_kin(setting, found, base)
+    if not base.effects and not _explained(found.ranked[0]):
+        for effect in free:
+            # Play is no small change of anything: no column stands for it.
+            if isinstance(effect, Backlash):
+                found.add(_refine_hidden(setting, base, effect))
+    for effect in free:
+        if (
+            is_noise(effect)
+            and (found.stray or effect.name not in MISTAKES)
+            and (cause := refine_noise(setting, base, effect, top - HOPELESS)) is not None
+        ):
+            found.add(cause)
+    return screened
+
+
+def _explained(cause: Refined) -> bool:
+    """Whether the cause does without a residual torque."""
+    return int(cause.by_size.argmax()) == 0
+
+
+def _refine_kin(setting: Setting, found: Search, base: Refined) -> None:
+    """Refine the exact or near equivalents of what was found, from values that follow.
+
+    A screen along the data's path cannot see them: the path itself is what they shift.
+    """
+    for cause in list(found.pool.values()):
+        if len(cause.effects) != len(base.effects) + 1:
+            continue
+        for mine in cause.effects:
+            for name, other, parameter, factor in KIN:
+                twin = next((e for e in found.candidates if e.key == other), None)
+                if mine.key != name or twin is None or any(e.key == other for e in cause.effects):
+                    continue
+                rest = tuple(e for e in cause.effects if e is not mine)
+                known = _values(cause)
+                value = known.pop(f"{mine.key}.{parameter[0]}")
+                values = known | {f"{other}.{parameter[1]}": factor * value}
+                size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
+                found.add(refine(setting, (*rest, twin), values, found.path, size, noise_log=cause.noise_log))
+
+
+def _refine_hidden(setting: Setting, base: Refined, effect: HiddenHinge) -> Refined:
+    """Refine an effect with a hidden hinge from the best of its grid points."""
+    parameters = effect.parameters(setting.model.scale)
+    tried = []
+    for point in product(*(p.grid or (p.absent,) for p in parameters)):
+        values = _values(base) | {f"{effect.key}.{p.name}": v for p, v in zip(parameters, point, strict=True)}
+        first = refine(setting, (*base.effects, effect), values, base.path, LOOSE, noise_log=base.noise_log, rounds=1)
+        tried.append(first)
+    best = max(tried, key=lambda cause: cause.log_evidence)
+    size = float(sizes(setting.regime)[int(best.by_size.argmax())])
+    return refine(setting, best.effects, _values(best), best.path, size, noise_log=base.noise_log)
+
+
+def _values(cause: Refined) -> dict[str, float]:
+    noise = {name: float(value) for name, value in cause.noise.items()}
+    return dict(zip(cause.names, cause.mean.tolist(), strict=True)) | noise

@@ -1,0 +1,131 @@
+"""What is diagnosed: the simulation as a state-space model on the recording's rows, with a residual torque.
+
+The body obeys the simulation exactly, but for an Ornstein–Uhlenbeck torque at every joint, the residual, whose size is
+what a gap in the dynamics is measured by. Three regimes:
+
+    commanded        torques known: the residual is what the simulation lacks
+    passive          torques known to be zero
+    unknown_torque   the residual is the limb's own torque, of any size; only what it cannot imitate shows
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
+from invdyn.models import ArmModel, Body
+from invdyn.models.scalars import QUANTITIES
+from invdyn.recordings import InputError, Recording
+
+REGIMES = ("commanded", "passive", "unknown_torque")
+
+DECAY = 4.0
+"""1/s: misfits of a simulation change as fast as the motion does."""
+
+LOOSE = 0.3
+"""Size of the residual, in typical torques, under which the data's own path is found."""
+
+FEWEST = 20
+"""Rows with an observation, under which nothing is said."""
+
+
+class NotEnoughData(InputError):
+    """Too few rows with an observation to say anything."""
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A number of the body that is not known exactly: ``quantity`` ("mass") of link ``link``, N(mean, sd²)."""
+
+    quantity: str
+    link: int
+    mean: float
+    sd: float
+
+    @property
+    def name(self) -> str:
+        """Such as "body.mass.0"."""
+        return f"body.{self.quantity}.{self.link}"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A recording bound to the simulation of it.
+
+    Attributes:
+        problem: model with the residual torque at size one typical torque, and observations.
+        regime: one of ``REGIMES``.
+        uncertain: the body's numbers that its file states an uncertainty or a prior of.
+    """
+
+    problem: Problem
+    regime: str
+    uncertain: tuple["Uncertain", ...] = ()
+
+    @property
+    def model(self) -> ArmModel:
+        """The simulation."""
+        return self.problem.model
+
+    @property
+    def observations(self) -> Tensor:
+        """(T, O), NaN where missing."""
+        return self.problem.observations
+
+    @cached_property
+    def typical(self) -> Tensor:
+        """Typical torque of each joint, (K,) N·m."""
+        return torch.tensor(self.model.scale.torque, dtype=torch.float64)
+
+    def observing(self, observations: Tensor) -> "Setting":
+        """The same setting with other observations (T, O)."""
+        return replace(self, problem=replace(self.problem, observations=observations))
+
+    def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
+        """``model`` with a residual torque of stationary sd ``size`` typical torques."""
+        model = model or self.model
+        return model.replace(**{"torque.scale": size * np.sqrt(2 * DECAY) * self.typical})
+
+
+def setting(recording: Recording, body: Body, *, passive: bool = False) -> Setting:
+    """Bind ``recording`` to ``body``; raises InputError where they do not fit or too few rows were seen."""
+    known = recording.torques is not None and np.isfinite(recording.torques).any()
+    regime = "passive" if passive else "commanded" if known else "unknown_torque"
+    uncertain = tuple(
+        Uncertain(quantity, k, prior.mean.item(), prior.stddev.item())
+        for k, link in enumerate(body.with_uncertainty().links)
+        for quantity in QUANTITIES
+        if isinstance(prior := getattr(link, quantity), Distribution)
+    )
+    whole = arm_problem(recording, body, passive=passive, parameters={"torque.decay": DECAY}, substeps=1)
+    rows = (~torch.isnan(whole.observations)).any(-1).numpy()
+    seen = int(rows.sum())
+    if seen < FEWEST:
+        raise NotEnoughData(
+            f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
+        )
+    # Rows without an observation only carry commands, which a row takes as they come.
+    problem = arm_problem(recording.at(rows), body, passive=passive, parameters={"torque.decay": DECAY})
+    model = _as_seen(problem)
+    if regime == "commanded":
+        model = model.driven_by(whole.model.time, whole.model.command)
+    model.substeps = sufficient_substeps(model, problem.observations)
+    return Setting(replace(problem, model=model), regime, uncertain)
+
+
+def _as_seen(problem: Problem) -> ArmModel:
+    """The model with the noise that the recording's own jitter shows, whatever the simulation misfits."""
+    model, rows = problem.model, problem.observations.numpy()
+    points = 2 * len(model.emission_model.tips)
+    sd = jitter(rows)
+    reach = model.body_parameters().length.sum().item()
+    found = {}
+    if points:
+        found["emission.keypoint_scale"] = torch.as_tensor(sd[:points].reshape(-1, 2).mean(1)).clamp_min(1e-5 * reach)
+    if model.emission_model.num_encoders:
+        found["emission.angle_scale"] = torch.as_tensor(sd[points:]).clamp_min(1e-5)
+    return model.replace(**found)

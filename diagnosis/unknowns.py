@@ -1,0 +1,88 @@
+"""The unknowns of a cause as one vector: its effects' parameters and the uncertain numbers of the body.
+
+Each has the Gaussian that stands for its prior, cut at bounds: N(mean, sd²) on [lower, upper]. A half-normal is
+half of a Gaussian around its edge.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution, Normal
+
+from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.setting import Setting
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Names (p) of unknowns, "<effect key>.<parameter>" or "body.<quantity>.<link>", priors, Gaussians (p,)."""
+
+    names: tuple[str, ...]
+    priors: tuple[Distribution, ...]
+    mean: np.ndarray
+    sd: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def log_prior(self, values: torch.Tensor) -> torch.Tensor:
+        """Log prior density (S,) of values (S, p)."""
+        terms = [prior.log_prob(values[:, i]) for i, prior in enumerate(self.priors)]
+        return sum(terms, start=values.new_zeros(len(values)))
+
+    def set_in(self, model: ArmModel, values: np.ndarray) -> ArmModel:
+        """The model with ``values`` (p,), or with S sets of them (S, p) as parameter sets (S, 1, ...)."""
+        given = torch.as_tensor(values)
+        many = given.ndim == 2
+        changed: dict[str, torch.Tensor] = {}
+        for i, name in enumerate(self.names):
+            column = given[..., i, None]
+            column = column.unsqueeze(-2) if many else column
+            if name.startswith("body."):
+                key, link = name.rsplit(".", 1)
+                whole = changed.get(key, model.parameters[key])
+                whole = whole.expand(*column.shape[:-1], whole.shape[-1]).clone()
+                whole[..., int(link)] = column[..., 0]
+                changed[key] = whole
+            else:
+                changed[f"effect.{name}"] = column
+        return model.replace(**changed)
+
+
+def unknowns(setting: Setting, effects: Sequence[Effect]) -> Unknowns:
+    """Unknowns of bound ``effects``, but for those of the scatter (:mod:`.noise`), and of the setting's body."""
+    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_noise(e) for p in e.parameters(setting.model.scale)]
+    rows = [(name, p.prior, centre(p), spread(p), lower_bound(p), upper_bound(p)) for name, p in found]
+    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, -np.inf, np.inf) for u in setting.uncertain]
+    names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
+    return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
+
+
+def _normal(mean: float, sd: float) -> Normal:
+    return Normal(*(torch.tensor(value, dtype=torch.float64) for value in (mean, sd)))
+
+
+def centre(parameter: Parameter) -> float:
+    """Mean of the Gaussian that stands for a parameter's prior: its edge, where it is half of one."""
+    return 0.0 if type(parameter.prior).__name__ == "HalfNormal" else float(parameter.prior.mean)
+
+
+def spread(parameter: Parameter) -> float:
+    """Standard deviation of that Gaussian."""
+    prior = parameter.prior
+    return float(prior.scale) if type(prior).__name__ == "HalfNormal" else float(prior.stddev)
+
+
+def lower_bound(parameter: Parameter) -> float:
+    """Smallest value that a parameter may have."""
+    bound = getattr(parameter.prior.support, "lower_bound", None)
+    return -np.inf if bound is None else float(bound)
+
+
+def upper_bound(parameter: Parameter) -> float:
+    """Largest value that a parameter may have."""
+    bound = getattr(parameter.prior.support, "upper_bound", None)
+    return np.inf if bound is None else float(bound)

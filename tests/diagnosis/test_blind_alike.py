@@ -1,0 +1,87 @@
+"""The exact equivalences hold in the played reality itself: another effect, the same picture."""
+
+import numpy as np
+import pytest
+
+from invdyn.diagnosis.blind.camera import film
+from invdyn.diagnosis.blind.mechanisms import MECHANISMS
+from invdyn.diagnosis.blind.reality import World
+from invdyn.models import Body, Link
+
+pytest.importorskip("mujoco")
+
+TIME = np.arange(-100, 201) / 100
+SEEN = np.arange(0, 101) / 50
+
+
+def body(joints, gravity=(0.0, -9.81), base=(0.0, 0.0)):
+    links = [Link(f"l{k}", f"p{k}", f"p{k + 1}", 0.3, 1.0 - 0.3 * k, 0.14, 0.008) for k in range(joints)]
+    return Body("arm", links, gravity, base)
+
+
+def picture(arm, effects=(), q=None, qd=None, torque=0.0, seen=SEEN, time=TIME):
+    """Points (T, P, 2) without noise; `torque` is the size of a sine that begins with `time`."""
+    joints = arm.num_joints
+    world = World(arm)
+    for name, place, parameters in effects:
+        if name in MECHANISMS:
+            MECHANISMS[name](world, *(() if place is None else (place,)), **parameters)
+    q = np.full(joints, 0.4) if q is None else np.asarray(q)
+    qd = np.full(joints, 0.3) if qd is None else np.asarray(qd)
+    run = world.run(time, lambda row, t, *_: torque * np.full(joints, np.sin(5 * (t - time[0]))), q, qd)
+    return film(run, seen, [e for e in effects if e[0] not in MECHANISMS], 0.0, (0,))
+
+
+def check(one, other):
+    assert np.ptp(one[:, -1], axis=0).min() > 0.05  # it moves
+    np.testing.assert_allclose(one, other, atol=2e-5)
+
+
+def test_gravity_tilt_is_camera_roll():
+    arm, tilt = body(2), 0.07
+    rolled = picture(arm, [("camera_roll", None, {"angle": tilt})], torque=0.5)
+    check(rolled, picture(arm, [("gravity_tilt", None, {"angle": tilt})], q=[0.4 + tilt, 0.4], torque=0.5))
+
+
+def test_delay_of_every_actuator_is_camera_latency():
+    arm, late = body(2), 0.04
+    rest = {"q": [-np.pi / 2, 0.0], "qd": [0.0, 0.0], "torque": 0.5}  # where a late beginning changes nothing
+    seen = picture(arm, [("camera_latency", None, {"latency": late})], **rest)
+    delays = [("actuator_delay", joint, {"delay": late}) for joint in (0, 1)]
+    check(seen, picture(arm, delays, **rest))
+    assert np.abs(seen - picture(arm, delays[:1], **rest)).max() > 1e-3  # of one alone it is not
+
+
+def test_lens_distortion_is_scale_on_one_link():
+    arm = body(1)
+    scaled = picture(arm, [("camera_scale", None, {"scale": 1 + 0.3 * 0.3**2})])
+    check(scaled, picture(arm, [("lens_distortion", None, {"k1": 0.3})]))
+
+
+@pytest.mark.parametrize(
+    "effect", [("inertial_error", 0, {"mass": 0.0, "com": 0.0}), ("armature", 0, {}), ("payload", None, {})]
+)
+def test_inertia_is_gain_on_one_link_without_gravity(effect):
+    arm = body(1, gravity=(0.0, 0.0))
+    inertia = 0.008 + 0.14**2
+    more = 0.25 * inertia
+    name, place, parameters = effect
+    sizes = {"payload": {"mass": more / 0.3**2}}.get(name, {"inertia": more})
+    heavier = picture(arm, [(name, place, parameters | sizes)], torque=0.3)
+    check(heavier, picture(arm, [("actuator_gain", 0, {"gain": 1 / 1.25 - 1})], torque=0.3))
+
+
+def test_inertia_of_the_first_link_is_armature_without_gravity():
+    arm = body(2, gravity=(0.0, 0.0))
+    heavier = picture(arm, [("armature", 0, {"inertia": 0.005})], torque=0.3)
+    check(heavier, picture(arm, [("inertial_error", 0, {"mass": 0.0, "com": 0.0, "inertia": 0.005})], torque=0.3))
+    other = picture(arm, [("inertial_error", 1, {"mass": 0.0, "com": 0.0, "inertia": 0.005})], torque=0.3)
+    elbow = picture(arm, [("armature", 1, {"inertia": 0.005})], torque=0.3)
+    assert np.abs(other - elbow).max() > 1e-3  # at the second one it is not
+
+
+def test_a_clock_is_inertia_on_one_passive_link():
+    arm, rate, time = body(1), 1.1, np.arange(301) / 100
+    more = (0.008 + 0.14**2) * (rate**2 - 1)
+    fast = picture(arm, seen=SEEN / rate, time=time)
+    check(fast, picture(arm, [("armature", 0, {"inertia": more})], qd=[0.3 / rate], time=time))

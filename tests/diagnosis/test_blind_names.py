@@ -1,0 +1,62 @@
+"""The answers speak the catalogue's language: names, units, sides, places and conventions, effect by effect."""
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.diagnosis.blind.camera import OBSERVATIONS
+from invdyn.diagnosis.blind.motion import random_body
+from invdyn.diagnosis.blind.present import CATALOGUE, OF_KEYPOINT, OF_LINK, OF_WHOLE, Present, named
+from invdyn.diagnosis.blind.sizes import UNITS
+from invdyn.models.effects import EFFECTS, BaseMotion, Scale, TorqueRipple
+
+BODY = random_body(np.random.default_rng(1), 3, False)
+SCALE = Scale(BODY.parameters(), torch.arange(0, 3, 0.01, dtype=torch.float64), torch.ones(300, 3, dtype=torch.float64))
+TRUTH_ALONE = {"timestamp_jitter": {"rate"}}  # the catalogue has the spread over all frames, not how many are off
+
+
+def test_the_same_effects():
+    assert set(CATALOGUE) == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_names_units_side_and_place(name):
+    kind = EFFECTS[name]
+    effect = kind.everywhere(BODY, BODY.keypoint_names)[-1].bound(BODY)
+    parameters = effect.parameters(SCALE)
+    values = {p.name: torch.full((1,), float(p.prior.mean), dtype=torch.float64) for p in parameters}
+    reported = {key: unit for key, (_, unit) in effect.described(values).items()} or {
+        p.name: p.unit for p in parameters
+    }
+    assert {key: unit for key, unit in UNITS[name].items() if key not in TRUTH_ALONE.get(name, ())} == reported
+    assert (kind.side == "observation") == (name in OBSERVATIONS)
+    site = "link" if name in OF_LINK else "keypoint" if name in OF_KEYPOINT else "arm" if name in OF_WHOLE else "joint"
+    assert {"pair": "joint", "keypoints": "keypoint"}.get(kind.site, kind.site) == site
+    place = None if site == "arm" else 2
+    entry = named(Present(name, place, dict.fromkeys(UNITS[name], 1.0)), BODY, 0.0, 0.0)
+    told = {str(entry[key]) for key in ("joint", "link", "keypoint", "partner", "stop") if key in entry}
+    assert told == set(effect.where) or (name == "joint_limit" and told < {*effect.where, "upper"})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_base_moves_as_the_catalogue_writes_it(seed):
+    rng = np.random.default_rng(seed)
+    given = dict(zip(("amplitude_x", "amplitude_y", "frequency", "phase"), rng.uniform(-3, 3, 4), strict=True))
+    answer = named(Present("base_motion", None, given), BODY, 0.0, 0.0)["parameters"]
+    parts = {
+        f"{part}_{axis}": given[f"amplitude_{axis}"] * function(given["phase"])
+        for part, function in (("sine", np.cos), ("cosine", np.sin))
+        for axis in "xy"
+    }
+    values = {key: torch.tensor([value]) for key, value in (parts | {"frequency": given["frequency"]}).items()}
+    for key, (value, _) in BaseMotion().described(values).items():
+        assert answer[key]["value"] == pytest.approx(value.item(), abs=1e-6)
+
+
+def test_a_ripple_is_what_the_catalogue_writes():
+    given = {"amplitude": 0.3, "periods": 6.0, "phase": 5.5}
+    answer = named(Present("torque_ripple", 1, given), BODY, 0.0, 0.0)["parameters"]
+    values = {"sine": 0.3 * np.cos(5.5), "cosine": 0.3 * np.sin(5.5), "periods": 6.0}
+    described = TorqueRipple("base").described({key: torch.tensor([value]) for key, value in values.items()})
+    for key, (value, _) in described.items():
+        assert answer[key]["value"] == pytest.approx(value.item(), abs=1e-6)

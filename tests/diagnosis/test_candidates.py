@@ -1,0 +1,229 @@
+"""Columns and unknowns of every effect: differences of the model itself, in each regime."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from pyro.distributions import LogNormal
+from scipy.stats import halfnorm, norm
+
+from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing
+from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.search import considered
+from invdyn.diagnosis.setting import LOOSE, Setting, setting
+from invdyn.diagnosis.unknowns import centre, lower_bound, spread, unknowns, upper_bound
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
+from invdyn.simulate import random_arm, record
+
+UPPER = Link("upper_arm", "shoulder", "elbow", length=0.3, mass=1.5)
+BODY = Body("arm", [UPPER, Link("forearm", "elbow", "wrist", length=0.25, mass=1.0)], gravity=(0.0, -9.81))
+UNSURE = Body("arm", BODY.links, BODY.gravity, uncertainty={"mass": 0.05, "length": 0.01})
+
+
+@cache
+def bound(regime="commanded", unsure=False) -> Setting:
+    recording = record(random_arm(BODY, duration=0.8, fps=50, noise=0.002, commanded=True))[0]
+    if regime == "unknown_torque":
+        recording = Recording(recording.time, recording.keypoints, recording.keypoint_names)
+    return setting(recording, UNSURE if unsure else BODY, passive=regime == "passive")
+
+
+@cache
+def followed(regime="commanded") -> torch.Tensor:
+    return gauss_newton(bound(regime).with_residual(LOOSE), bound(regime).observations).path
+
+
+def means(model, path):
+    """Next states (T−1, D) and what is seen (T, O) along a path, row by row."""
+    with torch.no_grad():
+        f = [model.transition_mean(path[t - 1], t) for t in range(1, len(path))]
+        emissions = [model.emission(path[t], t) for t in range(len(path))]
+    h = [getattr(emission, "base_dist", emission).loc for emission in emissions]
+    return torch.stack(f).numpy(), torch.stack(h).numpy()
+
+
+def having(model, effect, values):
+    """The model with one effect at these values."""
+    named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+    return model.with_effects(effect).replace(**named)
+
+
+@pytest.mark.parametrize("regime", ["commanded", "passive", "unknown_torque"])
+def test_every_effect_that_a_regime_knows_is_considered(regime):
+    names = {effect.name for effect in considered(bound(regime))}
+    idle = {name for name, kind in EFFECTS.items() if kind.needs_command and regime != "commanded"}
+    assert names == set(EFFECTS) - idle
+    assert {e.name for e in considered(bound(regime), ["payload"])} == names - {"payload"}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("regime", ["commanded", "passive", "unknown_torque"])
+def test_columns_of_every_effect(regime, name):
+    """Finite; none only for those that change nothing but the scatter; prior weights of an effect's grid sum to one."""
+    here, path = bound(regime), followed(regime)
+    T, D, O = len(path), here.model.state_dim, here.model.observation_dim
+    for effect in considered(here):
+        if effect.name != name:
+            continue
+        found, columns = hypotheses(here.model, effect, path, ((0.1, 0.2),))
+        J = columns.g.shape[-1]
+        assert columns.g.shape == (T - 1, D, J)
+        assert columns.d.shape == (T, O, J)
+        assert np.isfinite(columns.g).all()
+        assert np.isfinite(columns.d).all()
+        assert (columns.g.any() or columns.d.any()) != is_noise(effect)
+        used = [c for h in found for c in (*h.columns, *(() if h.offset is None else (h.offset,)))]
+        assert sorted(used) == list(range(J))
+        for hypothesis in found:
+            assert len(hypothesis.free) == len(hypothesis.columns) == len(hypothesis.sd) == len(hypothesis.lower)
+            assert set(hypothesis.point) == {p.name for p in effect.parameters(here.model.scale)}
+            assert min(hypothesis.sd) > 0
+            assert max(hypothesis.lower) <= 0
+        if not effect.located:
+            assert np.exp([h.log_weight for h in found]).sum() == pytest.approx(1.0)
+
+
+FOLLOWED = (
+    "viscous_friction", "gravity_tilt", "payload", "torque_ripple", "actuator_lag", "actuator_saturation",
+    "drifting_friction", "keypoint_offset", "camera_yaw", "lens_distortion", "clock_rate", "rolling_shutter",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_columns_are_differences_of_the_model(name):
+    """Secants from "absent" on; offsets and local slopes where there is no straight line; one row at a time here."""
+    model, path = bound().model, followed()
+    effect = next(e for e in considered(bound()) if e.name == name)
+    parameters = {p.name: p for p in effect.parameters(model.scale)}
+    found, columns = hypotheses(model, effect, path)
+    ideal = means(model, path)
+    for hypothesis in (found[0], found[-1]):
+        point = hypothesis.point
+        base = ideal
+        if hypothesis.offset is not None:
+            base = means(having(model, effect, point), path)
+            for got, here, without in zip((columns.g, columns.d), base, ideal, strict=True):
+                np.testing.assert_allclose(got[..., hypothesis.offset], here - without, atol=1e-12)
+        for free, column in zip(hypothesis.free, hypothesis.columns, strict=True):
+            p = parameters[free]
+            step = STEP * spread(p) if hypothesis.offset is None else 0.1 * spacing(p, point[free])
+            moved = means(having(model, effect, point | {free: point[free] + step}), path)
+            for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
+                expected = (there - here) / step
+                np.testing.assert_allclose(got[..., column], expected, atol=1e-9 + 1e-7 * np.abs(expected).max())
+
+
+def test_a_push_may_come_in_any_window():
+    effect = next(e for e in considered(bound()) if e.name == "external_push")
+    windows = ((0.1, 0.2), (0.4, 0.5))
+    found, columns = hypotheses(bound().model, effect, followed(), windows)
+    assert [(h.point["start"], h.point["stop"]) for h in found] == list(windows)
+    time = bound().model.time.numpy()
+    for hypothesis, (start, stop) in zip(found, windows, strict=True):
+        assert hypothesis.free == ("force_x", "force_y")
+        pushed = np.abs(columns.g[..., list(hypothesis.columns)]).sum((1, 2)) > 1e-12
+        touched = (time[1:] > start - 0.011) & (time[:-1] < stop + 0.011)  # its edges are ramps, half a step each way
+        assert pushed.any()
+        assert not pushed[~touched].any()
+
+
+def test_bursts_share_out_the_time():
+    """Windows of a tenth of a second half of which they are apart: inner rows lie in two of them, whole."""
+    model = bound().model
+    T, D, K = model.num_steps, model.state_dim, 2
+    response = np.random.default_rng(0).normal(size=(T - 1, D, K))
+    windows, columns = bursts(model, response)
+    time = model.time.numpy()
+    g = columns.g.reshape(T - 1, D, len(windows), K)
+    assert not columns.d.any()
+    starts = [start for start, _ in windows]
+    np.testing.assert_allclose(np.diff(starts), WINDOW / 2)
+    share = g[:, 0, :, 0] / response[:, 0, :1]  # (T−1, W)
+    lengths = np.array([stop - start for start, stop in windows])
+    np.testing.assert_allclose((share * np.diff(time)[:, None]).sum(0), lengths, atol=1e-9)
+    inner = (time[:-1] >= starts[1]) & (time[1:] <= starts[-1])
+    np.testing.assert_allclose(share.sum(1)[inner], 2.0)
+    expected = response[:, :, None, :] * share[:, None, :, None]
+    np.testing.assert_allclose(g, expected, atol=1e-12)
+
+
+# -- unknowns ------------------------------------------------------------------------------------------------------
+def chosen(*names):
+    return [e for e in considered(bound()) if e.key in names]
+
+
+def test_names_bounds_and_gaussians():
+    here = bound(unsure=True)
+    among = unknowns(here, chosen("viscous_friction.elbow", "camera_roll", "outliers"))
+    # What only changes the scatter has no columns, and is not among them.
+    effects = ("viscous_friction.elbow.damping", "camera_roll.angle")
+    assert among.names == (*effects, "body.length.0", "body.mass.0", "body.length.1", "body.mass.1")
+    np.testing.assert_allclose(among.lower[:2], [0.0, -np.inf])
+    np.testing.assert_allclose(among.mean[2:], [0.3, 1.5, 0.25, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(among.sd[2:], [0.003, 0.075, 0.0025, 0.05], rtol=1e-6)
+    assert not unknowns(bound(), []).names
+
+
+def test_log_prior_is_that_of_half_normals_and_normals():
+    among = unknowns(bound(unsure=True), chosen("viscous_friction.elbow"))
+    values = torch.tensor([[0.1, 0.301, 1.4, 0.252, 1.1], [0.2, 0.3, 1.5, 0.25, 1.0]], dtype=torch.float64)
+    damping, body = values[:, 0].numpy(), values[:, 1:].numpy()
+    expected = halfnorm.logpdf(damping, scale=among.sd[0]) + norm.logpdf(body, among.mean[1:], among.sd[1:]).sum(-1)
+    np.testing.assert_allclose(among.log_prior(values), expected, rtol=1e-5)
+
+
+def test_the_gaussian_of_a_prior():
+    damping, *_ = chosen("viscous_friction.elbow")[0].parameters(bound().model.scale)
+    assert (centre(damping), lower_bound(damping), upper_bound(damping)) == (0.0, 0.0, np.inf)
+    assert spread(damping) == pytest.approx(float(damping.prior.scale))
+    rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
+    assert (lower_bound(rate), upper_bound(rate)) == (0.0, 1.0)
+    assert isinstance(scale.prior, LogNormal)
+    assert spread(scale) == pytest.approx(float(scale.prior.stddev))
+
+
+def test_sets_of_values_are_the_single_ones():
+    """Means of many parameter sets at once are those of one after the other; lengths and masses reach the body."""
+    here, path = bound(unsure=True), followed()
+    among = unknowns(here, chosen("viscous_friction.elbow", "camera_roll"))
+    model = here.model.with_effects(*chosen("viscous_friction.elbow", "camera_roll"))
+    values = np.array([[0.1, 0.05, 0.31, 1.4, 0.26, 1.1], [0.3, -0.1, 0.29, 1.6, 0.25, 0.9]])
+    many = among.set_in(model, values)
+    with torch.no_grad():
+        rows = torch.arange(len(path))
+        f = many.transition_mean(path[:-1], rows[1:]).numpy()
+        h = many.emission(path, rows).base_dist.loc.numpy()
+    for s in range(2):
+        single = among.set_in(model, values[s])
+        body = single.body_parameters()
+        np.testing.assert_allclose(body.length, values[s, [2, 4]])
+        np.testing.assert_allclose(body.mass, values[s, [3, 5]])
+        np.testing.assert_allclose(body.inertia, values[s, [3, 5]] * values[s, [2, 4]] ** 2 / 12)  # a rod still
+        expected = means(single, path)
+        np.testing.assert_allclose(f[s], expected[0], atol=1e-12)
+        np.testing.assert_allclose(h[s], expected[1], atol=1e-12)
+    np.testing.assert_allclose(here.model.body_parameters().length, [0.3, 0.25])  # as it was
+
+
+def test_slopes_are_central_and_one_sided_at_a_bound():
+    here, path = bound(unsure=True), followed()
+    effects = chosen("viscous_friction.elbow", "camera_roll")
+    among = unknowns(here, effects)
+    model = here.model.with_effects(*effects)
+    point = among.mean.copy()  # damping at its edge
+    step = 0.05 * among.sd
+    columns = slopes(model, among, point, step, path)
+    for i in range(len(point)):
+        up, down = point.copy(), point.copy()
+        up[i] += step[i]
+        down[i] = max(down[i] - step[i], among.lower[i])
+        above, below = (means(among.set_in(model, at), path) for at in (up, down))
+        for got, high, low in zip((columns.g, columns.d), above, below, strict=True):
+            expected = (high - low) / (up[i] - down[i])
+            np.testing.assert_allclose(got[..., i], expected, atol=1e-9 + 1e-7 * np.abs(expected).max())
+    none = slopes(here.model, unknowns(bound(), []), np.zeros(0), np.zeros(0), path)
+    assert none.g.shape == (len(path) - 1, here.model.state_dim, 0)

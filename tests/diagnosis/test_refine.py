@@ -1,0 +1,355 @@
+"""Refined causes against exact Kalman evidence, quadrature, SMC and the truth; what they predict."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from oracles import Chain, kalman
+from scipy.integrate import quad
+from scipy.stats import halfnorm
+
+from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
+from invdyn.diagnosis.refine import key_of, lifted, refine, refine_noise
+from invdyn.diagnosis.screen import log_prior, sizes
+from invdyn.diagnosis.setting import DECAY, LOOSE, setting
+from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
+from invdyn.simulate import random_arm, record
+
+ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
+PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+FRICTION = EFFECTS["viscous_friction"]("pivot")
+DAMPING = 0.05
+
+
+def recorded(damping=0.0, seed=0, mass=1.0, rows=80):
+    """A pendulum under known commands, filmed with 2 mm of noise."""
+    body = PENDULUM.with_values(mass=[mass])
+    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=seed)
+    values = {"effect.viscous_friction.pivot.damping": torch.tensor([damping], dtype=torch.float64)}
+    return record(arm.with_effects(FRICTION).replace(**values), seed)[0]
+
+
+def path_of(here):
+    return gauss_newton(here.with_residual(LOOSE), here.observations).path
+
+
+@cache
+def causes(damping=DAMPING):
+    """The pendulum's setting, "no effect" and viscous friction."""
+    here = setting(recorded(damping), PENDULUM)
+    path = path_of(here)
+    return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
+
+
+# -- a chain whose answers are known -----------------------------------------------------------------------------
+WHEEL = Body("wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0))
+INERTIA = 0.03  # about the pivot
+BRAKE = 0.02
+
+
+@cache
+def wheel():
+    """A wheel that turns freely but for viscous friction, seen by an encoder: a linear-Gaussian chain."""
+    rng = np.random.default_rng(0)
+    time = 0.02 * np.arange(60)
+    angle = 0.3 + 2.0 * INERTIA / BRAKE * -np.expm1(-BRAKE / INERTIA * time) + 0.002 * rng.normal(size=60)
+    recording = Recording(time, np.zeros((60, 0, 2)), (), angles=angle[:, None], joint_names=("pivot",))
+    return setting(recording, WHEEL, passive=True)
+
+
+def wheel_chain(model, kappa=1.0, damping=0.0):
+    """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row."""
+    p = {name: value.numpy() for name, value in model.parameters.items()}
+    dt, steps = 0.02, model.substeps
+    keep = np.exp(-DECAY * dt)
+
+    def rate(state, s, torque):
+        return np.array([state[1], (torque * (1 - s + s * keep) - damping * state[1]) / INERTIA])
+
+    columns = []
+    for torque, *state in np.eye(3):
+        state, h = np.array(state), dt / steps
+        for i in range(steps):
+            s = i / steps
+            k1 = rate(state, s, torque)
+            k2 = rate(state + h / 2 * k1, s + 0.5 / steps, torque)
+            k3 = rate(state + h / 2 * k2, s + 0.5 / steps, torque)
+            k4 = rate(state + h * k3, s + 1 / steps, torque)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        columns.append([keep * torque, *state])
+    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY)
+    noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
+    first = [stationary, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
+    sd = p["emission.angle_scale"].item()
+    return Chain(
+        np.array(columns).T,
+        np.diag(np.square(noise)) * kappa**2,
+        np.array([[0.0, 1.0, 0.0]]),
+        np.array([[sd**2]]) * kappa**2,
+        np.array([0.0, p["initial.angle"].item(), p["initial.velocity"].item()]),
+        np.diag(np.square(first)) * kappa**2,
+    )
+
+
+def at_best(here, cause):
+    """A cause's log evidence at its best size, and that size."""
+    top = int(cause.by_size.argmax())
+    levels = sizes(here.regime)
+    return cause.by_size[top] - log_prior(levels)[top], levels[top]
+
+
+def test_evidence_of_a_linear_chain_is_exact():
+    here = wheel()
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    evidence, size = at_best(here, none)
+    exact, increments, _, _ = kalman(wheel_chain(here.with_residual(size), none.kappa), here.observations.numpy())
+    assert evidence == pytest.approx(exact, abs=1e-5)
+    np.testing.assert_allclose(scores(here, none).score, increments, atol=1e-5)
+
+
+def test_smc_evidence_of_a_linear_chain_is_exact():
+    """The twisted proposal is perfect there: every filter finds the same number."""
+    here = wheel()
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    confirmed = confirm(here, none, filters=4)
+    exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
+    other_sizes = none.log_evidence - at_best(here, none)[0]
+    assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
+    assert confirmed.log_evidence_sd < 1e-4
+
+
+def test_a_parameter_is_integrated_out():
+    """∫ p(y | b) p(b) db by quadrature over exact Kalman evidences; refinement is a Laplace approximation of it."""
+    here = wheel()
+    cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
+    evidence, size = at_best(here, cause)
+    assert abs(cause.mean[0] - BRAKE) < 4 * cause.sd[0]
+    y, prior_sd = here.observations.numpy(), unknowns(here, cause.effects).sd[0]
+
+    def density(b):
+        exact, *_ = kalman(wheel_chain(here.with_residual(size), cause.kappa, b), y)
+        return np.exp(exact - evidence) * halfnorm.pdf(b, scale=prior_sd)
+
+    low, high = max(cause.mean[0] - 6 * cause.sd[0], 0.0), cause.mean[0] + 6 * cause.sd[0]
+    integral, _ = quad(density, low, high, epsrel=1e-3, limit=20)
+    assert np.log(integral) == pytest.approx(0.0, abs=0.1)
+
+
+# -- an arm ------------------------------------------------------------------------------------------------------
+def test_friction_is_found_and_believed():
+    _, none, cause = causes()
+    assert cause.key == "viscous_friction.pivot"
+    assert abs(cause.mean[0] - DAMPING) < 4 * cause.sd[0]
+    assert cause.sd[0] < 0.1 * DAMPING
+    assert cause.log_evidence > none.log_evidence + 10
+    assert cause.by_size.argmax() == 0  # nothing is left
+    assert none.by_size.argmax() > 0
+    assert cause.model.parameters["effect.viscous_friction.pivot.damping"].item() == pytest.approx(cause.mean[0])
+    # The noise scale starts from the recording's own jitter: a factor near one, n = 160.
+    assert 0.7 < cause.kappa < 1.3
+
+
+def test_friction_that_is_not_there_costs_its_prior():
+    """At an edge the half-normal keeps about half: less evidence than without, never a negative damping."""
+    _, none, cause = causes(0.0)
+    assert cause.mean[0] >= 0
+    assert cause.mean[0] < 4 * cause.sd[0]
+    assert cause.log_evidence < none.log_evidence
+    assert none.by_size.argmax() == 0
+
+
+def test_an_uncertain_body_is_fitted_too():
+    mass = 1.04
+    body = Body("pendulum", [ROD], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
+    here = setting(recorded(DAMPING, mass=mass), body)
+    cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
+    assert cause.names == ("viscous_friction.pivot.damping", "body.mass.0")
+    assert (np.abs(cause.mean - [DAMPING, mass]) < 4 * cause.sd).all()
+    assert cause.sd[1] < 0.03  # learned: 0.05 to begin with
+    assert cause.model.body_parameters().mass.item() == pytest.approx(cause.mean[1])
+    confirmed = confirm(here, cause)
+    assert confirmed.log_evidence == pytest.approx(cause.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+def test_smc_agrees_with_the_linearised_evidence():
+    here, none, cause = causes()
+    for each in (none, cause):
+        confirmed = confirm(here, each)
+        assert confirmed.log_evidence_sd < 0.3
+        assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+def test_same_seed_same_numbers_and_all_within_bounds():
+    here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
+    first, again, other = (confirm(here, cause, seed, filters=8) for seed in (1, 1, 2))
+    assert first.log_evidence == again.log_evidence
+    assert np.array_equal(first.values, again.values)
+    assert not np.array_equal(first.values, other.values)
+    for confirmed in (first, other):
+        assert (confirmed.values >= 0).all()
+        assert np.isfinite(confirmed.log_evidence)
+    assert abs(first.log_evidence - other.log_evidence) < 4 * (first.log_evidence_sd + other.log_evidence_sd)
+
+
+def test_posterior_has_the_parameters():
+    here, _, cause = causes()
+    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
+    drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
+    assert drawn.shape == idata["posterior"]["torque"].shape[:2]
+    assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]
+
+
+def test_a_path_gets_and_loses_a_hidden_hinge():
+    here, none, _ = causes()
+    hinge = here.model.with_effects(EFFECTS["link_flexibility"]("rod"))
+    path = lifted(hinge, none.path)
+    assert path.shape[-1] == hinge.state_dim == here.model.state_dim + 2
+    assert not path[:, 1:3].any()
+    assert torch.equal(lifted(here.model, path), none.path)
+    assert lifted(here.model, none.path) is none.path
+    assert key_of((FRICTION, EFFECTS["camera_roll"]())) == "camera_roll+viscous_friction.pivot"
+
+
+# -- the scatter -------------------------------------------------------------------------------------------------
+def test_stray_detections_are_counted():
+    recording = recorded(0.0, rows=100)
+    rng = np.random.default_rng(3)
+    stray = rng.random(100) < 0.08
+    stray[:3] = False  # the first frames place the arm
+    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.06, size=(100, 1, 2))
+    here = setting(replace(recording, keypoints=points), PENDULUM)
+    clean = setting(recording, PENDULUM)
+    path = path_of(clean)
+    outliers = EFFECTS["outliers"]().bound(PENDULUM)
+    cause = refine_noise(here, refine(here, (), {}, path, LOOSE), outliers)
+    assert cause.names == ()
+    assert abs(cause.noise["outliers.rate"] - stray.mean()) < 4 * cause.noise_sd["outliers.rate"] < 0.2
+    assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
+    assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
+    assert refine_noise(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+
+
+# -- predictions -------------------------------------------------------------------------------------------------
+def test_scores_sum_to_the_evidence():
+    """The chain rule: Σ log p(y_t | y_<t), at the best size; exact without parameters."""
+    here, none, _ = causes()
+    evidence, _ = at_best(here, none)
+    assert scores(here, none).score.sum() == pytest.approx(evidence, abs=1e-6)
+
+
+def test_the_floor_is_what_a_perfect_simulation_scores():
+    here, none, cause = causes()
+    for setting_, perfect in ((causes(0.0)[0], causes(0.0)[1]), (here, cause)):
+        both = scores(setting_, perfect)
+        # Squares of n = 160 unit innovations: their sum's sd is √320, of which half counts.
+        assert abs((both.floor - both.score).sum()) < 4 * np.sqrt(2 * 160) / 2
+    poor = scores(here, none)
+    assert (poor.floor - poor.score).sum() > 10
+
+
+def test_rows_that_were_not_seen_have_no_score():
+    here, none, _ = causes()
+    gaps = here.observations.clone()
+    gaps[[3, 40]] = torch.nan
+    both = scores(here.observing(gaps), none)
+    for values in (both.score, both.floor):
+        assert np.flatnonzero(np.isnan(values)).tolist() == [3, 40]
+
+
+def test_residual_torque_is_what_the_simulation_lacks():
+    here, none, cause = causes()
+    mean, sd = residual(here, none)
+    assert mean.shape == sd.shape == (80, 1)
+    missing = -DAMPING * none.path[:, 2].numpy()
+    # A Gaussian process through noise: its own spread says how far off it may be.
+    assert np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
+    assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
+    after, _ = residual(here, cause)
+    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())
+
+
+def test_replay_follows_once_the_cause_is_in():
+    here, none, cause = causes()
+    path = smoothed(here, cause).path
+    _, q, _ = here.model.split(path)
+    tips = here.model.dynamics.keypoints(q, here.model.body_parameters()).numpy()
+    with_cause, without = (replay_rms(replay(c.model, path), tips) for c in (cause, none))
+    assert with_cause < 0.001
+    assert without > 10 * with_cause
+    assert replay(cause.model, path).shape == (80, 1, 2)
+    np.testing.assert_allclose(replay(cause.model, path)[[0, 50]], tips[[0, 50]], atol=1e-9)  # set back every second
+    assert replay_rms(tips + 0.3, tips) == pytest.approx(0.3 * np.sqrt(2))
+
+
+def test_the_last_third_is_held_out():
+    here, none, cause = causes()
+    train, rows = split(here)
+    assert np.flatnonzero(rows).tolist() == list(range(53, 80))
+    assert torch.isnan(train.observations[53:]).all()
+    assert torch.equal(train.observations[:53], here.observations[:53])
+    without, with_cause, used = held_out_scores(here, none, cause)
+    assert np.array_equal(used, rows)
+    result = closed(without, with_cause, used, here.model.time.numpy(), 0)
+    assert 0.5 < result.share <= 1.0
+    assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
+    per_frame = result.per_frame
+    assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
+
+
+def test_another_recording_is_held_out():
+    here, none, cause = causes()
+    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    without, with_cause, rows = held_out_scores(here, none, cause, other)
+    assert rows.all()
+    assert len(rows) == len(without.score) == 60
+    assert np.nansum(with_cause.score - without.score) > 5
+    # Parameters are those of the first recording, not fitted again.
+    carried = cause.carried_to(other).parameters["effect.viscous_friction.pivot.damping"].item()
+    assert carried == pytest.approx(cause.mean[0])
+
+
+# -- the share that is closed ------------------------------------------------------------------------------------
+def series(seed, rows=240, share=0.6):
+    """Scores whose gap and gain wander as neighbours do: autoregressive, 0.05 s long at 100 rows a second."""
+    rng = np.random.default_rng(seed)
+    wander = np.zeros((rows, 2))
+    for t in range(1, rows):
+        wander[t] = 0.8 * wander[t - 1] + 0.6 * rng.normal(size=2)
+    gap = 2.0 + wander[:, 0]
+    gain = share * gap + 0.5 * wander[:, 1]
+    zero = np.zeros(rows)
+    return Scores(zero, zero), Scores(gain, gap), 0.01 * np.arange(rows)
+
+
+def test_the_interval_covers():
+    everything, hits = np.ones(240, bool), 0
+    for seed in range(120):
+        without, with_cause, time = series(seed)
+        low, high = closed(without, with_cause, everything, time, seed).interval
+        hits += low <= 0.6 <= high
+    # 90 % by name; blocks of 40 rows in 240 are few, and such intervals too short by some per cent.
+    assert 0.9 - 0.1 - 4 * np.sqrt(0.09 / 120) < hits / 120 <= 1.0
+
+
+def test_share_of_known_scores():
+    time = 0.1 * np.arange(20)
+    rows = np.arange(20) >= 5
+    gain, gap = np.full(20, 0.5), np.full(20, 2.0)
+    gain[:5] = 100.0  # not held out
+    gain[7] = np.nan  # not seen
+    result = closed(Scores(np.zeros(20), gap), Scores(gain, gap), rows, time, 0)
+    assert result.share == pytest.approx(0.25)
+    np.testing.assert_allclose(result.interval, 0.25)
+    assert result.per_frame == pytest.approx({"nominal": 0.0, "corrected": 0.5, "noise_floor": 2.0})
+    more = closed(Scores(np.zeros(20), gap), Scores(5 * gain, gap), rows, time, 0)
+    assert more.share == 1.0  # not more than all
+    nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
+    assert (nothing.share, nothing.interval) == (None, None)

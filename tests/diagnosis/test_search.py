@@ -1,0 +1,248 @@
+"""Candidates, forward selection and what a report says of them."""
+
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from pyro.distributions import Normal
+
+from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.prior import NUMBER, log_prior_of
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.search import Search, considered, search
+from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect, Parameter
+from invdyn.simulate import random_arm, record
+
+ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
+PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
+ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
+
+
+def recorded(effect=None, body=PENDULUM, rows=80, torque=0.5, seed=0, **values):
+    """A recording of a body with an effect at these values, under known commands, filmed with 2 mm of noise."""
+    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=torque, commanded=True, seed=seed)
+    if effect is not None:
+        named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+        arm = arm.with_effects(effect).replace(**named)
+    return record(arm, seed)[0]
+
+
+@cache
+def searched(name=None, *where, **values) -> Search:
+    return search(setting(recorded(EFFECTS[name](*where) if name else None, **values), PENDULUM))
+
+
+def test_no_gap_wins_where_there_is_none():
+    found = searched()
+    assert found.ranked[0].key == ""
+    assert found.ranked[0].by_size.argmax() == 0
+    assert {s.effect.key for s in found.first if s.effect} <= {e.key for e in found.candidates}
+
+
+def test_friction_is_named():
+    found = searched("viscous_friction", "pivot", damping=0.05)
+    best = found.ranked[0]
+    assert best.key == "viscous_friction.pivot"
+    assert abs(best.mean[0] - 0.05) < 4 * best.sd[0]
+    assert found.score(best) > found.score(found.pool[""]) + 5
+    screened = [s for s in found.first if s.effect is not None]
+    assert [s.log_evidence for s in screened] == sorted((s.log_evidence for s in screened), reverse=True)
+    # The screen has it in front already, and would have seen it at its usual size.
+    place = [s.effect.key for s in screened].index("viscous_friction.pivot")
+    assert place < 4
+    assert screened[place].dprime > 10
+
+
+@pytest.mark.parametrize(
+    ("truth", "twin", "parameter", "value"),
+    [("gravity_tilt", "camera_roll", "angle", 0.1), ("actuator_delay.pivot", "camera_latency", "delay", 0.03)],
+)
+def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
+    found = searched(*truth.split("."), **{parameter: value}) if truth in EFFECTS else None
+    if found is None:
+        name, *where = truth.split(".")
+        found = searched(name, *(where if EFFECTS[name].site != "arm" else ()), **{parameter: value})
+    keys = [cause.key for cause in found.ranked]
+    first, second = (next(c for c in found.ranked if c.key.split(".")[0] == k.split(".")[0]) for k in (truth, twin))
+    assert abs(first.mean[0] - value) < 4 * first.sd[0]
+    assert abs(first.log_evidence - second.log_evidence) < 3
+    assert {first.key, second.key} <= set(keys[:3])
+
+
+def test_what_is_left_out_is_not_considered():
+    here = setting(recorded(), PENDULUM)
+    everything, fewer = considered(here), considered(here, ["viscous_friction", "camera_roll"])
+    assert {e.name for e in everything} - {e.name for e in fewer} == {"viscous_friction", "camera_roll"}
+    assert not {e.name for e in everything} & {"joint_coupling", "label_swap"}  # they need two joints
+
+
+def test_screen_is_a_ranking_of_all_and_none():
+    here = setting(recorded(), PENDULUM)
+    path = gauss_newton(here.with_residual(LOOSE), here.observations).path
+    effects = [e for e in considered(here) if e.name in ("viscous_friction", "camera_roll", "external_push")]
+    common = unknowns(here, ())
+    screened = screen(here, here.model, path, effects, common, common.mean)
+    assert len(screened) == len(effects) + 1
+    assert [s.log_evidence for s in screened] == sorted((s.log_evidence for s in screened), reverse=True)
+    none = next(s for s in screened if s.effect is None)
+    assert none.log_evidence == max(s.log_evidence for s in screened)  # each effect costs its prior
+    for each in screened:
+        assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
+        for name, value in each.values.items():
+            assert np.isfinite(value), (each.effect.key, name)
+
+
+# -- Occam's window and the prior -------------------------------------------------------------------------------
+def pool(**evidence):
+    """A search whose pool has causes with such evidences: "none", "a", "b", "ab", "abc"."""
+    here = setting(recorded(), PENDULUM)
+    letters = dict(zip("abc", considered(here), strict=False))
+    path = torch.zeros(80, 3, dtype=torch.float64)
+    plain = refine(here, (), {}, path, LOOSE, rounds=1)
+    found = Search(considered(here), {}, [], path)
+    for name, value in evidence.items():
+        effects = () if name == "none" else tuple(letters[letter] for letter in name)
+        found.add(replace(plain, effects=effects, log_evidence=value))
+    return found, {effect.key: letter for letter, effect in letters.items()}
+
+
+def test_a_set_that_a_part_of_it_beats_is_no_rival():
+    found, letters = pool(none=0.0, a=20.0, b=19.0, ab=21.0, abc=40.0)
+    names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
+    assert names == ["abc", "a", "b", ""]  # ab gains one nat, which a second effect does not earn
+    found, letters = pool(none=0.0, a=20.0, b=0.0, ab=60.0)
+    names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
+    assert names == ["ab", "a", ""]
+
+
+def test_of_two_versions_the_better_is_kept():
+    found, _ = pool(none=0.0, a=20.0)
+    (cause,) = (c for c in found.pool.values() if c.effects)
+    found.add(replace(cause, log_evidence=10.0))
+    assert found.pool[cause.key].log_evidence == 20.0
+    found.add(replace(cause, log_evidence=30.0))
+    assert found.pool[cause.key].log_evidence == 30.0
+
+
+@pytest.mark.parametrize("body", [PENDULUM, ARM])
+def test_prior_sums_to_that_of_the_number(body):
+    candidates = considered(setting(recorded(body=body, rows=30), body))
+    assert sum(NUMBER) == pytest.approx(1.0)
+    assert np.exp(log_prior_of((), candidates)) == pytest.approx(NUMBER[0])
+    single = np.array([np.exp(log_prior_of((e,), candidates)) for e in candidates])
+    assert single.sum() == pytest.approx(NUMBER[1])
+    # Acting at more joints makes an effect no likelier.
+    total = Counter()
+    for effect, p in zip(candidates, single, strict=True):
+        total[effect.name] += p
+    np.testing.assert_allclose(list(total.values()), NUMBER[1] / len(total))
+    pairs = sum(np.exp(log_prior_of((a, b), candidates)) for i, a in enumerate(candidates) for b in candidates[i + 1 :])
+    # Of two drawn one after the other, less what would be the same twice.
+    assert pairs == pytest.approx(NUMBER[2] * (1 - ((single / NUMBER[1]) ** 2).sum()))
+
+
+# -- what the catalogue lacks ----------------------------------------------------------------------------------
+class CubicSpring(Effect):
+    """Torque −k θ³ at a joint: in no catalogue."""
+
+    def parameters(self, scale):
+        return (Parameter("stiffness", "N·m/rad³", Normal(0.0, 10.0)),)
+
+    def force(self, p, now):
+        j = self.place[0]
+        return now.at(j, -p["stiffness"] * now.q[..., j : j + 1] ** 3)
+
+
+def described(recording):
+    here = setting(recording, ARM)
+    path = gauss_newton(here.with_residual(LOOSE), here.observations).path
+    none = refine(here, (), {}, path, LOOSE)
+    return describe(here, none, none.path), path
+
+
+def test_a_cubic_spring_is_put_into_a_formula():
+    stiffness = 1.5
+    formula, _ = described(recorded(CubicSpring("elbow"), ARM, rows=100, torque=1.0, stiffness=stiffness))
+    assert formula.variables[0] == "position:elbow"
+    first, (coefficient, sd, unit) = next(iter(formula.terms.items()))
+    assert first.endswith(" on elbow")
+    assert "θ[elbow]" in first
+    assert first in formula.text
+    assert unit in formula.text
+    assert formula.gain_per_frame > 0
+    # Whatever terms there are, they give about the torque that acted.
+    assert coefficient < 0
+    assert sd > 0
+
+
+def test_where_nothing_is_left_there_is_no_formula():
+    formula, _ = described(recorded(body=ARM, rows=60))
+    assert formula is None
+
+
+# -- where ------------------------------------------------------------------------------------------------------
+TIME = 0.01 * np.arange(400)
+
+
+def gap_at(*stretches):
+    gap = np.full(400, 0.001)
+    for start, stop, size in stretches:
+        gap[(start <= TIME) & (stop > TIME)] = size
+    return gap
+
+
+def test_intervals_hold_most_of_the_gap():
+    found = intervals(TIME, gap_at((0.5, 0.8, 1.0), (2.0, 2.5, 2.0)))
+    assert len(found) == 2
+    first, second = found  # the larger share first
+    assert abs(first.start - 2.0) <= 0.06
+    assert abs(first.stop - 2.5) <= 0.06
+    assert abs(second.start - 0.5) <= 0.2
+    assert MOST_OF - 0.05 < first.share + second.share <= 1.0
+    assert first.share == pytest.approx(1.0 / 1.3, abs=0.05)
+
+
+def test_intervals_say_nothing_where_the_gap_is_everywhere_or_nowhere():
+    assert intervals(TIME, np.ones(400)) == ()
+    assert intervals(TIME, np.zeros(400)) == ()
+    assert intervals(TIME, -np.ones(400)) == ()
+    assert intervals(TIME, np.full(400, np.nan)) == ()
+
+
+def test_intervals_of_rows_that_were_not_all_seen():
+    gap = gap_at((2.0, 2.5, 2.0))
+    gap[::3] = np.nan
+    (only,) = intervals(TIME, gap)
+    assert abs(only.start - 2.0) <= 0.1
+    assert abs(only.stop - 2.5) <= 0.1
+
+
+def test_joints_of_effects():
+    model = setting(recorded(body=ARM, rows=30), ARM).model
+    joints = {e.key: joints_of(e.bound(ARM), model) for e in considered(setting(recorded(body=ARM, rows=30), ARM))}
+    assert joints["viscous_friction.elbow"] == [1]
+    assert joints["joint_coupling.shoulder.elbow"] == [0, 1]
+    assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []
+
+
+def test_a_separating_experiment_for_every_rival():
+    assert set(SHOWN_BY) == set(EFFECTS)
+    assert separating_experiment(["payload"]) is None
+    assert separating_experiment([]) is None
+    sentence = separating_experiment(["actuator_delay", "camera_latency"])
+    assert sentence == f"Record {SHOWN_BY['camera_latency']}."  # asked for once
+    sentence = separating_experiment(["viscous_friction", "armature"])
+    assert SHOWN_BY["viscous_friction"] in sentence
+    assert SHOWN_BY["armature"] in sentence
