@@ -44,5 +44,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,robots,video,tracks]'
+	$(PIP) -e '.[dev,robots,video,tracks,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

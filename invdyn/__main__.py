@@ -2,4 +2,5 @@
 
 from .cli import app
 
-app(prog_name="invdyn")
+if __name__ == "__main__":  # MPI's workers import this file too
+    app(prog_name="invdyn")

@@ -1,4 +1,7 @@
-"""The command line: `invdyn simulate | infer | compare | plot | demo`. Each command checks, then works, then writes."""
+"""The command line: `invdyn simulate | infer | compare | diagnose | blind | plot | demo`.
+
+Each command checks, then works, then writes.
+"""
 
 import os
 from pathlib import Path
@@ -7,7 +10,7 @@ from typing import Annotated
 import typer
 
 from .console import Commands, ProgressBar, check_outputs
-from .options import BodyFile, Inference, Seed, spread
+from .options import BodyFile, Diagnosed, Inference, Seed, spread
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -96,6 +99,9 @@ def infer(
     film: FilmOut = None,
     sto: StoOut = None,
     csv: CsvOut = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
+    ] = None,
 ) -> None:
     """Infer the torques that moved a recorded body."""
     from invdyn.inference import infer as run
@@ -107,8 +113,8 @@ def infer(
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
     outputs.check(*given.files)
     arguments = given.load()
-    with ProgressBar() as progress:
-        idata = run(**arguments, method=method, progress=progress)
+    with given.executor() as executor, ProgressBar() as progress:
+        idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
         outputs.write(idata, progress)
     typer.echo(summary_text(idata))
     typer.echo(outputs.listing())
@@ -140,13 +146,76 @@ def compare(
     outputs.check(*given.files)
     arguments = given.load()
     out.mkdir(parents=True, exist_ok=True)
-    with ProgressBar() as progress:
-        comparison = run(**arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress)
+    with given.executor() as executor, ProgressBar() as progress:
+        comparison = run(
+            **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
+        )
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))
     if not comparison.posteriors:
         raise InputError("no method succeeded: see the reasons above")
+
+
+@app.command()
+@spread
+def diagnose(
+    given: Diagnosed,
+    out: Annotated[Path, typer.Option(help="Folder for report, JSON and posterior; made when missing.")],
+) -> None:
+    """Find where simulation and recording part, which effect causes it, and how far the gap closes."""
+    from invdyn.diagnosis.diagnose import diagnose as run
+    from invdyn.diagnosis.diagnose import save
+    from invdyn.diagnosis.report.sentences import details, verdict
+
+    from .outputs import DiagnosisOutputs
+
+    given.check()
+    outputs = DiagnosisOutputs(out)
+    outputs.check(*given.files)
+    arguments = given.load()
+    with ProgressBar() as progress:
+        diagnosis = run(**arguments, progress=progress)
+    out.mkdir(parents=True, exist_ok=True)
+    save(diagnosis, out)
+    typer.echo(verdict(diagnosis))
+    for sentence in details(diagnosis):
+        typer.echo(sentence)
+    typer.echo(outputs.listing())
+
+
+@app.command()
+def blind(
+    out: Annotated[Path, typer.Option(help="Folder for all of it; the same call again goes on from there.")],
+    cases: Annotated[int, typer.Option(min=1, help="How many, over the kinds.")] = 60,
+    kinds: Annotated[
+        str | None,
+        typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, most of them commanded."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Cases follow from it; keep it from the method.")] = 1_000_000,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    method_command: Annotated[
+        str | None,
+        typer.Option(help="Another method: a command with {recording}, {body} and {out}; see docs/blind_protocol.md."),
+    ] = None,
+    oracle: Annotated[
+        bool, typer.Option("--oracle", help="Then once more knowing the effect: how far could the gap close?")
+    ] = False,
+) -> None:
+    """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
+    from invdyn.diagnosis.blind.counts import counted
+    from invdyn.diagnosis.blind.run import BlindRun
+
+    run = BlindRun(out, counted(kinds, cases), seed, workers, method_command)
+    run.check()
+    with ProgressBar() as progress:
+        commitment = run.make(progress)
+    typer.echo(f"sealed answers, SHA-256 {commitment}")
+    with ProgressBar() as progress:
+        run.diagnose(progress)
+        scores = run.score(progress, oracle=oracle)
+    typer.echo(scores.text())
+    typer.echo(run.listing())
 
 
 @app.command()

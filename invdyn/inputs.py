@@ -1,11 +1,13 @@
 """What a command is given: a body, a recording that fits it, a range of frames."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
 from invdyn.models import Body
 from invdyn.recordings import (
+    FORMATS,
     InputError,
     Recording,
     Truth,
@@ -16,12 +18,13 @@ from invdyn.recordings import (
     names,
     read_truth,
 )
+from invdyn.recordings.formats import recognise
 
 
 def load_body(name: str) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
     if Path(name).exists():
-        return Body.from_toml(name)
+        return Body.load(name)
     ours = {Path(file.name).stem: file for file in (files("invdyn.models") / "bodies").iterdir()}
     if name not in ours:
         raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
@@ -29,7 +32,9 @@ def load_body(name: str) -> Body:
         return Body.from_toml(path)
 
 
-def load_recording(name: str, body: Body, base: str | None, body_lengths: bool, **options: object) -> Recording:
+def load_recording(
+    name: str, body: Body, base: str | None, body_lengths: bool, as_filmed: bool = False, **options: object
+) -> Recording:
     """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
 
     Args:
@@ -37,23 +42,31 @@ def load_recording(name: str, body: Body, base: str | None, body_lengths: bool, 
         body: says which keypoints and joints, and their order.
         base: the keypoint at the first joint, if it is not called as the joint is.
         body_lengths: divide by the tracked body's own length (the base must be tracked).
+        as_filmed: take nothing away from the keypoints of a file that is in metres in the body's own frame, unless
+            `base` says so; a tilted camera would no longer show, and the base's noise would be in all of them.
         options: units, fps, format, scale …
 
     Raises:
         InputError: the file, or the file beside the body, makes no sense.
         OSError: the file cannot be opened.
     """
+    told = body_lengths or any((base, options.get("units"), options.get("scale")))
+    in_frame = as_filmed and not told and Path(name).exists()
+    in_frame = in_frame and FORMATS[recognise(Path(name), options.get("format"))].read is None
     base = base or body.base_keypoint
     tips = body.keypoint_names
-    if body_lengths:
+    if in_frame:
+        recording = load(name, joints=body.joint_names, **options)
+        strange = [point for point in recording.keypoint_names if point not in (base, *tips)]
+        if strange:
+            raise InputError(
+                f"{name}: keypoint '{strange[0]}' is not of the body, which has {', '.join((base, *tips))}"
+            )
+        order = [recording.keypoint_names.index(tip) for tip in tips if tip in recording.keypoint_names]
+        recording = _with_keypoints(recording, order)
+    elif body_lengths:
         recording = in_body_lengths(load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options))
-        confidence = recording.confidence
-        recording = replace(
-            recording,
-            keypoints=recording.keypoints[:, 1:],
-            keypoint_names=tips,
-            confidence=None if confidence is None else confidence[:, 1:],
-        )
+        recording = _with_keypoints(recording, range(1, len(tips) + 1))
     else:
         recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
     if recording.length_unit == "px":
@@ -62,6 +75,17 @@ def load_recording(name: str, body: Body, base: str | None, body_lengths: bool, 
         )
     check_plausible(recording, [link.nominal("length") for link in body.links], body.base)
     return recording
+
+
+def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
+    """Only the keypoints of those numbers."""
+    order, confidence = list(order), recording.confidence
+    return replace(
+        recording,
+        keypoints=recording.keypoints[:, order],
+        keypoint_names=tuple(recording.keypoint_names[place] for place in order),
+        confidence=None if confidence is None else confidence[:, order],
+    )
 
 
 def load_known(name: str, body: Body) -> Truth:

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -9,18 +10,19 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-BodyFile = Annotated[str, typer.Option("--body", metavar="TOML", help="Body file, or a body that comes with us.")]
+BodyFile = Annotated[
+    str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or one that comes with us.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
 @dataclass(frozen=True)
-class Inference:
-    """What `infer` and `compare` are given: a recording, a body, the model that joins them, sampler sizes."""
+class Recorded:
+    """What every command on a recording is given: the recording, how to read it, and a body."""
 
     recording: Annotated[str, typer.Argument(help="File of keypoints, or the name of a known recording.")]
     body: BodyFile
-    truth: TruthFile = None
     units: Annotated[str | None, typer.Option(help="Of the file's numbers: px, mm, cm, m; deg, rad.")] = None
     fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
     format: Annotated[str | None, typer.Option(help="Of the file, if it is not plain from it.")] = None
@@ -32,18 +34,49 @@ class Inference:
         str | None, typer.Option(help="Keypoint to subtract; default: the first joint's, where tracked.")
     ] = None
     frames: Annotated[str, typer.Option(help="Which frames to use, such as 50:250.")] = ":"
+    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
+    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
+
+    def read(self, name: str, body: Any, as_filmed: bool = False) -> Any:
+        """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
+        from .inputs import load_recording
+
+        return load_recording(
+            name,
+            body,
+            self.base,
+            self.body_lengths,
+            as_filmed,
+            units=self.units,
+            fps=self.fps,
+            format=self.format,
+            scale=self.scale,
+        )
+
+
+@dataclass(frozen=True)
+class Inference(Recorded):
+    """What `infer` and `compare` are given: a recording, a body, the model that joins them, sampler sizes."""
+
+    truth: TruthFile = None
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[
         str,
         typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
     ] = "ornstein_uhlenbeck"
     noise: Annotated[str, typer.Option(help="Observation noise: gaussian or student_t.")] = "gaussian"
-    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
-    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
     filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
     seed: Seed = 0
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes that share the filters.")] = None
+    scheduler: Annotated[
+        str | None, typer.Option(help="Whose workers share the filters: Dask's (tcp://host:8786), or mpi.")
+    ] = None
+    filters_per_task: Annotated[
+        int | None, typer.Option(min=1, help="Filters that a worker takes at a time; default: 32.")
+    ] = None
+    device: Annotated[str, typer.Option(help="Of the particle filters: cpu or cuda.")] = "cpu"
 
     def check(self, *methods: str) -> None:
         """Raise InputError for a name that is not known."""
@@ -66,19 +99,10 @@ class Inference:
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
         from invdyn.models import TORQUE_PROCESSES
 
-        from .inputs import frame_range, load_body, load_known, load_recording
+        from .inputs import frame_range, load_body, load_known
 
         body = load_body(self.body)
-        recording = load_recording(
-            self.recording,
-            body,
-            self.base,
-            self.body_lengths,
-            units=self.units,
-            fps=self.fps,
-            format=self.format,
-            scale=self.scale,
-        )
+        recording = self.read(self.recording, body)
         return {
             "recording": recording.select(*frame_range(self.frames)),
             "body": body,
@@ -92,6 +116,70 @@ class Inference:
             "family": self.noise,
             "passive": self.passive,
             "hide_torque": self.hide_torque,
+            "device": self.device,
+            "filters_per_task": self.filters_per_task,
+        }
+
+    def executor(self) -> AbstractContextManager:
+        """Executor asked for, or None, for the time of a block. Raises InputError when there is none to be had."""
+        from invdyn.inference.executors import open_executor
+
+        return open_executor(self.workers, self.scheduler)
+
+
+@dataclass(frozen=True)
+class Diagnosed(Recorded):
+    """What `diagnose` is given: a recording, the body whose simulation is questioned, what to check the answer on."""
+
+    held_out: Annotated[
+        str | None, typer.Option(help="Another recording of the same, on which the gap is measured again.")
+    ] = None
+    without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
+    seed: Seed = 0
+
+    def check(self) -> None:
+        """Raise InputError for an effect that the catalogue does not have, and for torques both 0 and hidden."""
+        from invdyn.models.effects import EFFECTS
+        from invdyn.recordings import InputError
+
+        for name in self.struck:
+            if name not in EFFECTS:
+                raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
+        if self.passive and self.hide_torque:
+            raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
+
+    @property
+    def struck(self) -> tuple[str, ...]:
+        """Names of `without`."""
+        return tuple(name.strip() for name in self.without.split(",") if name.strip())
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read, and must not be written over."""
+        return [Path(name) for name in (self.recording, self.body, self.held_out) if name is not None]
+
+    def load(self) -> dict[str, Any]:
+        """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
+        from dataclasses import replace
+
+        from .inputs import frame_range, load_body
+
+        body = load_body(self.body)
+
+        def read(name: str) -> Any:
+            recording = self.read(name, body, as_filmed=True)
+            if self.hide_torque and recording.torques is not None:
+                joints = recording.joint_names if recording.angles is not None else ()
+                recording = replace(recording, torques=None, joint_names=joints)
+            return recording
+
+        return {
+            "recording": read(self.recording).select(*frame_range(self.frames)),
+            "body": body,
+            "held_out": None if self.held_out is None else read(self.held_out),
+            "passive": self.passive,
+            "without": self.struck,
+            "seed": self.seed,
         }
 
 

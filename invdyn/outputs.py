@@ -1,7 +1,7 @@
 """What a command leaves behind: the posterior, its figure and film, its torques (.sto, .csv); a comparison."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -79,13 +79,7 @@ class ComparisonOutputs:
 
     def check(self, *inputs: Path) -> None:
         """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
-        if not self.folder.exists():
-            parent = next(parent for parent in self.folder.absolute().parents if parent.exists())
-            check_outputs([parent / self.folder.name], inputs)
-        elif not self.folder.is_dir():
-            raise InputError(f"{self.folder}: expected a folder, this is a file")
-        else:
-            check_outputs(self.paths.values(), inputs)
+        check_folder(self.folder, self.paths.values(), inputs)
 
     def write(self, comparison: Comparison) -> None:
         """Write all of it, each file whole or not at all; posteriors first, as they took longest."""
@@ -104,6 +98,38 @@ class ComparisonOutputs:
             del kinds["figure"]
         width = max(map(len, kinds))
         return "".join(f"\n{kind:<{width}} {path}" for kind, path in kinds.items())
+
+
+@dataclass(frozen=True)
+class DiagnosisOutputs:
+    """The folder of a diagnosis."""
+
+    folder: Path
+
+    @property
+    def paths(self) -> dict[str, Path]:
+        """What kind -> where."""
+        named = {"report": "report.html", "JSON": "diagnosis.json", "posterior": "posterior.nc"}
+        return {kind: self.folder / name for kind, name in named.items()}
+
+    def check(self, *inputs: Path) -> None:
+        """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
+        check_folder(self.folder, self.paths.values(), inputs)
+
+    def listing(self) -> str:
+        """What lies where: an empty line, then one each."""
+        return "".join(f"\n{kind:<10} {path}" for kind, path in self.paths.items() if path.exists())
+
+
+def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Raise OSError or InputError unless a folder, there or not, can take those outputs, over no input."""
+    if not folder.exists():
+        parent = next(parent for parent in folder.absolute().parents if parent.exists())
+        check_outputs([parent / folder.name], inputs)
+    elif not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder, this is a file")
+    else:
+        check_outputs(outputs, inputs)
 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:

@@ -119,7 +119,10 @@ class Recording:
 
     def select(self, start: int | None = None, stop: int | None = None) -> "Recording":
         """Frames start … stop−1, as Python slices do; times stay. Raises InputError if under 2 remain."""
-        frames = slice(start, stop)
+        return self.at(slice(start, stop))
+
+    def at(self, frames: slice | np.ndarray) -> "Recording":
+        """Some frames, a slice or a mask (T,); times stay. Raises InputError if under 2 remain."""
         return replace(
             self,
             **{

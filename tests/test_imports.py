@@ -123,7 +123,7 @@ def test_the_search_for_cycles_finds_one():
 def test_every_name_in_all_exists():
     import importlib
 
-    for room in ("models", "models.torques", "inference", "recordings"):
+    for room in ("models", "models.effects", "models.torques", "inference", "recordings"):
         module = importlib.import_module(f"invdyn.{room}")
         assert not [name for name in module.__all__ if not hasattr(module, name)]
         assert sorted(set(module.__all__)) == sorted(module.__all__)

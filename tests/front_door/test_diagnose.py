@@ -1,0 +1,204 @@
+"""`invdyn diagnose`: what it is given, what it writes and says; bad input leaves everything as it was."""
+
+import json
+import sys
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from invdyn.diagnosis.report import write_report
+from invdyn.diagnosis.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
+from invdyn.recordings import InputError
+
+DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "found")
+COMMANDED = "time,shoulder_x,shoulder_y,elbow_x,elbow_y,wrist_x,wrist_y,shoulder_torque,elbow_torque\n"
+
+
+def found(recording, body, seed, not_enough=None):
+    """Viscous friction of the elbow, or too little to say."""
+    damping = {"damping": Estimate(0.3, 0.01, (0.28, 0.32), "N·m·s/rad")}
+    cause = Cause((Finding("viscous_friction", "dynamics", {"joint": "elbow"}, damping),), 0.97, 10.0, 0.1)
+    return Diagnosis(
+        recording=recording.name,
+        body=body.name,
+        seed=seed,
+        regime="unknown_torque" if recording.torques is None else "commanded",
+        gap=Gap(not_enough is None, 0.99, {}, {}, {}),
+        where=Where({"dynamics": 0.98, "observation": 0.02}, {"shoulder": 0.1, "elbow": 0.9}, {}, (), ()),
+        causes=() if not_enough else (cause,),
+        ambiguity_set=(),
+        separating_experiment=None,
+        outside=Outside(0.01),
+        not_identifiable=(),
+        shrinkage=Shrinkage(0.96, (0.93, 0.99), True, {}),
+        joint_names=body.joint_names,
+        link_names=tuple(link.name for link in body.links),
+        lengths=tuple(link.nominal("length") for link in body.links),
+        tracks=None,
+        screened=(),
+        visibility=(),
+        method={},
+        not_enough_data=not_enough,
+    )
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Instead of a diagnosis, a finding at once; what it was called with."""
+    calls = []
+    fake = ModuleType("invdyn.diagnosis.diagnose")
+
+    def diagnose(recording, body, *, seed=0, progress=None, **options):
+        calls.append({"recording": recording, "body": body, "seed": seed, **options})
+        progress(1, 2, "causes")
+        if recording.name == "interrupt":
+            raise KeyboardInterrupt
+        if recording.num_frames == 2:
+            raise InputError("rec.csv: the recording does not fit")
+        return found(recording, body, seed, "6 rows, a diagnosis needs 20" if recording.num_frames < 10 else None)
+
+    def save(diagnosis, folder):
+        Path(folder, "diagnosis.json").write_text(json.dumps(diagnosis.to_json()))
+        write_report(diagnosis, Path(folder, "report.html"))
+
+    fake.diagnose, fake.save = diagnose, save
+    monkeypatch.setitem(sys.modules, fake.__name__, fake)
+    return calls
+
+
+@pytest.fixture
+def commanded(folder):
+    """A recording with the base tracked, off the origin, and commands."""
+    rows = [f"{0.03 * t:.2f},.1,.2,1.1,.2,2.1,.2,1,2\n" for t in range(12)]
+    (folder / "run.csv").write_text(COMMANDED + "".join(rows))
+    body = (folder / "arm.toml").read_text().replace('name = "arm"\n', 'name = "arm"\nbase = [0.1, 0.2]\n', 1)
+    (folder / "bench.toml").write_text(body)
+    return ("diagnose", "run.csv", "--body", "bench.toml", "--out", "found")
+
+
+def test_help(run):
+    for command in ("diagnose", "blind"):
+        outcome = run(command, "--help")
+        assert outcome.exit_code == 0
+        assert "--out" in outcome.stdout
+        assert command in run("--help").stdout
+
+
+def test_what_is_written_and_said(folder, run, calls):
+    outcome = run(*DIAGNOSE, "--seed", 7)
+    assert outcome.exit_code == 0, outcome.output
+    assert {path.name for path in (folder / "found").iterdir()} == {"diagnosis.json", "report.html"}
+    told = json.loads((folder / "found/diagnosis.json").read_text())
+    assert (told["seed"], told["causes"][0]["effects"][0]["effect"]) == (7, "viscous_friction")
+    first, *_ = outcome.stdout.splitlines()
+    assert first.startswith("There is a gap: the simulation leaves out viscous friction at the elbow")
+    assert "found/report.html" in outcome.stdout
+    assert calls[0]["held_out"] is None
+    assert calls[0]["passive"] is False
+    assert calls[0]["without"] == ()
+
+
+def test_options_arrive(commanded, folder, run, calls):
+    (folder / "other.csv").write_text((folder / "run.csv").read_text())
+    outcome = run(*commanded, "--held-out", "other.csv", "--without", "payload, armature", "--frames", "1:11")
+    assert outcome.exit_code == 0, outcome.output
+    (call,) = calls
+    assert call["without"] == ("payload", "armature")
+    assert call["recording"].num_frames == 10
+    assert call["held_out"].num_frames == 12
+    assert call["recording"].torques[0].tolist() == [1, 2]
+    run(*commanded, "--passive")
+    assert calls[-1]["passive"] is True
+    run(*commanded, "--hide-torque", "--held-out", "other.csv")
+    assert calls[-1]["recording"].torques is None
+    assert calls[-1]["held_out"].torques is None
+
+
+def test_keypoints_stay_where_they_were_filmed(commanded, run, calls):
+    """A shaking base, or a camera that is not level, would not show in differences to the base."""
+    run(*commanded)
+    assert calls[-1]["recording"].keypoint_names == ("elbow", "wrist")
+    np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.1, 0.2], [2.1, 0.2]])
+    run(*commanded[:2], "--body", "arm.toml", "--out", "found", "--base", "shoulder")
+    np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.0, 0.0], [2.0, 0.0]])
+
+
+def test_not_enough_data_is_an_answer(folder, run, calls):
+    outcome = run(*DIAGNOSE, "--frames", ":6")
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stdout.startswith("Not enough data to say whether there is a gap: 6 rows")
+    assert json.loads((folder / "found/diagnosis.json").read_text())["not_enough_data"]
+
+
+def test_a_body_in_mjcf(folder, run, calls):
+    pytest.importorskip("mujoco")
+    (folder / "arm.xml").write_text(
+        """<mujoco><worldbody><body name="upper_arm"><joint name="shoulder" axis="0 0 1" armature="0.1"/>
+        <inertial pos="0.5 0 0" mass="0.5" diaginertia=".04 .04 .04"/>
+        <body name="forearm" pos="1 0 0"><joint name="elbow" axis="0 0 1"/>
+        <inertial pos="0.5 0 0" mass="0.3" diaginertia=".02 .02 .02"/>
+        <site name="wrist" pos="1 0 0"/></body></body></worldbody></mujoco>"""
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        outcome = run("diagnose", "rec.csv", "--body", "arm.xml", "--out", "found")
+    assert outcome.exit_code == 0, outcome.output
+    assert "warning: arm.xml: a rigid body leaves out armature (shoulder)" in outcome.stderr
+    assert calls[0]["body"].keypoint_names == ("elbow", "wrist")
+    assert [link.nominal("mass") for link in calls[0]["body"].links] == pytest.approx([0.5, 0.3])
+
+
+BAD = {
+    "no recording": (("diagnose", "none.csv", *DIAGNOSE[2:]), "none.csv"),
+    "no body": ((*DIAGNOSE[:3], "none.toml", *DIAGNOSE[4:]), "none.toml"),
+    "output is a file": ((*DIAGNOSE[:-1], "hand.csv"), "expected a folder"),
+    "no held-out recording": ((*DIAGNOSE, "--held-out", "none.csv"), "none.csv"),
+    "held out is of another body": ((*DIAGNOSE, "--held-out", "hand.csv"), "velocity"),
+    "unknown effect": ((*DIAGNOSE, "--without", "magic"), "viscous_friction"),
+    "zero and hidden": ((*DIAGNOSE, "--passive", "--hide-torque"), "choose one"),
+    "frames in words": ((*DIAGNOSE, "--frames", "all"), "50:250"),
+    "one frame": ((*DIAGNOSE, "--frames", "3:4"), "2 frames"),
+    "does not fit": ((*DIAGNOSE, "--frames", "3:5"), "does not fit"),
+    "no output": (DIAGNOSE[:-2], "--out"),
+    "a broken MJCF": (("diagnose", "rec.csv", "--body", "bad.xml", "--out", "found"), "bad.xml"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "named"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_one_line_and_leaves_all_as_it_was(folder, run, contents, calls, arguments, named):
+    (folder / "bad.xml").write_text("<mujoco>")
+    before = contents(folder)
+    outcome = run(*arguments)
+    assert outcome.exit_code == 2, outcome.output
+    assert not outcome.stdout
+    (line,) = [line for line in outcome.stderr.splitlines() if "causes" not in line]
+    assert line.startswith("error: ")
+    assert named in line
+    assert contents(folder) == before
+    assert not (folder / "found").exists()
+
+
+BODIES = {
+    "other keypoints": ('tip = "wrist"', 'tip = "hand"', "wrist"),
+    "other size": ("length = 1.0", "length = 0.1", "length"),
+}
+
+
+@pytest.mark.parametrize(("good", "bad", "named"), BODIES.values(), ids=BODIES.keys())
+def test_a_body_that_does_not_fit(folder, run, calls, good, bad, named):
+    text = (folder / "arm.toml").read_text()
+    (folder / "arm.toml").write_text(text.replace(good, bad))
+    outcome = run(*DIAGNOSE)
+    assert outcome.exit_code == 2
+    assert named in outcome.stderr
+    assert not calls
+
+
+def test_an_interrupt_writes_nothing(folder, run, calls):
+    (folder / "interrupt.csv").write_text((folder / "rec.csv").read_text())
+    outcome = run("diagnose", "interrupt.csv", *DIAGNOSE[2:])
+    assert outcome.exit_code == 130
+    assert not (folder / "found").exists()

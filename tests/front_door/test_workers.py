@@ -1,0 +1,132 @@
+"""`invdyn infer` with workers and a checkpoint: killed or not, the same numbers; and no orphans."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from invdyn.inference import load_posterior
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
+
+INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--filters-per-task", 2)
+PROGRAM = (sys.executable, "-W", "ignore", "-m", "invdyn")
+
+
+@pytest.fixture
+def simulated(folder, run):
+    """Half a second of a simulated arm, as rec.csv."""
+    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", 0.5, "--seed", 1)
+    return folder
+
+
+def words(*arguments):
+    return [str(argument) for argument in arguments]
+
+
+def torque(file):
+    return load_posterior(file).posterior["torque"].values.tobytes()
+
+
+def session(leader):
+    """Processes of a session that are alive."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            state, _, _, its_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+        except (OSError, ValueError):
+            continue
+        if int(its_session) == leader and state != "Z":
+            found.append(int(folder.name))
+    return found
+
+
+def wait_until(true, seconds=60):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+def test_workers_give_the_same(simulated, run):
+    assert run(*INFER, "--out", "alone.nc").exit_code == 0
+    outcome = run(*INFER, "--out", "shared.nc", "--workers", 2)
+    assert outcome.exit_code == 0, outcome.output
+    assert torque("shared.nc") == torque("alone.nc")
+
+
+def test_mpi_gives_the_same(simulated, run):
+    pytest.importorskip("mpi4py")
+    mpirun = shutil.which("mpirun")
+    if mpirun is None:
+        pytest.skip("needs mpirun")
+    assert run(*INFER, "--out", "alone.nc").exit_code == 0
+    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}  # of OpenMPI, in a container
+    command = [mpirun, "--oversubscribe", "-n", 3, sys.executable, "-W", "ignore", "-m", "mpi4py.futures"]
+    done = subprocess.run(
+        words(*command, "-m", "invdyn", *INFER, "--out", "mpi.nc", "--scheduler", "mpi"),
+        env={**os.environ, **root},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert torque("mpi.nc") == torque("alone.nc")
+
+
+def test_killed_and_resumed_is_the_same(simulated, run):
+    pytest.importorskip("safetensors")
+    call = words(*INFER, "--filters", 12, "--checkpoint", "kept", "--out", "p.nc")
+    tasks = [Path(f"kept/smc/part-{k}/manifest.json") for k in range(6)]
+    with subprocess.Popen([*PROGRAM, *call], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        wait_until(lambda: tasks[0].exists() or process.poll() is not None)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert tasks[0].exists()
+    assert not tasks[5].exists()
+    assert not Path("p.nc").exists()
+    resumed = run(*call)
+    assert resumed.exit_code == 0, resumed.output
+    assert run(*INFER, "--filters", 12, "--out", "whole.nc").exit_code == 0
+    assert torque("p.nc") == torque("whole.nc")
+    other = run(*call, "--seed", 5)
+    assert other.exit_code == 2
+    assert "checkpoint of another run" in other.stderr
+    assert len(other.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [pytest.param(signal.SIGINT, id="Ctrl-C"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.slow)],
+)
+def test_no_worker_is_left_behind(simulated, stop):
+    call = words(*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
+    with subprocess.Popen(
+        [*PROGRAM, *call], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        wait_until(lambda: any(Path("kept").glob("smc/part-*/manifest.json")) or process.poll() is not None)
+        assert len(session(process.pid)) >= 3
+        if stop == signal.SIGINT:
+            os.killpg(process.pid, stop)  # as a terminal sends it: to the workers too
+        else:
+            process.send_signal(stop)
+        _, errors = process.communicate(timeout=30)
+    wait_until(lambda: not session(process.pid), 20)
+    if stop == signal.SIGINT:
+        assert process.returncode == 130
+        assert errors.splitlines() == ["interrupted: what was not finished was not written"]
+    assert not Path("p.nc").exists()
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(folder, run, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("invdyn.inference.executors.PATIENCE", 0.3)
+    outcome = run(*INFER, "--out", "p.nc", "--scheduler", "tcp://127.0.0.1:9")
+    assert outcome.exit_code == 2
+    (line,) = outcome.stderr.splitlines()
+    assert line.startswith("error: tcp://127.0.0.1:9: no Dask scheduler answers there")
