@@ -206,9 +206,8 @@ class Screened:
     dprime: float
 
 
-def _visibility(whitened: Whitened, results, size: int, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
+def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
     """d′ of the most visible parameter at two thirds of its prior's spread, or of an offset."""
-    gram, kappa = whitened.gram[size], results[size].kappa[-1]
     largest = 0.0
     for hypothesis, start in zip(mine, first, strict=True):
         if hypothesis.offset is not None:
@@ -218,7 +217,7 @@ def _visibility(whitened: Whitened, results, size: int, mine: Sequence[Hypothesi
         for column, sd in zip(hypothesis.columns, hypothesis.sd, strict=True):
             norm = gram[1 + start + column, 1 + start + column]
             largest = max(largest, float(0.67 * sd * np.sqrt(norm)))
-    return largest / float(kappa)
+    return largest / kappa
 
 
 def screen(
@@ -246,6 +245,10 @@ def screen(
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
+        likely = int(none.argmax())
+        kappa = float(results[likely].kappa[-1])
+        # Beside a limb's own torque; a simulation would have none, were its gap explained.
+        shown = whitened.gram[likely if setting.regime == "unknown_torque" else 0]
         keys = [h.effect.key for h in found]
         for key in dict.fromkeys(keys):
             mine = [i for i, other in enumerate(keys) if other == key]
@@ -264,9 +267,7 @@ def screen(
                     best,
                     values,
                     float(levels[size]),
-                    _visibility(
-                        whitened, results, int(none.argmax()), [found[i] for i in mine], [first[i] for i in mine]
-                    ),
+                    _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
                 )
             )
     screened.append(Screened(None, float(logsumexp(none)), none, None, {}, 0.0, np.inf))

@@ -67,7 +67,7 @@ def test_friction_is_named():
 
 @pytest.mark.parametrize(
     ("truth", "twin", "parameter", "value"),
-    [("gravity_tilt", "camera_roll", "angle", 0.1), ("actuator_delay.pivot", "camera_latency", "delay", 0.03)],
+    [("gravity_tilt", "camera_roll", "angle", 0.1), ("actuator_delay.pivot", "camera_latency", "delay", 0.015)],
 )
 def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
     found = searched(*truth.split("."), **{parameter: value}) if truth in EFFECTS else None
@@ -111,7 +111,7 @@ def pool(**evidence):
     letters = dict(zip("abc", considered(here), strict=False))
     path = torch.zeros(80, 3, dtype=torch.float64)
     plain = refine(here, (), {}, path, LOOSE, rounds=1)
-    found = Search(considered(here), {}, [], path)
+    found = Search(considered(here), {}, [], path, stray=False)
     for name, value in evidence.items():
         effects = () if name == "none" else tuple(letters[letter] for letter in name)
         found.add(replace(plain, effects=effects, log_evidence=value))
@@ -204,14 +204,14 @@ def gap_at(*stretches):
 
 
 def test_intervals_hold_most_of_the_gap():
-    found = intervals(TIME, gap_at((0.5, 0.8, 1.0), (2.0, 2.5, 2.0)))
+    found = intervals(TIME, gap_at((0.5, 0.8, 2.0), (2.0, 2.5, 2.0)))
     assert len(found) == 2
     first, second = found  # the larger share first
     assert abs(first.start - 2.0) <= 0.06
     assert abs(first.stop - 2.5) <= 0.06
     assert abs(second.start - 0.5) <= 0.2
     assert MOST_OF - 0.05 < first.share + second.share <= 1.0
-    assert first.share == pytest.approx(1.0 / 1.3, abs=0.05)
+    assert first.share == pytest.approx(1.0 / 1.6, abs=0.12)  # smoothing blunts the edges
 
 
 def test_intervals_say_nothing_where_the_gap_is_everywhere_or_nowhere():
