@@ -48,7 +48,7 @@ from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_text
 
-NEAR = 4.0
+NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
 CONFIRMED = 2
 CREDIBLE = 0.95

@@ -55,7 +55,7 @@ def innovations(
     G, steps, rows, inputs = len(Q), E.shape[0], E.shape[1], g.shape[-1]
     dim = E.shape[-1]
     columns = np.empty((G, steps, rows, 1 + inputs))
-    log_det = np.zeros((G, steps))
+    roots = np.empty((G, steps, rows, rows))
     mean = np.zeros((G, dim, 1 + inputs))
     mean[:, :, 0] = m0
     P = P0.copy()
@@ -71,10 +71,11 @@ def innovations(
         white = inverse @ (given[t] - H @ mean)
         gain = PH @ np.swapaxes(inverse, -1, -2)  # P Hᵀ S^{-T/2}
         columns[:, t] = white
-        log_det[:, t] = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(-1)
+        roots[:, t] = root
         if t == steps - 1:
             break
         mean = F[t] @ (mean + gain @ white) + driven[t]
         P = F[t] @ (P - gain @ np.swapaxes(gain, -1, -2)) @ F[t].T + Q[:, t]
         P = (P + np.swapaxes(P, -1, -2)) / 2
+    log_det = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(-1)
     return Innovations(columns.reshape(G, steps * rows, 1 + inputs), log_det)

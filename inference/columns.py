@@ -17,11 +17,13 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.func import functionalize
 from torch.fx import GraphModule, Interpreter
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._pytree import tree_leaves, tree_map
@@ -39,12 +41,18 @@ def stored_by_columns(value: Tensor) -> Tensor:
 
 def by_columns(graph: GraphModule, example: tuple[Tensor, ...], batch: torch.Size) -> GraphModule:
     """The record ``graph`` of a row of ``batch`` (M, N), whose arguments are like ``example``, column by column."""
+    if any(getattr(getattr(node.target, "_schema", None), "is_mutable", False) for node in graph.graph.nodes):
+        # Nothing may be changed in place: a column can be an entry of several tensors.
+        graph = make_fx(functionalize(lambda *arguments, row=graph: row(*arguments)))(*example)
     return make_fx(lambda *arguments: _ByColumns(graph, batch).run(*arguments))(*example)
 
 
 @dataclass
 class _Columns:
-    """A tensor (*batch, *event) as an array of event shape of tensors that broadcast to the batch."""
+    """A tensor (*batch, *event) as an array of event shape of tensors that broadcast to the batch.
+
+    A tensor without entries is left a tensor: no entry would say of what type and on what device it is.
+    """
 
     entries: np.ndarray
     batch: torch.Size
@@ -58,6 +66,7 @@ class _Columns:
 
     @classmethod
     def made(cls, event: tuple[int, ...], entry: Callable[[tuple[int, ...]], Tensor], batch: torch.Size) -> "_Columns":
+        """A tensor whose entry at each index of the event is ``entry(index)``."""
         entries = np.empty(event, dtype=object)
         for index in np.ndindex(*event):
             entries[index] = entry(index)
@@ -81,7 +90,9 @@ class _Columns:
         return axis if axis >= 0 else None
 
     def with_event(self, entries: np.ndarray | Tensor) -> "_Columns | Tensor":
-        """Other entries of the same batch; a tensor where there is no event left."""
+        """Some of the entries, or others, for the same batch; a tensor where there is no event left, or no entry."""
+        if isinstance(entries, np.ndarray) and not entries.size:
+            return self.entries.flat[0].new_empty(*self.batch, *entries.shape)
         if isinstance(entries, np.ndarray) and entries.ndim:
             return _Columns(entries, self.batch)
         entry = entries[()] if isinstance(entries, np.ndarray) else entries
@@ -97,7 +108,7 @@ class _ByColumns(Interpreter):
 
     def placeholder(self, target, args, kwargs):
         value = super().placeholder(target, args, kwargs)
-        return _Columns.of(value, value.ndim - 2) if value.ndim > 2 else value
+        return self._columns(value)
 
     def output(self, target, args, kwargs):
         values = super().output(target, args, kwargs)
@@ -107,25 +118,31 @@ class _ByColumns(Interpreter):
         if target is operator.getitem:  # of a list that an operation has returned
             return super().call_function(target, args, kwargs)
         columns = any(isinstance(value, _Columns) for value in tree_leaves((args, kwargs)))
-        rule = _RULES.get(target) if columns or target in (aten.stack.default, aten.cat.default) else None
+        rule = _RULES.get(target) if columns or target is aten.stack.default else None
         if columns and rule is None and torch.Tag.pointwise in getattr(target, "tags", ()):
-            return _each(target, args, kwargs)
+            rule = partial(_each, target)
         found = NotImplemented if rule is None else rule(*args, **kwargs)
         if found is not NotImplemented:
             return found
+        # What came of columns may lie otherwise in memory than it did.
+        target = aten.reshape.default if target in _VIEWS else target
         args, kwargs = tree_map(lambda value: value.whole() if isinstance(value, _Columns) else value, (args, kwargs))
-        result = super().call_function(target, args, kwargs)
-        if isinstance(result, Tensor) and result.ndim > 2 and result.shape[:2] == self.batch:
-            return _Columns.of(result, result.ndim - 2)  # noise, for one
-        return result
+        return self._columns(super().call_function(target, args, kwargs))
+
+    def _columns(self, value):
+        """A tensor (M, N, ...) as columns, such as a state or noise; what is none as it is."""
+        fits = isinstance(value, Tensor) and value.ndim > 2 and value.shape[:2] == self.batch and value.numel()
+        return _Columns.of(value, value.ndim - 2) if fits else value
 
 
-def _each(target, args: tuple, kwargs: dict[str, Any]) -> _Columns:
+def _each(target, *args, **kwargs):
     """An elementwise operation, entry by entry."""
     event = max(value.entries.ndim for value in args if isinstance(value, _Columns))
-    args = [_Columns.of(value, event) if isinstance(value, Tensor) else value for value in args]
+    args = [_aligned(value, event) if isinstance(value, Tensor | _Columns) else value for value in args]
     columns = [value for value in args if isinstance(value, _Columns)]
     shape = np.broadcast_shapes(*(value.entries.shape for value in columns))
+    if 0 in shape:
+        return NotImplemented
     batch = torch.broadcast_shapes(*(value.batch for value in columns))
     entries = [np.broadcast_to(v.entries, shape) if isinstance(v, _Columns) else v for v in args]
 
@@ -135,27 +152,43 @@ def _each(target, args: tuple, kwargs: dict[str, Any]) -> _Columns:
     return _Columns.made(shape, entry, batch)
 
 
+def _aligned(value: "Tensor | _Columns", event: int) -> _Columns:
+    """A tensor as columns whose event has ``event`` dimensions, or as many as it has: they broadcast from the last."""
+    if isinstance(value, _Columns):
+        return value if value.entries.ndim == event else _Columns.of(value.whole(), event)
+    if 0 < value.ndim <= event:
+        # Entries keep a dimension: without one a tensor has no say in the result's type.
+        value = value.reshape(*[1] * (event + 1 - value.ndim), *value.shape)
+    return _Columns.of(value, event)
+
+
+def _same_type(values) -> bool:
+    """Whether all entries of these columns are of one type, so that putting them together changes none."""
+    return len({entry.dtype for value in values for entry in value.entries.flat}) == 1
+
+
 def _cat(values, dim: int = 0):
-    columns = [value for value in values if isinstance(value, _Columns)]
-    if not columns:
-        return NotImplemented
-    event = columns[0].entries.ndim
+    first = next(value for value in values if isinstance(value, _Columns))
+    event = first.entries.ndim
     values = [_Columns.of(value, event) if isinstance(value, Tensor) else value for value in values]
-    axis = columns[0].axis(dim)
-    if axis is None or any(value.entries.ndim != event for value in values):
+    axis = first.axis(dim)
+    if axis is None or any(value.entries.ndim != event for value in values) or not _same_type(values):
         return NotImplemented
     batch = torch.broadcast_shapes(*(value.batch for value in values))
     return _Columns(np.concatenate([value.entries for value in values], axis), batch)
 
 
 def _stack(values, dim: int = 0):
-    if all(isinstance(value, _Columns) for value in values):
-        axis = dim - len(values[0].batch) if dim >= 0 else dim + values[0].entries.ndim + 1
-        return NotImplemented if axis < 0 else values[0].with_event(np.stack([v.entries for v in values], axis))
     # Two dimensions are filters and particles: what is stacked behind them are entries.
-    if not all(isinstance(value, Tensor) and value.ndim == 2 for value in values) or dim not in (-1, 2):
+    if all(isinstance(value, Tensor) and value.ndim == 2 and value.numel() for value in values):
+        values = [_Columns.of(value, 0) for value in values]
+    if not all(isinstance(value, _Columns) for value in values) or not _same_type(values):
         return NotImplemented
-    return _Columns.made((len(values),), lambda index: values[index[0]], values[0].shape)
+    first = values[0]
+    axis = dim - len(first.batch) if dim >= 0 else dim + first.entries.ndim + 1
+    if axis < 0 or any(value.entries.shape != first.entries.shape for value in values):
+        return NotImplemented
+    return first.with_event(np.stack([value.entries for value in values], axis))
 
 
 def _split(value: _Columns, sizes, dim: int = 0):
@@ -197,7 +230,8 @@ def _view(value: _Columns, shape):
     entries, batch = value.entries.reshape(shape[k:]), torch.Size(shape[:k])
     if batch == value.batch:
         return value.with_event(entries)
-    return _Columns.made(entries.shape, lambda index: entries[index].expand(value.batch).reshape(batch), batch)
+    flat = _Columns.made(entries.shape, lambda index: entries[index].expand(value.batch).reshape(batch), batch)
+    return flat.with_event(flat.entries)
 
 
 def _expand(value: _Columns, shape, implicit: bool = False):
@@ -205,6 +239,8 @@ def _expand(value: _Columns, shape, implicit: bool = False):
     event = [old if new == -1 else new for old, new in zip(value.entries.shape, shape[k:], strict=True)]
     padded = (1,) * (k - len(value.batch)) + tuple(value.batch)
     batch = [old if new == -1 else new for old, new in zip(padded, shape[:k], strict=True)]
+    if 0 in (*event, *batch):
+        return NotImplemented
     return _Columns(np.broadcast_to(value.entries, event), torch.Size(batch))
 
 
@@ -215,7 +251,7 @@ def _unsqueeze(value: _Columns, dim: int):
 
 def _sum(value: _Columns, dims, keepdim: bool = False, dtype=None):
     axes = [value.axis(dim) for dim in dims or ()]
-    if not axes or None in axes or dtype is not None:
+    if not axes or None in axes or dtype is not None or not value.entries.flat[0].is_floating_point():
         return NotImplemented
     return value.with_event(np.add.reduce(value.entries, axis=tuple(axes), keepdims=keepdim))
 
@@ -224,9 +260,9 @@ def _matmul(value, matrix):
     """(B, N, D) times (B, D, P), or (N, D) times (D, P)."""
     if not isinstance(value, _Columns) or isinstance(matrix, _Columns) or value.entries.ndim != 1:
         return NotImplemented
-    matrix = _Columns.of(matrix, 2)
-    if matrix.entries.size > LARGEST:
+    if not 0 < math.prod(matrix.shape[-2:]) <= LARGEST:
         return NotImplemented
+    matrix = _Columns.of(matrix, 2)
     if matrix.batch:  # beside (B, N)
         matrix = _Columns.made(
             matrix.entries.shape, lambda index, old=matrix.entries: old[index].unsqueeze(-1), matrix.batch
@@ -236,7 +272,8 @@ def _matmul(value, matrix):
 
 def _randn_like(value: _Columns, **kwargs):
     like = value.entries.flat[0]
-    noise = torch.randn(*value.batch, *value.entries.shape, dtype=like.dtype, device=like.device)
+    dtype, device = kwargs.get("dtype") or like.dtype, kwargs.get("device") or like.device
+    noise = torch.randn(*value.batch, *value.entries.shape, dtype=dtype, device=device)
     return _Columns.of(noise, value.entries.ndim)
 
 
@@ -263,5 +300,6 @@ _RULES: dict[Any, Callable] = {
     aten.alias.default: _same,
     aten.clone.default: _same,
     aten.detach.default: _same,
-    aten._to_copy.default: lambda *args, **kwargs: _each(aten._to_copy.default, args, kwargs),
+    aten._to_copy.default: partial(_each, aten._to_copy.default),
 }
+_VIEWS = (aten.view.default, aten._unsafe_view.default)

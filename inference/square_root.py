@@ -79,18 +79,14 @@ def backward(
     *batch, steps, rows, dim = E.shape
     batch = tuple(batch)
     extra = 0 if V is None else V.shape[-1]
-    U, b, log_c = (
-        np.zeros((*batch, steps, dim, dim)),
-        np.zeros((*batch, steps, dim)),
-        np.zeros((*batch, steps)),
-    )
-    A, alpha, log_n = np.zeros_like(U), np.zeros_like(b), np.zeros_like(log_c)
+    U, b = np.zeros((*batch, steps, dim, dim)), np.zeros((*batch, steps, dim))
+    A, alpha = np.zeros_like(U), np.zeros_like(b)
     R, B, r = np.zeros_like(U), np.zeros_like(U), np.zeros_like(b)
     S = np.zeros((*batch, steps - 1, extra, extra))
     C, s = np.zeros((*batch, steps - 1, extra, dim)), np.zeros((*batch, steps - 1, extra))
     inner, width = extra + dim, extra + dim + 1
     fold = np.zeros((*batch, inner + max(rows, 1), width))
-    carried = np.zeros(batch)
+    rho = np.zeros((*batch, steps))
     for t in range(steps - 1, -1, -1):
         fold[...] = 0.0
         fold[..., np.arange(extra), np.arange(extra)] = 1.0
@@ -107,20 +103,23 @@ def backward(
             triangle[..., extra:inner, extra:inner],
             triangle[..., extra:inner, inner],
         )
-        log_c[..., t] = carried - 0.5 * triangle[..., inner, inner] ** 2
+        rho[..., t] = triangle[..., inner, inner]
         if extra and t < steps - 1:
             S[..., t, :, :], C[..., t, :, :] = (
                 triangle[..., :extra, :extra],
                 triangle[..., :extra, extra:inner],
             )
             s[..., t, :] = triangle[..., :extra, inner]
-            log_c[..., t] -= log_abs_det(S[..., t, :, :])
-
         R[..., t, :, :], B[..., t, :, :], r[..., t, :], A[..., t, :, :], alpha[..., t, :] = eliminate(
             U[..., t, :, :], b[..., t, :], L[..., t, :, :]
         )
-        carried = log_n[..., t] = log_c[..., t] - log_abs_det(R[..., t, :, :])
 
+    # What each row adds to the constants, summed from the last row on.
+    folded, integrated = -0.5 * rho**2, -log_abs_det(R)
+    if extra:
+        folded[..., :-1] -= log_abs_det(S)
+    log_n = np.cumsum((folded + integrated)[..., ::-1], -1)[..., ::-1]
+    log_c = log_n - integrated
     gain, offset, root = conditional(R, B, r, L)
     spread = np.zeros((*batch, steps - 1, dim, 0))
     if extra:

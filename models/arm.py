@@ -34,7 +34,7 @@ from invdyn.models.effects.scale import Scale, typical_torque
 from invdyn.models.effects.situation import Situation, View
 from invdyn.models.emission import Emission
 from invdyn.models.integrators import INTEGRATORS
-from invdyn.models.shapes import join
+from invdyn.models.shapes import common, join
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
@@ -353,7 +353,7 @@ class ArmModel(StateSpaceModel):
         if self.torque.diagonal:
             scale = join(root, sds)
             return Normal(mean, scale, validate_args=False).to_event(1)
-        shape = torch.broadcast_shapes(root.shape[:-2], sds.shape[:-1])
+        shape = common(root.shape[:-2], sds.shape[:-1])
         tril = mean.new_zeros(*shape, self.state_dim, self.state_dim)
         tril[..., : self.torque_size, : self.torque_size] = root
         tril.diagonal(dim1=-2, dim2=-1)[..., self.torque_size :] = sds

@@ -18,6 +18,7 @@ from invdyn.models.body import BodyParameters
 from invdyn.models.euler_lagrange import ARGUMENTS, torch_functions
 from invdyn.models.planar import Dynamics
 from invdyn.models.recursive import RecursiveDynamics
+from invdyn.models.shapes import common
 
 __all__ = ["Dynamics", "RecursiveDynamics", "SymbolicDynamics", "dynamics_for"]
 
@@ -120,7 +121,7 @@ class SymbolicDynamics(Dynamics):
     def _full_shape(self, name: str, p: BodyParameters, **joint: Tensor) -> list[Tensor]:
         """Outputs in the shape of the whole batch, those too that depend on the body alone or on nothing."""
         outputs, arguments = self._evaluate(name, p, **joint)
-        shape = torch.broadcast_shapes(*(argument[0].shape for argument in arguments))
+        shape = common(*(argument[0].shape for argument in arguments))
         like = arguments[0][0]
         return [x.expand(shape) if isinstance(x, Tensor) else like.new_full(shape, x) for x in outputs]
 

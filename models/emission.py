@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, Normal, StudentT
+from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from scipy.stats import rankdata
 from torch import Tensor
 
@@ -117,7 +117,7 @@ class Emission:
         if mistakes:
             return self._mistaken(loc, scales, mistakes)
         if self.family == "student_t":
-            return StudentT(parameters["emission.df"], loc, scales, validate_args=False).to_event(1)
+            return _UncheckedStudentT(parameters["emission.df"], loc, scales).to_event(1)
         return Normal(loc, scales, validate_args=False).to_event(1)
 
     def _mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap]) -> Distribution:
@@ -136,6 +136,22 @@ class Emission:
         if self.doubt is None:
             return scale
         return scale * torch.exp(parameters["emission.confidence_slope"] * self.doubt[t].to(scale))
+
+
+class _UncheckedStudentT(StudentT):
+    """Student-t noise whose parameters (..., O) nobody checks.
+
+    torch's own class has the χ² inside it checked whatever ``validate_args`` says: the host would wait in each row.
+    """
+
+    def __init__(self, df: Tensor, loc: Tensor, scale: Tensor):
+        self.df, self.loc, self.scale = torch.broadcast_tensors(df, loc, scale)
+        self._chi2 = Chi2(self.df, validate_args=False)
+        torch.distributions.Distribution.__init__(self, self.df.shape, validate_args=False)
+
+    def expand(self, batch_shape, _instance=None):
+        """See :class:`torch.distributions.Distribution`."""
+        return super().expand(batch_shape, self._get_checked_instance(_UncheckedStudentT, _instance))
 
 
 def _rank(confidence: np.ndarray) -> np.ndarray:

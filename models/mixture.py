@@ -20,6 +20,8 @@ from pyro.distributions import TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
+from invdyn.models.shapes import common
+
 
 @dataclass(frozen=True)
 class Stray:
@@ -53,7 +55,7 @@ class MistakenRows(TorchDistribution):
 
     def __init__(self, loc: Tensor, scale: Tensor, points: int, strays: Sequence[Stray], swaps: Sequence[Swap]):
         rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps)]
-        batch = torch.broadcast_shapes(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
+        batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
         self.points, self.strays, self.swaps = points, tuple(strays), tuple(swaps)
         super().__init__(batch, loc.shape[-1:], validate_args=False)

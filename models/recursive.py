@@ -19,6 +19,7 @@ from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.planar import Dynamics
+from invdyn.models.shapes import common
 
 
 class _Link(NamedTuple):
@@ -146,7 +147,7 @@ class RecursiveDynamics(Dynamics):
     def _batch(self, p: BodyParameters, **joint: Tensor) -> tuple[BodyParameters, list[Tensor]]:
         """All of them expanded to one batch shape, which vectors with the batch last need."""
         self._check(**joint)
-        shape = torch.broadcast_shapes(*(value.shape[:-1] for value in (*p, *joint.values())))
+        shape = common(*(value.shape[:-1] for value in (*p, *joint.values())))
         expanded = [value.expand(*shape, value.shape[-1]) for value in (*p, *joint.values())]
         return BodyParameters(*expanded[: len(p)]), expanded[len(p) :]
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from invdyn.models.shapes import common
+
 
 @dataclass(frozen=True)
 class Command:
@@ -85,7 +87,7 @@ class Command:
     def _integrals(self, impulse: Tensor, moment: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
         """∫u and ∫∫u from the first row to the times ``at`` (..., R, 1 or K)."""
         edges, length = self._edges, self.length
-        shape = (*torch.broadcast_shapes(at.shape[:-2], self.mean.shape[:-2]), at.shape[-2], self.mean.shape[-1])
+        shape = (*common(at.shape[:-2], self.mean.shape[:-2]), at.shape[-2], self.mean.shape[-1])
         at = at.expand(shape)
         row = (torch.searchsorted(edges, at.detach().contiguous(), right=True) - 1).clamp(0, len(self.time) - 1)
 
@@ -102,7 +104,7 @@ class Command:
     def lagged(self, time_constant: Tensor) -> "Command":
         """First-order lag T u̇_f + u_f = u, T seconds, (K,) or (..., 1, K); it takes the rows' means for held."""
         ratio = time_constant / self.length  # (..., T, K); a floor only where it is divided by, for a slope at no lag
-        shape = torch.broadcast_shapes(self.mean.shape, ratio.shape)
+        shape = common(self.mean.shape, ratio.shape)
         u, left = self.mean.expand(shape), torch.exp(-1 / ratio.clamp_min(1e-6)).expand(shape)
         filtered, now = [], u[..., 0, :]
         for r in range(shape[-2]):

@@ -47,8 +47,7 @@ class Situation:
 
     def at(self, joint: int, value: Tensor) -> Tensor:
         """A generalised force (..., 1) at one joint, as (..., K)."""
-        K = self.q.shape[-1]
-        return value * torch.nn.functional.one_hot(torch.tensor(joint), K).to(value)
+        return torch.nn.functional.pad(value, (joint, self.q.shape[-1] - joint - 1))
 
     def at_tip(self, link: int, force: Tensor) -> Tensor:
         """Jᵀ F of a force (..., 2) N that pulls at a link's tip, (..., K)."""
