@@ -55,9 +55,9 @@ SETTINGS = {  # simulations, options, arguments, and which draws count
     "bootstrap": (50, SMCOptions(num_filters=63, num_particles=3000, num_draws=1), {}, 1),
     "vsmc": (60, DRAWS, {}, 1),
     "particle-gibbs": (60, DRAWS, {}, 1),
-    "nuts": (9, SMCOptions(num_filters=48, num_draws=1), {"chains": 1, "warmup": 40}, 2),
+    "nuts": (20, SMCOptions(num_filters=48, num_draws=1), {"chains": 1, "warmup": 40}, 2),
     "laplace": (200, DRAWS, {}, 1),
-    "svi-markov": (25, DRAWS, {}, 1),
+    "svi-markov": (40, DRAWS, {}, 1),
     "svi": (60, DRAWS, {}, 1),
     "differentiate": (200, DRAWS, {}, 1),
 }

@@ -39,7 +39,15 @@ METHODS = (
 )
 BODIES = files("invdyn.models") / "bodies"
 CALM = 132  # frames of the film before the chatter
+POINT = "differentiate"  # states one path, so that it has no intervals to cover anything
+IN_SHORT = ("simulated", "film", "human")  # recordings of the short table, which README.md has
 TABLE = Path(__file__).with_name("ranking.md")
+HEAD = """Written by `python benchmarks/ranking.py`; what the recordings are is at the top of that file. N·m, shoulder /
+elbow; CRPS, the smaller the better; log score in nats a held-out row, the larger the better. Seconds are wall time on
+one thread of a machine that other jobs shared, without the fit of the parameters, which all methods have in common.
+NUTS takes at most 100 rows, so it runs on the short recording alone. A point has no intervals: `differentiate` has
+no coverage, and its CRPS is its mean absolute error. `≥` is a lower bound, `≈` an approximation; where fewer than 2
+of the 64 filters count, the evidence is that of one lucky filter."""
 
 
 def simulated(rows: int) -> tuple:
@@ -73,10 +81,12 @@ def measure(name: str, methods: list[str], seed: int) -> dict:
     return compare(recording, body, methods, seed=seed, **options).to_dict()
 
 
-def pair(row: dict, score: str, digits: int) -> str:
-    """A torque's score, shoulder / elbow."""
+def pair(method: str, row: dict, score: str, digits: int) -> str:
+    """A torque's score, shoulder / elbow; none where there is no truth, or no interval."""
     values = [row.get(f"{joint}_{score}") for joint in ("shoulder", "elbow")]
-    return "" if None in values else " / ".join(f"{value:.{digits}f}" for value in values)
+    if None in values or (method == POINT and "coverage" in score):
+        return ""
+    return " / ".join(f"{value:.{digits}f}" for value in values)
 
 
 def evidence(row: dict) -> str:
@@ -85,6 +95,8 @@ def evidence(row: dict) -> str:
         return ""
     sign = {"bound": "≥ ", "approximation": "≈ "}.get(row["evidence_kind"], "")
     error = f" ± {sd:.2g}" if sd is not None and math.isfinite(sd) and not sign else ""
+    if row["outer_ess"] is not None and row["outer_ess"] < 2:
+        error = " (one filter's)"  # whose error one filter cannot tell
     return f"{sign}{value:.{2 if abs(value) < 1e4 else 0}f}{error}".replace("-", "−")
 
 
@@ -103,7 +115,7 @@ def long_table(found: dict[str, dict]) -> str:
             if row.get("failure"):
                 lines.append(f"| {name} | {method} | {row['failure']} |" + " |" * 7)
                 continue
-            cells = [pair(row, score, 2 if "cov" in score or name != "film" else 3) for score in SCORES]
+            cells = [pair(method, row, score, 2 if "cov" in score or name != "film" else 3) for score in SCORES]
             cells += [number(row["log_score"], 3), evidence(row), number(row["outer_ess"], 1)]
             cells.append(number(row["seconds"], 2 if row["seconds"] < 1 else 0))
             lines.append(f"| {name} | {method} | {' | '.join(cells)} |")
@@ -116,20 +128,22 @@ SCORES = ("rmse", "crps", "coverage_50", "coverage_90")
 def short_table(found: dict[str, dict]) -> str:
     """One row a method: CRPS and coverage where the truth is known, log score and seconds of each recording."""
     titles, columns = [], []
-    for name, comparison in found.items():
-        rows = comparison["methods"]
+    for name in IN_SHORT:
+        if name not in found:
+            continue
+        rows = found[name]["methods"]
         if any("shoulder_crps" in row for row in rows.values()):
             digits = 3 if name == "film" else 2
             titles += [f"{name}: CRPS", "90 % covers"]
-            columns += [{m: pair(row, "crps", digits) for m, row in rows.items()}]
-            columns += [{m: pair(row, "coverage_90", 2) for m, row in rows.items()}]
+            columns += [{m: pair(m, row, "crps", digits) for m, row in rows.items()}]
+            columns += [{m: pair(m, row, "coverage_90", 2) for m, row in rows.items()}]
             titles.append("log score")
         else:
             titles.append(f"{name}: log score")
         columns.append({m: number(row["log_score"], 2) for m, row in rows.items()})
         titles.append("s")
         columns.append({m: number(row["seconds"], 1 if row["seconds"] < 1 else 0) for m, row in rows.items()})
-    methods = [m for m in METHODS if any(m in comparison["methods"] for comparison in found.values())]
+    methods = [m for m in METHODS if any(m in column for column in columns)]
     lines = ["| method | " + " | ".join(titles) + " |", "|---" * (len(titles) + 1) + "|"]
     lines += ["| " + " | ".join([m, *(column.get(m, "") for column in columns)]) + " |" for m in methods]
     return "\n".join(lines)
@@ -151,11 +165,10 @@ def main() -> None:
             if arguments.keep:
                 arguments.keep.write_text(json.dumps(kept, indent=1))
     found = {name: kept[name] for name in wanted}
-    text = f"{long_table(found)}\n\nIn short:\n\n{short_table(found)}\n"
-    notes = [f"{name}, {method}: {note}" for name in found for method, note in found[name]["notes"].items()]
-    text += "".join(f"\n{note}" for note in notes)
+    text = f"{long_table(found)}\n\nIn short:\n\n{short_table(found)}\n\n"
+    text += "".join(f"- {name}, {method}: {note}\n" for name in found for method, note in found[name]["notes"].items())
     print(text)
-    TABLE.write_text(f"# Ranking\n\nWritten by `python benchmarks/ranking.py`; shoulder / elbow.\n\n{text}")
+    TABLE.write_text(f"# Ranking\n\n{HEAD}\n\n{text}", encoding="utf-8")
 
 
 if __name__ == "__main__":

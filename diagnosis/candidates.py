@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.unknowns import Unknowns, lower_bound, spread
+from invdyn.diagnosis.unknowns import Unknowns, lower_bound, spread, upper_bound
 from invdyn.inference.gauss_newton import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
@@ -38,7 +38,7 @@ class Hypothesis:
         point: values of all parameters about which it is expanded, by name.
         free: names of the parameters that the columns belong to.
         mean, sd: prior of their deviations from ``point``.
-        lower: (p,) smallest deviation, −inf where there is none.
+        lower, upper: (p,) smallest and largest deviation.
         log_weight: prior weight of the grid point within the effect.
         columns: numbers of the columns of ``free``, from 0.
         offset: number of the column added as it is, or None.
@@ -50,6 +50,7 @@ class Hypothesis:
     mean: tuple[float, ...]
     sd: tuple[float, ...]
     lower: tuple[float, ...]
+    upper: tuple[float, ...]
     log_weight: float
     columns: tuple[int, ...]
     offset: int | None
@@ -154,6 +155,7 @@ def hypotheses(
                 (0.0,) * len(free),
                 tuple(sd),
                 tuple(lower_bound(p) - base[p.name] for p in free),
+                tuple(upper_bound(p) - base[p.name] for p in free),
                 rare,
                 tuple(range(first, first + len(free))),
                 offset,

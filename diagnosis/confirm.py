@@ -119,7 +119,8 @@ def _draw(setting: Setting, cause: Refined, count: int) -> tuple[Tensor, Tensor]
     half = q.sample((math.ceil(count / 2),))
     values = torch.cat([half, 2 * mean - half])[:count]
     inside = torch.as_tensor((values.numpy() > among.lower) & (values.numpy() < among.upper)).all(-1)
-    # Outside its prior's support a draw weighs nothing; its filter runs at the mean.
+    # Outside its prior's support a draw weighs nothing; its filter runs at the mean, or just beside a bound.
+    mean = torch.as_tensor(np.clip(cause.mean, among.lower + 1e-6 * among.sd, among.upper - 1e-6 * among.sd))
     ratio = among.log_prior(torch.where(inside[:, None], values, mean)) - q.log_prob(values)
     return torch.where(inside[:, None], values, mean), torch.where(inside, ratio, -torch.inf)
 

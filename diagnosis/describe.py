@@ -141,6 +141,7 @@ def _at(whitened, size: int, chosen: list[int], sd: np.ndarray):
         np.zeros((1, p)),
         sd[chosen][None],
         free,
+        -free,
         whitened.count,
         whitened.log_det[size],
     )

@@ -39,14 +39,14 @@ from invdyn.diagnosis.result import (
     Visibility,
     Where,
 )
-from invdyn.diagnosis.search import Search, search
+from invdyn.diagnosis.search import Search, data_path, search
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import NotEnoughData, Setting, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
 from invdyn.diagnosis.where import where
 from invdyn.inference import save_posterior
 from invdyn.models import Body
-from invdyn.recordings import Recording, write_text
+from invdyn.recordings import Recording, joined, write_text
 
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
@@ -75,10 +75,10 @@ class _Weighed:
 
 
 def diagnose(
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     body: Body,
     *,
-    held_out: Recording | None = None,
+    held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
     without: Sequence[str] = (),
     seed: int = 0,
@@ -87,9 +87,11 @@ def diagnose(
     """Diagnose the gap.
 
     Args:
-        recording: keypoints, encoders or both, with the commanded torques where they are known.
+        recording: keypoints, encoders or both, with the commanded torques where they are known; or several of one arm,
+            which then have their causes in common.
         body: the simulation.
-        held_out: another recording of the same arm, to measure how far the gap closes; by default the last third.
+        held_out: another recording of the same arm, or several, to measure how far the gap closes; by default the last
+            third.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
         seed: same seed, same result.
@@ -108,9 +110,12 @@ def diagnose(
         bound = setting(recording, body, passive=passive)
         other = None if held_out is None else setting(held_out, body, passive=passive)
     except NotEnoughData as error:
-        return _nothing_to_say(recording, body, seed, passive, str(error))
+        whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
+        return _nothing_to_say(whole, body, seed, passive, str(error))
     report(1, "screen and refine")
-    found = search(bound, without)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    found = search(bound, path, stray, without)
     report(2, "confirm")
     weighed = _weigh(bound, found, seed)
     report(3, "held out")
@@ -164,7 +169,7 @@ def _assemble(
     shares: Closed,
     formula: Formula | None,
     seed: int,
-    held_out: Recording | None,
+    held_out: object,
 ) -> Diagnosis:
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
@@ -173,7 +178,10 @@ def _assemble(
     path = smoothed(bound, best).path
     _, q, qd = best.model.split(path)
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    replays = {"nominal": replay(model, _without_hidden(model, path)), "corrected": replay(best.model, path)}
+    replays = {
+        "nominal": replay(model, _without_hidden(model, path), bound.starts),
+        "corrected": replay(best.model, path, bound.starts),
+    }
     frame_gap = scores(bound, best).score - scores(bound, none).score
     moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
     shifts = (
@@ -301,7 +309,7 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
     return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
 
 
-def _method(bound: Setting, found: Search, held_out: Recording | None) -> dict[str, str]:
+def _method(bound: Setting, found: Search, held_out: object) -> dict[str, str]:
     model = bound.model
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "

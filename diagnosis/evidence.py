@@ -7,8 +7,7 @@ deviations, the evidence given κ is closed (Bishop 2006, §3.5):
     log p = −n log κ − ½ log|Λ diag s²| − ½ [ |w_0 + A φ̂|²/κ² + |(φ̂ − μ)/s|² ]  − log_det − ½ n log 2π
 
 κ is taken at its maximum, found by iteration: with n ≫ p its integral adds the same constant for every candidate. A
-parameter with a lower bound l has its Gaussian cut there: posterior and prior mass above it are compared,
-log Φ((φ̂ − l)/sd) − log Φ((μ − l)/s).
+parameter with bounds has its Gaussian cut there: posterior and prior mass between them are compared.
 
 Only the Gram matrix of the columns enters, so that thousands of candidates cost thousands of p × p solves.
 """
@@ -44,6 +43,7 @@ def regression(
     prior_mean: np.ndarray,
     prior_sd: np.ndarray,
     lower: np.ndarray,
+    upper: np.ndarray,
     count: int,
     log_det: np.ndarray | float,
 ) -> Regression:
@@ -54,7 +54,7 @@ def regression(
         index: (H, p) columns of each candidate's parameters; 0 fills up.
         offset: (H,) column that is added with factor one, or 0 for none.
         prior_mean, prior_sd: (H, p).
-        lower: (H, p) bounds, −inf for none.
+        lower, upper: (H, p) bounds, infinite for none.
         count: n.
         log_det: Σ ½ log |S_t|, (H,) or a number.
     """
@@ -86,6 +86,16 @@ def regression(
     quadratic = rest / kappa2 + (precision * (mean - mu) ** 2).sum(-1)
     log_evidence = -0.5 * (count * np.log(2 * np.pi * kappa2) + log_volume + quadratic) - log_det
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    cut = log_ndtr((mean - lower) / sd) - log_ndtr((mu - lower) * np.sqrt(precision))
-    log_evidence = log_evidence + np.where(used & np.isfinite(lower), cut, 0.0).sum(-1)
+    root = np.sqrt(precision)
+    cut = log_mass((lower - mean) / sd, (upper - mean) / sd) - log_mass((lower - mu) * root, (upper - mu) * root)
+    log_evidence = log_evidence + np.where(used, cut, 0.0).sum(-1)
     return Regression(log_evidence, mean, covariance, np.sqrt(kappa2))
+
+
+def log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Log of a unit Gaussian's mass between ``low`` and ``high``, also far out."""
+    # Φ is told apart from 1 only on its left side.
+    mirrored = low > 0
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    upper = log_ndtr(high)
+    return upper + np.log1p(-np.exp(np.minimum(log_ndtr(low) - upper, -1e-300)))

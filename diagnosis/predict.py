@@ -8,6 +8,7 @@
 Shapes: T rows, K joints.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,13 +80,16 @@ def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray]:
 
 
 @torch.no_grad()
-def replay(model: ArmModel, path: Tensor) -> np.ndarray:
-    """Tips (T, K, 2) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D)."""
+def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarray:
+    """Tips (T, K, 2) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D).
+
+    Rows ``anew`` are set to their states too.
+    """
     path = path.clone()
     path[:, : model.body.num_joints] = 0.0  # no residual
     time = model.time.numpy()
     starts = np.searchsorted(time, np.arange(time[0], time[-1], WINDOW))
-    starts = np.unique(starts)
+    starts = np.unique([*starts, *anew])
     lengths = np.diff(np.append(starts, len(time)))
     states, state = path.clone(), path[starts]
     for step in range(1, int(lengths.max())):

@@ -2,7 +2,7 @@
 
 The number of effects at work comes first, then which ones, then where each acts, all alike:
 
-    P(0) = .4, P(1) = .5, P(2) = .08, P(3) = .02,     P(effect) = 1/E for E effects in the catalogue,
+    P(0) = .4, P(1) = .5, P(2) = .08, P(3) = .016, P(4) = .004,     P(effect) = 1/E for E effects in the catalogue,
     P(place | effect) = 1/places.
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from invdyn.models.effects.base import Effect
 
-NUMBER = (0.4, 0.5, 0.08, 0.02)
+NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
 MOST = len(NUMBER) - 1
 
 

@@ -58,6 +58,7 @@ class Refined:
         model: with the parameters at their means.
         noise, noise_sd: parameters of effects on the scatter, which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
+        plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
     """
 
     effects: tuple[Effect, ...]
@@ -72,6 +73,7 @@ class Refined:
     noise: dict[str, float]
     noise_sd: dict[str, float]
     noise_log: float
+    plausible: bool = True
 
     @property
     def sd(self) -> np.ndarray:
@@ -175,13 +177,13 @@ def refine(
             if (np.abs(target - point) < SETTLED * sd).all() or best.log_evidence < (enough if done else doubtful):
                 break
             point = target
-    return replace(best, model=among.set_in(model, best.mean))
+    return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 
 def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:
     """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
     index = np.arange(1, len(point) + 1)[None]
-    prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None]
+    prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None], (among.upper - point)[None]
     return [
         regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
         for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)

@@ -137,16 +137,17 @@ def blocks(
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, times)
         if count and count + columns.g.shape[-1] > BLOCK:
-            yield found, _beside(pieces), first
+            yield found, beside(pieces), first
             found, pieces, first, count = [], [], [], 0
         found += mine
         first += [count] * len(mine)
         pieces.append(columns)
         count += columns.g.shape[-1]
-    yield found, _beside(pieces), first
+    yield found, beside(pieces), first
 
 
-def _beside(pieces: Sequence[Columns]) -> Columns:
+def beside(pieces: Sequence[Columns]) -> Columns:
+    """Columns of several effects as one."""
     return Columns(np.concatenate([c.g for c in pieces], -1), np.concatenate([c.d for c in pieces], -1))
 
 
@@ -162,16 +163,18 @@ def evidences(
     p = own + shared
     H = len(found) + 1
     index, offset = np.zeros((H, p), int), np.zeros(H, int)
-    mean, sd, lower = np.zeros((H, p)), np.ones((H, p)), np.full((H, p), -np.inf)
+    mean, sd = np.zeros((H, p)), np.ones((H, p))
+    lower, upper = np.full((H, p), -np.inf), np.full((H, p), np.inf)
     for i, (h, start) in enumerate(zip(found, first, strict=True)):
         n = len(h.free)
         index[i, :n] = 1 + start + np.array(h.columns)
         offset[i] = 0 if h.offset is None else 1 + start + h.offset
-        mean[i, :n], sd[i, :n], lower[i, :n] = h.mean, h.sd, h.lower
+        mean[i, :n], sd[i, :n], lower[i, :n], upper[i, :n] = h.mean, h.sd, h.lower, h.upper
     index[:, own:] = whitened.gram.shape[-1] - shared + np.arange(shared)
-    mean[:, own:], sd[:, own:], lower[:, own:] = common.mean - point, common.sd, common.lower - point
+    mean[:, own:], sd[:, own:] = common.mean - point, common.sd
+    lower[:, own:], upper[:, own:] = common.lower - point, common.upper - point
     return [
-        regression(gram, index, offset, mean, sd, lower, whitened.count, log_det)
+        regression(gram, index, offset, mean, sd, lower, upper, whitened.count, log_det)
         for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
     ]
 
@@ -192,6 +195,7 @@ class Screened:
         log_evidence: sizes and grid integrated out.
         by_size: (G,) grid integrated out.
         best: its best grid point; None for "no effect".
+        columns: of that point: what is added as it is, if anything, then those of ``best.free``.
         values: estimates of all parameters there, by name.
         size: the residual's, at its best.
         dprime: how far an effect of typical size would move the whitened data, in their sds; infinite for none.
@@ -201,6 +205,7 @@ class Screened:
     log_evidence: float
     by_size: np.ndarray
     best: Hypothesis | None
+    columns: Columns | None
     values: dict[str, float]
     size: float
     dprime: float
@@ -241,7 +246,7 @@ def screen(
     screened = []
     times = windows(setting, model, path) if any("start" in effect.located for effect in effects) else ()
     for found, columns, first in blocks(model, effects, path, times):
-        whitened = whiten(setting, model, path, _beside([columns, rest]), levels)
+        whitened = whiten(setting, model, path, beside([columns, rest]), levels)
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
@@ -256,19 +261,23 @@ def screen(
             size, place = np.unravel_index(part.argmax(), part.shape)
             best = found[mine[place]]
             values = dict(best.point)
-            for name, change, low in zip(best.free, results[size].mean[mine[place]], best.lower, strict=False):
-                values[name] = best.point[name] + max(change, low)
+            for i, name in enumerate(best.free):
+                change = np.clip(results[size].mean[mine[place], i], best.lower[i], best.upper[i])
+                values[name] = best.point[name] + float(change)
             by_size = logsumexp(part, axis=1)
+            own = [] if best.offset is None else [best.offset]
+            own = first[mine[place]] + np.array([*own, *best.columns])
             screened.append(
                 Screened(
                     best.effect,
                     float(logsumexp(part)),
                     by_size,
                     best,
+                    Columns(columns.g[..., own], columns.d[..., own]),
                     values,
                     float(levels[size]),
                     _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
                 )
             )
-    screened.append(Screened(None, float(logsumexp(none)), none, None, {}, 0.0, np.inf))
+    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, 0.0, np.inf))
     return sorted(screened, key=lambda s: -s.log_evidence)

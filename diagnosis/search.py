@@ -1,12 +1,13 @@
 """The search for causes: screen, refine the best, add another effect, measure again.
 
-Forward selection with replacement over sets of at most three effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
+Forward selection with replacement over sets of at most four effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
 set scored by its evidence and its prior:
 
     1  "no effect" by itself
-    2  given the best set so far, screen every effect that could be added; refine the most promising ones
-    3  where the best set has grown, drop each older effect in turn and look for a better one in its place
-    4  again from 2, until nothing that is added raises the posterior
+    2  where the best single effect leaves something, sets of several by a beam search (:mod:`.together`)
+    3  given the best set so far, screen every effect that could be added; refine the most promising ones
+    4  where the best set has grown, drop each older effect in turn and look for a better one in its place
+    5  again from 3, until nothing that is added raises the posterior
 
 Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
@@ -26,6 +27,7 @@ from invdyn.diagnosis.prior import MOST, log_prior_of
 from invdyn.diagnosis.refine import Refined, key_of, refine, refine_noise
 from invdyn.diagnosis.screen import Screened, screen, sizes
 from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import ArmModel
@@ -34,8 +36,9 @@ from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-WIDTH, SWAPS = (10, 3, 2), 1
-"""Candidates refined when the first, second and third effect is sought, and when one is to take another's place."""
+WIDTH, SWAPS, SETS = (10, 3, 2, 2), 1, 3
+"""Candidates refined when the first, second, … effect is sought, when one is to take another's place, and sets
+of several that are refined as a whole."""
 
 HOPELESS, SHARE = 60.0, 0.1
 """Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them
@@ -94,7 +97,9 @@ class Search:
         return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
 
     def add(self, cause: Refined) -> None:
-        """Keep a cause, or the better of two versions of it."""
+        """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
+        if not cause.plausible:
+            return
         known = self.pool.get(cause.key)
         if known is None or cause.log_evidence > known.log_evidence:
             self.pool[cause.key] = cause
@@ -141,21 +146,24 @@ def _heavy_tailed(model: ArmModel) -> ArmModel:
 
 def search(
     setting: Setting,
+    path: Tensor,
+    stray: bool,
     without: Sequence[str] = (),
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Search:
-    """Search for causes among the catalogue ``without`` some effects' names."""
-    path, stray = data_path(setting)
+    """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says."""
     candidates = considered(setting, without)
     none = refine(setting, (), {}, path, LOOSE)
     found = Search(candidates, {none.key: none}, [], path, stray)
     for number in range(MOST):
         best = found.ranked[0]
-        if len(best.effects) < number:
+        if not number <= len(best.effects) < MOST:
             break
-        found.first = found.first or []
         screened = _extend(setting, found, best, WIDTH[number])
-        found.first = found.first or screened
+        if not found.first:
+            found.first = screened
+            if not _explained(found.ranked[0]):
+                _several(setting, found)
         grown = found.ranked[0]
         if len(grown.effects) > 1:
             for old in best.effects:
@@ -223,6 +231,17 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         ):
             found.add(cause)
     return screened
+
+
+def _several(setting: Setting, found: Search) -> None:
+    """Refine the best sets of several effects."""
+    straight = [s for s in found.first if s.effect is None or not isinstance(s.effect, Backlash)]
+    common = unknowns(setting, ())
+    for each in together(setting, setting.model, found.path, straight, common, found.candidates, SETS):
+        try:
+            found.add(refine(setting, each.effects, each.values, found.path, each.size))
+        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            continue
 
 
 def _explained(cause: Refined) -> bool:

@@ -8,6 +8,7 @@ what a gap in the dynamics is measured by. Three regimes:
     unknown_torque   the residual is the limb's own torque, of any size; only what it cannot imitate shows
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,15 +20,18 @@ from torch import Tensor
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
-from invdyn.recordings import InputError, Recording
+from invdyn.recordings import InputError, Recording, joined
 
 REGIMES = ("commanded", "passive", "unknown_torque")
 
-DECAY = 4.0
-"""1/s: misfits of a simulation change as fast as the motion does."""
+DECAY = {"commanded": 20.0, "passive": 20.0, "unknown_torque": 4.0}
+"""1/s: friction and the like change several times in a swing, a limb's own torque with it."""
 
 LOOSE = 0.3
 """Size of the residual, in typical torques, under which the data's own path is found."""
+
+LEAST = 0.1
+"""Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
 
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
@@ -60,11 +64,15 @@ class Setting:
         problem: model with the residual torque at size one typical torque, and observations.
         regime: one of ``REGIMES``.
         uncertain: the body's numbers that its file states an uncertainty or a prior of.
+        starts: rows at which another recording starts.
+        shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
     """
 
     problem: Problem
     regime: str
     uncertain: tuple["Uncertain", ...] = ()
+    starts: tuple[int, ...] = ()
+    shape: tuple[float, ...] | None = None
 
     @property
     def model(self) -> ArmModel:
@@ -78,8 +86,20 @@ class Setting:
 
     @cached_property
     def typical(self) -> Tensor:
-        """Typical torque of each joint, (K,) N·m."""
-        return torch.tensor(self.model.scale.torque, dtype=torch.float64)
+        """Typical torque of each joint, (K,) N·m, in the residual's ``shape``."""
+        torque = torch.tensor(self.model.scale.torque, dtype=torch.float64)
+        return torque if self.shape is None else torque * torch.tensor(self.shape, dtype=torch.float64)
+
+    def shaped(self, path: Tensor) -> "Setting":
+        """The setting with a residual that is spread over the joints as it is along ``path`` (T, D).
+
+        One number is the size of all joints' residuals. A joint that lacks little would hide, under the size that
+        another one needs, what a cause improves there.
+        """
+        joints = self.model.body.num_joints
+        missing = path[:, :joints].square().mean(0).sqrt() / self.typical
+        shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(LEAST)
+        return replace(self, shape=tuple(shape.tolist()))
 
     def observing(self, observations: Tensor) -> "Setting":
         """The same setting with other observations (T, O)."""
@@ -88,11 +108,12 @@ class Setting:
     def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
         """``model`` with a residual torque of stationary sd ``size`` typical torques."""
         model = model or self.model
-        return model.replace(**{"torque.scale": size * np.sqrt(2 * DECAY) * self.typical})
+        return model.replace(**{"torque.scale": size * np.sqrt(2 * DECAY[self.regime]) * self.typical})
 
 
-def setting(recording: Recording, body: Body, *, passive: bool = False) -> Setting:
-    """Bind ``recording`` to ``body``; raises InputError where they do not fit or too few rows were seen."""
+def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
+    """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
+    recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
     uncertain = tuple(
@@ -101,7 +122,7 @@ def setting(recording: Recording, body: Body, *, passive: bool = False) -> Setti
         for quantity in QUANTITIES
         if isinstance(prior := getattr(link, quantity), Distribution)
     )
-    whole = arm_problem(recording, body, passive=passive, parameters={"torque.decay": DECAY}, substeps=1)
+    whole = arm_problem(recording, body, passive=passive, parameters={"torque.decay": DECAY[regime]}, substeps=1)
     rows = (~torch.isnan(whole.observations)).any(-1).numpy()
     seen = int(rows.sum())
     if seen < FEWEST:
@@ -109,12 +130,18 @@ def setting(recording: Recording, body: Body, *, passive: bool = False) -> Setti
             f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
         )
     # Rows without an observation only carry commands, which a row takes as they come.
-    problem = arm_problem(recording.at(rows), body, passive=passive, parameters={"torque.decay": DECAY})
+    problem = arm_problem(recording.at(rows), body, passive=passive, parameters={"torque.decay": DECAY[regime]})
     model = _as_seen(problem)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
+    # The first row of a recording that was seen; it follows from none before it.
+    starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
+    if starts:
+        paths = model.initial_paths(problem.observations)
+        _, angle, _ = model.split(paths[len(paths) // 2])
+        model = model.starting_anew(starts, angle[starts])
     model.substeps = sufficient_substeps(model, problem.observations)
-    return Setting(replace(problem, model=model), regime, uncertain)
+    return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
 def _as_seen(problem: Problem) -> ArmModel:

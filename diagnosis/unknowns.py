@@ -16,6 +16,10 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
+FAR = 4.0
+"""Prior standard deviations beyond which no parameter goes. Where nothing fits, evidence would else pay any price: arms
+without mass under motors without torque explain whatever there is."""
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -32,6 +36,10 @@ class Unknowns:
         """Log prior density (S,) of values (S, p)."""
         terms = [prior.log_prob(values[:, i]) for i, prior in enumerate(self.priors)]
         return sum(terms, start=values.new_zeros(len(values)))
+
+    def plausible(self, values: np.ndarray) -> bool:
+        """Whether values (p,) lie nearer to their priors' centres than ``FAR``."""
+        return bool((np.abs(values - self.mean) < (FAR - 0.01) * self.sd).all())
 
     def set_in(self, model: ArmModel, values: np.ndarray) -> ArmModel:
         """The model with ``values`` (p,), or with S sets of them (S, p) as parameter sets (S, 1, ...)."""
@@ -77,12 +85,12 @@ def spread(parameter: Parameter) -> float:
 
 
 def lower_bound(parameter: Parameter) -> float:
-    """Smallest value that a parameter may have."""
-    bound = getattr(parameter.prior.support, "lower_bound", None)
-    return -np.inf if bound is None else float(bound)
+    """Smallest value that a parameter may have: its prior's edge, or ``FAR`` from its centre."""
+    far = centre(parameter) - FAR * spread(parameter)
+    return max(far, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
 
 
 def upper_bound(parameter: Parameter) -> float:
-    """Largest value that a parameter may have."""
-    bound = getattr(parameter.prior.support, "upper_bound", None)
-    return np.inf if bound is None else float(bound)
+    """Largest value that a parameter may have, likewise."""
+    far = centre(parameter) + FAR * spread(parameter)
+    return min(far, float(getattr(parameter.prior.support, "upper_bound", np.inf)))

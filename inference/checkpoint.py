@@ -52,7 +52,8 @@ class Checkpoint:
     def save(self, tensors: Mapping[str, Tensor], *, step: int = 0, **state: Any) -> None:
         """Replace the checkpoint by these tensors, of any shapes and devices, and values that JSON can hold.
 
-        Raises OSError when the folder cannot be written; the checkpoint before then still stands.
+        Raises OSError when the folder cannot be written, TypeError for a state that is not JSON's; the checkpoint
+        before then still stands.
         """
         # A name of its own each time: the manifest that names the old file stays true until it is replaced.
         name = f"tensors-{step}-{secrets.token_hex(4)}.safetensors"
@@ -60,7 +61,6 @@ class Checkpoint:
         whole = {
             key: value.detach().cpu().clone(memory_format=torch.contiguous_format) for key, value in tensors.items()
         }
-        self._write(name, _safetensors().save(whole))
         manifest = {
             "schema": SCHEMA,
             "step": step,
@@ -69,7 +69,9 @@ class Checkpoint:
             "tensors": name,
             "versions": {package: version(package) for package in ("torch", "safetensors")},
         }
-        self._write(MANIFEST, json.dumps(manifest, indent=1).encode())
+        text = json.dumps(manifest, indent=1).encode()  # first, for it fails where the state is not JSON's
+        self._write(name, _safetensors().save(whole))
+        self._write(MANIFEST, text)
         for file in self.folder.iterdir():
             if file.name != name and (_TENSORS.fullmatch(file.name) or _UNFINISHED.fullmatch(file.name)):
                 file.unlink(missing_ok=True)
@@ -93,7 +95,8 @@ class Checkpoint:
             theirs, state, step, name = (manifest[key] for key in ("fingerprint", "state", "step", "tensors"))
         except KeyError as missing:
             raise self._broken(f"has no entry {missing}") from None
-        if not isinstance(theirs, dict) or not isinstance(state, dict) or not _TENSORS.fullmatch(str(name)):
+        fits = isinstance(theirs, dict) and isinstance(state, dict) and isinstance(step, int)
+        if not fits or not _TENSORS.fullmatch(str(name)):
             raise self._broken("its entries are not what this program writes")
         self._same_run(theirs)
         try:
@@ -101,7 +104,8 @@ class Checkpoint:
         except FileNotFoundError:
             raise self._broken(f"names {name}, which is missing") from None
         except Exception as error:  # safetensors has its own class for files cut short
-            raise self._broken(f"names {name}, which cannot be read ({str(error).splitlines()[0]})") from None
+            reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+            raise self._broken(f"names {name}, which cannot be read ({reason})") from None
         return {key: value.to(device) for key, value in tensors.items()}, {**state, "step": step}
 
     def _same_run(self, theirs: dict[str, Any]) -> None:
@@ -131,7 +135,7 @@ def digest(*tensors: Tensor) -> str:
 
 
 def random_state(device: torch.device | str = "cpu") -> dict[str, Tensor]:
-    """State of torch's generators, of the CPU's and of ``device``'s, as tensors to be saved."""
+    """State of torch's generators, of the CPU's and of ``device``'s where that is CUDA's, as tensors to be saved."""
     state = {"random.cpu": torch.get_rng_state()}
     if torch.device(device).type == "cuda":
         state["random.device"] = torch.cuda.get_rng_state(device)

@@ -43,7 +43,7 @@ def by_columns(graph: GraphModule, example: tuple[Tensor, ...], batch: torch.Siz
     """The record ``graph`` of a row of ``batch`` (M, N), whose arguments are like ``example``, column by column."""
     if any(getattr(getattr(node.target, "_schema", None), "is_mutable", False) for node in graph.graph.nodes):
         # Nothing may be changed in place: a column can be an entry of several tensors.
-        graph = make_fx(functionalize(lambda *arguments, row=graph: row(*arguments)))(*example)
+        graph = make_fx(functionalize(lambda *arguments: graph(*arguments)))(*example)
     return make_fx(lambda *arguments: _ByColumns(graph, batch).run(*arguments))(*example)
 
 
@@ -107,8 +107,7 @@ class _ByColumns(Interpreter):
         self.batch = batch
 
     def placeholder(self, target, args, kwargs):
-        value = super().placeholder(target, args, kwargs)
-        return self._columns(value)
+        return self._columns(super().placeholder(target, args, kwargs))
 
     def output(self, target, args, kwargs):
         values = super().output(target, args, kwargs)

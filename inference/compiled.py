@@ -27,6 +27,7 @@ Advance = Callable[[Tensor, Tensor, Tensor | None, Particles, Tensor], tuple]
 """
 
 OPTIONS = {"fallback_random": True}
+"""Inductor's: random numbers from torch's own generator, not from one that inductor would write into its kernels."""
 
 
 class CompiledRows:
@@ -37,22 +38,28 @@ class CompiledRows:
 
     def __init__(self, advance: Advance):
         self._advance = advance
-        self._known: dict[Any, Advance] = {}
+        self._known: dict[Any, tuple[Advance, tuple]] = {}
+        self._failed = False
 
     def __call__(self, owners: tuple, t: Tensor, y: Tensor, seen: Tensor | None, particles: Particles, log_weights):
         """``advance(t, y, seen, particles, log_weights)`` of a row in the middle, by the graph of rows like it.
 
-        ``owners`` are the objects that ``advance`` finds by itself: for others, another graph.
+        ``owners`` are the objects that ``advance`` finds by itself: for others, another graph. They must not change:
+        a graph holds what it has met of them, such as parameters.
         """
         particles = {name: stored_by_columns(value) for name, value in particles.items()}
         shapes = tuple((name, value.shape, value.dtype, value.device) for name, value in particles.items())
         key = (seen is None, shapes, y.dtype, *map(id, owners))
         if key not in self._known:
-            row = None if self._advance in self._known.values() else self._compiled(t, y, seen, particles, log_weights)
-            self._known[key] = row or self._advance
-        return self._known[key](t, y, seen, particles, log_weights)
+            row = None if self._failed else self._compiled(t, y, seen, particles, log_weights)
+            self._failed = row is None
+            # Owners are kept: the id of one that is gone could become another's.
+            self._known[key] = row or self._advance, owners
+        row, _ = self._known[key]
+        return row(t, y, seen, particles, log_weights)
 
     def _compiled(self, *example) -> Advance | None:
+        """The graph of rows like this one, called as ``advance`` is; None where it cannot be had."""
         t, y, seen, particles, log_weights = example
         names, left = list(particles), []
 
@@ -98,6 +105,9 @@ def compiled(function: Callable[..., tuple], example: tuple[Tensor, ...], batch:
 
 def compile_record(record: GraphModule, example: tuple[Tensor, ...]) -> Callable:
     """Inductor's form of a record of tensor operations."""
-    from torch._inductor import compile as by_inductor
+    with warnings.catch_warnings():
+        # torch imports what it deprecates itself; where warnings are errors that would be a failure to compile.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from torch._inductor import compile as by_inductor
 
-    return by_inductor(record, list(example), options=OPTIONS)
+        return by_inductor(record, list(example), options=OPTIONS)

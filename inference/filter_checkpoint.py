@@ -37,9 +37,9 @@ def resumed(checkpoint: Checkpoint, run: dict[str, Any], history: History, devic
     if found is None:
         return None
     tensors, state = found
-    if state.get("run") != run:
-        theirs = state.get("run") or {}
-        differs = ", ".join(name for name in run if theirs.get(name) != run[name])
+    if (theirs := state.get("run")) != run:
+        theirs = theirs if isinstance(theirs, dict) else {}
+        differs = ", ".join(name for name in {**run, **theirs} if theirs.get(name) != run.get(name))
         raise InputError(
             f"{checkpoint.folder}: the checkpoint of a filter with other {differs}; name another folder or delete it"
         )

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 
 def recomputed(
@@ -15,7 +16,8 @@ def recomputed(
 ) -> tuple[Tensor, ...]:
     """``function(*inputs)``, keeping no graph of it.
 
-    ``leaves`` are the tensors that require gradients and that ``function`` finds by itself, in Pyro's store.
+    ``inputs`` are of floating point. ``leaves`` are the tensors that require gradients and that ``function`` finds by
+    itself, in Pyro's store. Gradients of gradients raise RuntimeError.
     """
     return _Stretch.apply(function, len(leaves), *leaves, *inputs)
 
@@ -34,6 +36,7 @@ class _Stretch(torch.autograd.Function):
         return tuple(value.view_as(value) for value in function(*tensors[num_leaves:]))
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, *gradients: Tensor):
         inputs = [tensor.detach().requires_grad_() for tensor in ctx.saved_tensors]
         with torch.random.fork_rng(devices=[] if ctx.device is None else [ctx.device]), torch.enable_grad():
@@ -42,6 +45,8 @@ class _Stretch(torch.autograd.Function):
                 torch.cuda.set_rng_state(ctx.device_random, ctx.device)
             outputs = ctx.function(*inputs)
         pairs = [pair for pair in zip(outputs, gradients, strict=True) if pair[0].requires_grad]
+        if not pairs:
+            return None, None, *[None] * (len(ctx.leaves) + len(inputs))
         values, gradients = zip(*pairs, strict=True)
         found = torch.autograd.grad(values, [*ctx.leaves, *inputs], gradients, allow_unused=True)
         return None, None, *found

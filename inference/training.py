@@ -13,6 +13,7 @@ from pyro.optim import PyroOptim
 from torch import Tensor
 
 from invdyn.inference.checkpoint import Checkpoint, random_state, restore_random_state
+from invdyn.recordings import InputError
 
 
 def train(
@@ -33,8 +34,10 @@ def train(
         every: steps between two checkpoints.
         report: called with (steps done, steps).
 
-    Raises InputError for the checkpoint of another run.
+    Raises InputError for the checkpoint of another run; ValueError when ``every`` is less than one.
     """
+    if every < 1:
+        raise ValueError(f"expected at least one step between checkpoints, got {every}")
     device = data[0].device
     done = 0 if checkpoint is None else _resumed(checkpoint, svi, data, device)
     for step in range(done + 1, steps + 1):
@@ -46,10 +49,11 @@ def train(
 
 
 def _save(checkpoint: Checkpoint, optimiser: PyroOptim, step: int, device: torch.device) -> None:
+    """Keep the parameters, each one's optimiser (numbers as JSON, tensors as such), and the random numbers' state."""
     tensors = {f"parameter.{name}": value.data for name, value in pyro.get_param_store().named_parameters()}
     numbers = {}
     for name, state in optimiser.get_state().items():
-        own = state["state"].get(0, {})
+        own = state["state"].get(0, {})  # Pyro has an optimiser for each parameter, its only one
         tensors |= {f"optimiser.{name}.{key}": value for key, value in own.items() if isinstance(value, Tensor)}
         scalars = {key: value for key, value in own.items() if not isinstance(value, Tensor)}
         numbers[name] = {"state": scalars, "param_groups": state["param_groups"]}
@@ -65,11 +69,19 @@ def _resumed(checkpoint: Checkpoint, svi: SVI, data: tuple[Tensor, ...], device:
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         svi.evaluate_loss(*data)  # makes the parameters, with their constraints
     for name, value in pyro.get_param_store().named_parameters():
-        value.data.copy_(tensors[f"parameter.{name}"])
+        saved = tensors.get(f"parameter.{name}")
+        if saved is None or saved.shape != value.shape:
+            shape = "none" if saved is None else tuple(saved.shape)
+            raise InputError(
+                f"{checkpoint.folder}: the checkpoint of another run: parameter {name} of shape {shape} there, "
+                f"{tuple(value.shape)} here; name another folder or delete it"
+            )
+        value.data.copy_(saved)
     state = {}
+    # The last part is the optimiser's own: one parameter's name may begin with another's.
+    parts = [(*key.rpartition("."), value) for key, value in tensors.items()]
     for name, numbers in kept["optimiser"].items():
-        prefix = f"optimiser.{name}."
-        own = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
+        own = {key: value for owner, _, key, value in parts if owner == f"optimiser.{name}"}
         state[name] = {"state": {0: numbers["state"] | own}, "param_groups": numbers["param_groups"]}
     svi.optim.set_state(state)
     restore_random_state(tensors, device)

@@ -88,6 +88,7 @@ class ArmModel(StateSpaceModel):
         self.effects = Composition()
         self._motors: Command | None = None
         self._finer: Command | None = None
+        self._anew: tuple[Tensor, Tensor] | None = None
         self.time = torch.as_tensor(np.asarray(time, dtype=np.float64))
         if self.time.ndim != 1 or len(self.time) < 2 or bool((self.time.diff() <= 0).any()):
             raise ValueError("expected at least two strictly increasing times, in seconds")
@@ -219,6 +220,8 @@ class ArmModel(StateSpaceModel):
             self.command = self.command.to(device)
         if self._finer is not None:
             self._finer = self._finer.to(device)
+        if self._anew is not None:
+            self._anew = tuple(value.to(device) for value in self._anew)
 
     def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
         """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
@@ -228,6 +231,19 @@ class ArmModel(StateSpaceModel):
         other = copy.copy(self)
         other._finer, other._motors = Command.held(time, torque).to(self.device), None
         other.command = other._finer.onto(self.time).mean
+        return other
+
+    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
+        """The model of several recordings one after another: at ``rows`` (R,) the arm starts anew.
+
+        There the state does not follow from the row before, but is drawn as the first one is, with angles within
+        about half a turn of ``angle`` (R, K) rad.
+        """
+        other = copy.copy(self)
+        first = torch.zeros(self.num_steps, dtype=torch.bool)
+        middle = torch.zeros(self.num_steps, self.body.num_joints, dtype=torch.float64)
+        first[list(rows)], middle[list(rows)] = True, angle.double()
+        other._anew = first.to(self.device), middle.to(self.device)
         return other
 
     @property
@@ -258,7 +274,26 @@ class ArmModel(StateSpaceModel):
         p = self.parameters
         root = self.torque.noise(self._step(t), p)
         sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
-        return self._gaussian(self.transition_mean(state, t), root, sds)
+        moved = self._gaussian(self.transition_mean(state, t), root, sds)
+        return moved if self._anew is None else self._unless_anew(moved, t)
+
+    def _unless_anew(self, moved: Distribution, t: int | Tensor) -> Distribution:
+        p = self.parameters
+        here, middle = (value[t] for value in self._anew)
+        sds = self._with_hidden("initial.hidden_scale", torch.full_like(middle, np.pi), p["initial.velocity_scale"])
+        still = middle.new_zeros(*middle.shape[:-1], self.state_dim - 2 * self.body.num_joints)
+        start = self._gaussian(
+            join(still, middle, torch.zeros_like(middle)), self.torque.stationary(self._interval(0), p), sds
+        )
+        here = here.unsqueeze(-1)
+        if self.torque.diagonal:
+            loc, scale = (
+                torch.where(here, getattr(start.base_dist, name), getattr(moved.base_dist, name))
+                for name in ("loc", "scale")
+            )
+            return Normal(loc, scale, validate_args=False).to_event(1)
+        tril = torch.where(here.unsqueeze(-1), start.scale_tril, moved.scale_tril)
+        return MultivariateNormal(torch.where(here, start.loc, moved.loc), scale_tril=tril, validate_args=False)
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """Keypoints and encoder angles of row ``t`` given x_t = ``state``; event shape (O,)."""

@@ -5,6 +5,7 @@ from .catalogue import demo_frames, load_truth, names
 from .encoders import keypoints_from_angles
 from .errors import InputError
 from .formats import FORMATS, Format
+from .joined import joined
 from .keypoint_csv import read_keypoint_csv, write_keypoint_csv
 from .loader import load
 from .opensim import read_sto, read_trc, write_moments, write_sto
@@ -24,6 +25,7 @@ __all__ = [
     "check_writable",
     "demo_frames",
     "in_body_lengths",
+    "joined",
     "keypoints_from_angles",
     "load",
     "load_truth",

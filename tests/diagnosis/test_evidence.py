@@ -19,15 +19,16 @@ def data(seed=0, kappa=1.3):
     return np.column_stack([w, A, offset])
 
 
-def fitted(columns, index, offset=0, mean=None, sd=None, lower=None, log_det=0.0):
+def fitted(columns, index, offset=0, mean=None, sd=None, lower=None, upper=None, log_det=0.0):
     """The regression of one candidate."""
     index = np.array(index, int)[None]
     p = index.shape[1]
     mean = np.zeros(p) if mean is None else np.array(mean)
     sd = SD[:p] if sd is None else np.array(sd)
     lower = np.full(p, -np.inf) if lower is None else np.array(lower)
+    upper = np.full(p, np.inf) if upper is None else np.array(upper)
     gram = columns.T @ columns
-    return regression(gram, index, np.array([offset]), mean[None], sd[None], lower[None], N, log_det)
+    return regression(gram, index, np.array([offset]), mean[None], sd[None], lower[None], upper[None], N, log_det)
 
 
 def marginal(w, A, mean, sd, kappa):
@@ -114,7 +115,8 @@ def test_candidates_together_and_filled_up_are_those_alone():
     lower = np.array([[0.0, -np.inf, -1.0], [0.0, 0.0, 0.0], [-np.inf, 0.0, -np.inf], [0.0, 0.0, 0.0]])
     sd, log_det = np.tile(SD, (4, 1)), np.array([1.0, 2.0, 3.0, 4.0])
     gram = columns.T @ columns
-    together = regression(gram, index, offset, 0.1 * np.ones((4, 3)), sd, lower, N, log_det)
+    upper = np.where(np.isfinite(lower), lower + 10.0, np.inf)
+    together = regression(gram, index, offset, 0.1 * np.ones((4, 3)), sd, lower, upper, N, log_det)
     for h in range(4):
         used = index[h] > 0
         alone = regression(
@@ -124,6 +126,7 @@ def test_candidates_together_and_filled_up_are_those_alone():
             np.full((1, used.sum()), 0.1),
             sd[h][used][None],
             lower[h][used][None],
+            upper[h][used][None],
             N,
             log_det[h],
         )
@@ -138,3 +141,22 @@ def test_without_parameters_it_is_the_noise_alone():
     result = fitted(data(), [])
     assert result.kappa[0] == pytest.approx(np.sqrt((w**2).mean()))
     assert result.log_evidence[0] == pytest.approx(norm.logpdf(w, 0.0, result.kappa[0]).sum(), abs=1e-9)
+
+
+@pytest.mark.parametrize("bounds", [(-0.3, 0.9), (-np.inf, 0.2), (2.0, 3.0), (-9.0, -7.0)])
+def test_bounds_cut_prior_and_posterior(bounds):
+    """Against the ratio of the two Gaussians' masses by quadrature, also where both are nearly nothing."""
+    columns = data()
+    free = fitted(columns, [1])
+    cut = fitted(columns, [1], lower=[bounds[0]], upper=[bounds[1]])
+
+    def log_mass(mean, sd):
+        low, high = max(bounds[0], mean - 60 * sd), min(bounds[1], mean + 60 * sd)
+        edge = np.clip(mean, low, high)  # the density's largest value, taken out of the integral
+        top = norm.logpdf(edge, mean, sd)
+        nearest = np.sort(edge + np.array([-1, 1]) * sd)
+        inside = [x for x in nearest if low < x < high]
+        return top + np.log(quad(lambda x: np.exp(norm.logpdf(x, mean, sd) - top), low, high, points=inside)[0])
+
+    expected = log_mass(free.mean[0, 0], free.covariance[0, 0, 0] ** 0.5) - log_mass(0.0, SD[0])
+    assert cut.log_evidence[0] - free.log_evidence[0] == pytest.approx(expected, rel=1e-3, abs=1e-6)

@@ -69,7 +69,7 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
     """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row."""
     p = {name: value.numpy() for name, value in model.parameters.items()}
     dt, steps = 0.02, model.substeps
-    keep = np.exp(-DECAY * dt)
+    keep = np.exp(-DECAY["passive"] * dt)
 
     def rate(state, s, torque):
         return np.array([state[1], (torque * (1 - s + s * keep) - damping * state[1]) / INERTIA])
@@ -85,7 +85,7 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
             k4 = rate(state + h * k3, s + 1 / steps, torque)
             state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         columns.append([keep * torque, *state])
-    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY)
+    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY["passive"])
     noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
     first = [stationary, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
     sd = p["emission.angle_scale"].item()

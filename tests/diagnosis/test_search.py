@@ -13,7 +13,7 @@ from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.prior import NUMBER, log_prior_of
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
-from invdyn.diagnosis.search import Search, considered, search
+from invdyn.diagnosis.search import Search, considered, data_path, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -41,7 +41,8 @@ def recorded(effect=None, body=PENDULUM, rows=80, torque=0.5, seed=0, **values):
 
 @cache
 def searched(name=None, *where, **values) -> Search:
-    return search(setting(recorded(EFFECTS[name](*where) if name else None, **values), PENDULUM))
+    bound = setting(recorded(EFFECTS[name](*where) if name else None, **values), PENDULUM)
+    return search(bound, *data_path(bound))
 
 
 def test_no_gap_wins_where_there_is_none():

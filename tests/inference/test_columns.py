@@ -79,6 +79,43 @@ def test_the_row_is_the_row(name, guide, gaps):
         assert field == "log_twist" or found.movedim(-1, 0).is_contiguous()
 
 
+def filled(x):
+    """Copies and their entries, changed in place."""
+    copy, pair = x.clone(), torch.cat([x, x], -1)
+    copy[..., 0] = 2.0
+    pair.add_(1)
+    pair[..., 1] += x[..., 0]
+    return x, copy, pair
+
+
+OPERATIONS = {
+    "in place": filled,
+    "no entries": lambda x: (x[..., 4:].sum(-1), torch.cat([x[..., :0], x + 1], -1), x[..., :1] * x[..., 4:]),
+    "a count": lambda x: ((x > 0).sum(-1), (x > 0).any(-1), x.abs().sum((-2, -1))),
+    "another type": lambda x: (x * torch.ones(4).double(), x * torch.ones(()).double(), torch.cat([x, x.double()], -1)),
+    "fewer dimensions": lambda x: (x[:1, :1].sum(1) + x.unsqueeze(-1), x.unflatten(-1, (2, 2)) * x[..., 0, None, None]),
+    "a constant's view": lambda x: (
+        torch.cat([x, torch.ones(3, 7, 1)], -1)[..., 4].clone().view(21) + x.view(21, 4)[:, 0],
+    ),
+    "one entry": lambda x: (x[..., :1].reshape(21), x[..., 1:2].reshape(3, 7), x.transpose(0, 1).sum(0)),
+    "stacked": lambda x: (torch.stack([x, 2 * x], -2), torch.stack([x[..., 0], x[..., 3]], 0), torch.stack([x, x])),
+    "products": lambda x: (x @ torch.ones(4, 2), x @ torch.ones(3, 4, 4), x @ torch.ones(4, 0), x @ torch.ones(4, 99)),
+    "noise": lambda x: (torch.randn_like(x), torch.randn_like(x, dtype=torch.float64)),
+}
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_an_operation_is_the_operation(name):
+    x = torch.linspace(-1, 1, 3 * 7 * 4).reshape(3, 7, 4)
+    record = by_columns(make_fx(OPERATIONS[name])(x), (x,), x.shape[:2])
+    torch.manual_seed(1)
+    expected = OPERATIONS[name](x.clone())
+    torch.manual_seed(1)
+    for found, value in zip(record(x), expected, strict=True):
+        assert found.dtype == value.dtype
+        torch.testing.assert_close(found, value)
+
+
 @pytest.mark.parametrize("shape", [(3, 7, 4), (3, 7), (3, 7, 1)])
 def test_taking_particles_does_not_mind_how_they_are_stored(shape):
     value, index = torch.randn(shape), torch.randint(0, 7, (3, 7))

@@ -1,0 +1,146 @@
+"""What a real robot has and its rigid model lacks: DFKI's double pendulum, diagnosed, and tried on runs of its own.
+
+The measured motor torque is the command, the encoders (every fifth row, 100 rows/s) what is seen, and the body the
+rigid part of the lab's model_2.0: no friction, no rotors. The runs of `--fit` are diagnosed together; what was found is
+then asked for the torque of every run of `--held-out`, beside the lab's own identified friction and rotor inertia.
+
+Torque that a model asks for along a measured motion, less the measured one, rms N·m:
+
+    e = (∂θ̈/∂u)⁻¹ (θ̈ − θ̈_model(θ, θ̇, u))        with (∂θ̈/∂u)⁻¹ = D + what effects add to it
+
+with θ, θ̇ and θ̈ from the encoders at 500 rows/s by a zero-phase Butterworth of order 4 and 5 Hz, as the torque; the
+first and last 0.5 s are left out.
+
+    INVDYN_DATA=… python benchmarks/diagnose_dfki.py [--fit 00 02] [--held-out 01 03 05] [--out FOLDER]
+"""
+
+import argparse
+import time
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import torch
+from dfki_torque import FRICTION, GEAR, ROTOR
+from scipy.signal import butter, filtfilt
+
+from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.diagnose import save
+from invdyn.inference.initialise import arm_problem
+from invdyn.models import ArmModel, Body
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording, Truth, load, load_truth
+
+CUTOFF, EDGE = 5.0, 0.5  # Hz, s
+EVERY = 5
+BODY = files("invdyn.models") / "bodies" / "dfki_design_a0.toml"
+
+
+def seen(run: str) -> Recording:
+    """The run's encoders, every fifth row of them, under the measured torque of all rows."""
+    truth = load_truth(f"dfki-trajectory-{run}")
+    whole = load(f"dfki-trajectory-{run}")
+    angles = np.full_like(truth.angle, np.nan)
+    angles[::EVERY] = truth.angle[::EVERY]
+    return Recording(
+        truth.time,
+        whole.keypoints,
+        whole.keypoint_names,
+        angles=angles,
+        torques=truth.torque,
+        joint_names=truth.joint_names,
+        name=f"dfki-trajectory-{run}",
+    )
+
+
+def smooth(truth: Truth) -> tuple[np.ndarray, ...]:
+    """Time, angle, velocity, acceleration and torque on 500 rows/s, low-passed alike."""
+    fine = np.arange(truth.time[0], truth.time[-1], 0.002)
+    at = truth.at(fine)
+    b, a = butter(4, CUTOFF, fs=500.0)
+    q, u = filtfilt(b, a, at.angle, axis=0), filtfilt(b, a, at.torque, axis=0)
+    qd = np.gradient(q, 0.002, axis=0)
+    inside = slice(round(EDGE * 500), -round(EDGE * 500))
+    return tuple(x[inside] for x in (fine, q, qd, np.gradient(qd, 0.002, axis=0), u))
+
+
+def model_error(model: ArmModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """e (T, K) of a model with effects; its own command is nil, u stands in the state."""
+    rows = torch.arange(len(q))
+    state = torch.as_tensor(np.concatenate([u, q, qd], -1)).requires_grad_()
+    body = model.body_parameters()
+    predicted = model._acceleration(state, rows, body)
+    slopes = [torch.autograd.grad(column.sum(), state, retain_graph=True)[0][:, : u.shape[1]] for column in predicted.T]
+    missing = torch.as_tensor(qdd) - predicted.detach()
+    return torch.linalg.solve(torch.stack(slopes, 1), missing.unsqueeze(-1))[..., 0].numpy()
+
+
+def published_error(rigid: ArmModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """e (T, K) of the rigid body with the lab's own friction and rotors."""
+    viscous, coulomb = (np.array(FRICTION[k]) for k in ("viscous", "coulomb"))
+    friction = viscous * qd + coulomb * np.arctan(100 * qd)
+    rotors = qdd @ (ROTOR * np.array([[GEAR**2 + 1, -GEAR], [-GEAR, GEAR**2]])).T
+    return model_error(rigid, q, qd, qdd, u) + friction + rotors
+
+
+def rms(error: np.ndarray) -> list[float]:
+    return np.sqrt((error**2).mean(0)).tolist()
+
+
+def arm_on(times: np.ndarray, body: Body, effects: list[dict]) -> ArmModel:
+    """The body at 500 rows/s with effects of a diagnosis.json."""
+    rows = Recording(
+        times, np.zeros((len(times), 0, 2)), (), angles=np.zeros((len(times), 2)), joint_names=body.joint_names
+    )
+    model = arm_problem(rows, body, passive=True).model
+    values, parts = {}, []
+    for each in effects:
+        if EFFECTS[each["effect"]].side == "observation":
+            continue
+        where = [each[k] for k in ("joint", "link", "keypoint", "partner") if each.get(k)]
+        part = EFFECTS[each["effect"]](*where)
+        parts.append(part)
+        values |= {f"effect.{part.key}.{n}": torch.tensor([p["mean"]]).double() for n, p in each["parameters"].items()}
+    return model.with_effects(*parts).replace(**values)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--fit", nargs="+", default=["00", "02", "03"])
+    parser.add_argument("--held-out", nargs="+", default=["01", "04", "05", "11", "12", "13"])
+    parser.add_argument("--out", type=Path, help="keep reports there")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    body = Body.from_toml(BODY)
+    found = {}
+    for run in arguments.fit:
+        start = time.perf_counter()
+        diagnosis = diagnose(seen(run), body)
+        result = diagnosis.to_json()
+        if arguments.out:
+            (arguments.out / run).mkdir(parents=True, exist_ok=True)
+            save(diagnosis, arguments.out / run)
+        best = result["causes"][0]
+        found[run] = best["effects"]
+        print(
+            f"\n{run}: P {best['probability']:.2f}, outside {result['outside_catalogue']['probability']:.2f}, "
+            f"closed {result['shrinkage']['gap_closed']}, {time.perf_counter() - start:.0f} s"
+        )
+        for each in best["effects"]:
+            place = each.get("joint") or each.get("link") or ""
+            numbers = ", ".join(
+                f"{n} {p['mean']:.4g} ± {p['sd']:.2g} {p['unit']}" for n, p in each["parameters"].items()
+            )
+            print(f"  {each['effect']} {place}: {numbers}")
+    print("\nrms of the torque that is missing, N·m, shoulder / elbow")
+    for run in arguments.held_out:
+        times, q, qd, qdd, u = smooth(load_truth(f"dfki-trajectory-{run}"))
+        lines = {"rigid": model_error(arm_on(times, body, []), q, qd, qdd, u)}
+        lines["lab's friction and rotors"] = published_error(arm_on(times, body, []), q, qd, qdd, u)
+        lines |= {f"found on {fit}": model_error(arm_on(times, body, e), q, qd, qdd, u) for fit, e in found.items()}
+        for name, error in lines.items():
+            print(f"{run}  {name:<27} " + " / ".join(f"{v:.4f}" for v in rms(error)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
