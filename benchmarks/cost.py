@@ -25,7 +25,7 @@ SWEEPS = {  # the one that varies, and the others
     "T": [(rows, 200, 16, 2) for rows in (100, 200, 400, 800, 1600)],
     "N": [(100, particles, 16, 2) for particles in (250, 500, 1000, 2000, 4000, 8000)],
     "M": [(100, 200, filters, 2) for filters in (16, 32, 64, 128, 256, 512)],
-    "K": [(100, 1000, 16, joints) for joints in (1, 2, 3, 4, 6, 8)],
+    "K": [(100, 1000, 16, joints) for joints in (1, 2, 3, 4, 5, 6, 8, 12)],
 }
 NAMES = {"T": "rows T", "N": "particles N", "M": "filters M", "K": "joints K"}
 FIGURE = Path(__file__).parents[1] / "docs" / "cost.png"

@@ -23,7 +23,7 @@ from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -215,8 +215,10 @@ def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float 
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     path, some = base.path, _telling(base, levels)
 
+    most = np.array([upper_bound(p) for p in parameters])
+
     def score(log_values: np.ndarray) -> float:
-        values = np.exp(log_values)
+        values = np.minimum(np.exp(log_values), most)
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
         whitened = whiten(setting, model.replace(**given), path, columns, levels[some])
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
@@ -230,6 +232,7 @@ def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float 
     cause = refine(setting, (*base.effects, effect), values, path, FIRM, rounds=2)
     path, some = cause.path, _telling(cause, levels)
     start, covariance, integral = climb(score, start)
+    start = np.minimum(start, np.log(most))
     volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, FIRM, noise_log=base.noise_log + volume, rounds=3)

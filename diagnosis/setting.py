@@ -33,6 +33,9 @@ LOOSE = 0.3
 LEAST = 0.1
 """Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
 
+RMS = 0.5
+"""Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
+
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
 
@@ -136,10 +139,11 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         model = model.driven_by(whole.model.time, whole.model.command)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
+    paths = model.initial_paths(problem.observations)
+    _, angle, velocity = model.split(paths[len(paths) // 2])
     if starts:
-        paths = model.initial_paths(problem.observations)
-        _, angle, _ = model.split(paths[len(paths) // 2])
         model = model.starting_anew(starts, angle[starts])
+    model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model.substeps = sufficient_substeps(model, problem.observations)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 

@@ -19,6 +19,8 @@ from invdyn.models.effects.base import Effect, Parameter
 FAR = 4.0
 """Prior standard deviations beyond which no parameter goes. Where nothing fits, evidence would else pay any price: arms
 without mass under motors without torque explain whatever there is."""
+EDGE = 1e-3
+"""Share of an upper edge that parameters keep away from it: at probability one, what else there is is impossible."""
 
 
 @dataclass(frozen=True)
@@ -93,4 +95,5 @@ def lower_bound(parameter: Parameter) -> float:
 def upper_bound(parameter: Parameter) -> float:
     """Largest value that a parameter may have, likewise."""
     far = centre(parameter) + FAR * spread(parameter)
-    return min(far, float(getattr(parameter.prior.support, "upper_bound", np.inf)))
+    edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
+    return min(far, edge - EDGE * abs(edge)) if np.isfinite(edge) else far

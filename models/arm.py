@@ -89,6 +89,7 @@ class ArmModel(StateSpaceModel):
         self._motors: Command | None = None
         self._finer: Command | None = None
         self._anew: tuple[Tensor, Tensor] | None = None
+        self._motion: Tensor | None = None
         self.time = torch.as_tensor(np.asarray(time, dtype=np.float64))
         if self.time.ndim != 1 or len(self.time) < 2 or bool((self.time.diff() <= 0).any()):
             raise ValueError("expected at least two strictly increasing times, in seconds")
@@ -175,7 +176,7 @@ class ArmModel(StateSpaceModel):
     def scale(self) -> Scale:
         """What is large and small for this body, which effects' priors follow."""
         command = None if self.command is None else self.command.cpu()
-        return Scale(self.body.parameters(), self.time.cpu(), command)
+        return Scale(self.body.parameters(), self.time.cpu(), command, self._motion)
 
     def with_effects(self, *effects: Effect) -> "ArmModel":
         """The model of an arm that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
@@ -231,6 +232,12 @@ class ArmModel(StateSpaceModel):
         other = copy.copy(self)
         other._finer, other._motors = Command.held(time, torque).to(self.device), None
         other.command = other._finer.onto(self.time).mean
+        return other
+
+    def moving(self, speed: Tensor) -> "ArmModel":
+        """The model of an arm whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
+        other = copy.copy(self)
+        other._motion = speed.detach().cpu().double()
         return other
 
     def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
@@ -308,7 +315,7 @@ class ArmModel(StateSpaceModel):
         elapsed = self._elapsed[t].to(state).unsqueeze(-1)
         view = effects.points(p, View(q, qd, lambda: self._acceleration(state, t, body), body, elapsed, tips))
         noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
-        return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p))
+        return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p, view))
 
     def transition_mean(self, state: Tensor, t: int | Tensor) -> Tensor:
         """E[x_t | x_{t−1} = state], shape (..., D)."""

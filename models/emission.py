@@ -123,13 +123,19 @@ class Emission:
     def _mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap]) -> Distribution:
         if self.family != "gaussian":
             raise ValueError(f"expected gaussian noise under outliers and swaps, got {self.family!r}; drop one of them")
-        strays = [mistake for mistake in mistakes if isinstance(mistake, Stray)]
+        strays = [self._of_tips(mistake) for mistake in mistakes if isinstance(mistake, Stray)]
         swaps = [
             replace(mistake, one=self.tips.index(mistake.one), other=self.tips.index(mistake.other))
             for mistake in mistakes
             if isinstance(mistake, Swap)
         ]
         return MistakenRows(loc, scale, len(self.tips), strays, swaps)
+
+    def _of_tips(self, stray: Stray) -> Stray:
+        """The tracked ones of all tips' widths."""
+        if stray.scale.shape[-2] == 1:
+            return stray
+        return replace(stray, scale=torch.stack([stray.scale[..., k, :] for k in self.tips], -2))
 
     def _keypoint_scale(self, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         scale = parameters["emission.keypoint_scale"]

@@ -1,6 +1,6 @@
 """Keypoints of a tracker that errs now and then: a mixture over what it may have got wrong in a row.
 
-A stray detection is off by s more in both coordinates, with probability ρ for each keypoint; a swap exchanges the
+A stray detection is off by s more, in each coordinate, with probability ρ for each keypoint; a swap exchanges the
 detections of two keypoints, with probability ρ for the row. With h_p, σ_p the mean and the deviations of keypoint p,
 and π_a the keypoint whose detection stands at p under the row's alternative a (none swapped, or one swap),
 
@@ -25,7 +25,10 @@ from invdyn.models.shapes import common
 
 @dataclass(frozen=True)
 class Stray:
-    """Detections from far away: probability (..., 1) of each keypoint in each row, and width (..., 1) m."""
+    """Detections from elsewhere: probability (..., 1) of each keypoint in each row, and width, m.
+
+    The width is (..., 1, 1) for all alike, or (..., P, 2) for each coordinate.
+    """
 
     rate: Tensor
     scale: Tensor
@@ -85,7 +88,7 @@ class MistakenRows(TorchDistribution):
         """Log-probability (..., 1) and deviations (..., P, 2) of every combination of strays."""
         widths = [(torch.zeros_like(scale[..., 0]), scale)]
         for stray in self.strays:
-            hit = [(weight + _log(stray.rate), torch.hypot(sd, stray.scale.unsqueeze(-1))) for weight, sd in widths]
+            hit = [(weight + _log(stray.rate), torch.hypot(sd, stray.scale.expand_as(sd))) for weight, sd in widths]
             widths = [(weight + _log(1 - stray.rate), sd) for weight, sd in widths] + hit
         return widths
 
@@ -153,7 +156,7 @@ class MistakenRows(TorchDistribution):
         points, angles = self._split(row)
         for stray in self.strays:
             hit = torch.rand_like(points[..., :1]) < stray.rate.unsqueeze(-1)
-            points = points + hit * stray.scale.unsqueeze(-1) * torch.randn_like(points)
+            points = points + hit * stray.scale * torch.randn_like(points)
         chance, passed = torch.rand_like(points[..., 0, 0]), 0.0
         whole = points
         for order, swap in zip(self.orders[1:], self.swaps, strict=True):

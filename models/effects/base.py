@@ -182,7 +182,7 @@ class Effect(ABC):
         """Standard deviation of each tip's coordinates, (..., K, 2) m."""
         return sd
 
-    def mistake(self, p: Values) -> Stray | Swap | None:
+    def mistake(self, p: Values, view: View) -> Stray | Swap | None:
         """What the tracker gets wrong now and then; see :mod:`invdyn.models.mixture`."""
         return None
 

@@ -102,9 +102,9 @@ class Composition:
             sd = effect.noise(p, view, sd)
         return sd
 
-    def mistakes(self, parameters: Mapping[str, Tensor]) -> list[Stray | Swap]:
+    def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap]:
         """What the tracker gets wrong now and then."""
-        found = [effect.mistake(p) for effect, p in self._each(parameters)]
+        found = [effect.mistake(p, view) for effect, p in self._each(parameters)]
         return [mistake for mistake in found if mistake is not None]
 
 

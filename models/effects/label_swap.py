@@ -9,6 +9,7 @@ from pyro.distributions import Beta
 from invdyn.models.body import Body
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import View
 from invdyn.models.mixture import Swap
 
 
@@ -29,6 +30,6 @@ class LabelSwap(Effect):
         """Share ρ of rows."""
         return (Parameter("rate", "1", Beta(1.0, 25.0), 0.0, (0.003, 0.01, 0.03, 0.1)),)
 
-    def mistake(self, p: Values) -> Swap:
+    def mistake(self, p: Values, view: View) -> Swap:
         """The pair, exchanged with probability ρ."""
         return Swap(*self.place, p["rate"])

@@ -6,6 +6,7 @@ from pyro.distributions import Beta, LogNormal
 
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import View
 from invdyn.models.mixture import Stray
 
 
@@ -26,6 +27,6 @@ class Outliers(Effect):
             ),
         )
 
-    def mistake(self, p: Values) -> Stray:
+    def mistake(self, p: Values, view: View) -> Stray:
         """(1 − ρ) N(h, σ²) + ρ N(h, σ² + s²)."""
-        return Stray(p["rate"], p["scale"])
+        return Stray(p["rate"], p["scale"].unsqueeze(-1))

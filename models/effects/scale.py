@@ -5,7 +5,7 @@ beyond it stretched out:
 
     inertia   Σ I + m r² about the joint                            kg·m²
     torque    the gravity load held level, or, without gravity, what turns it by a radian in a fifth of a second   N·m
-    speed     √(torque / inertia), of a swing under that torque     rad/s
+    speed     as seen, or √(torque / inertia), of a swing under that torque     rad/s
 """
 
 from dataclasses import dataclass
@@ -45,11 +45,13 @@ class Scale:
         body: nominal parameters, single (no batch dimensions).
         time: (T,) s.
         command: (T, K) N·m, or None.
+        motion: (K,) rad/s, rms velocity of each joint where it has been seen, or None.
     """
 
     body: BodyParameters
     time: Tensor
     command: Tensor | None = None
+    motion: Tensor | None = None
 
     @cached_property
     def torque(self) -> list[float]:
@@ -67,8 +69,11 @@ class Scale:
 
     @cached_property
     def speed(self) -> list[float]:
-        """Per joint, rad/s."""
-        return [(t / i) ** 0.5 for t, i in zip(self.torque, self.inertia, strict=True)]
+        """Per joint, rad/s: as seen, or of a swing under the typical torque."""
+        swing = [(t / i) ** 0.5 for t, i in zip(self.torque, self.inertia, strict=True)]
+        if self.motion is None:
+            return swing
+        return [max(seen, 0.02 * own) for seen, own in zip(self.motion.tolist(), swing, strict=True)]
 
     @cached_property
     def reach(self) -> float:

@@ -1,26 +1,29 @@
 """Frames whose true moments scatter about their time stamps: errors in proportion to speed."""
 
-import torch
-from pyro.distributions import HalfNormal
-from torch import Tensor
+from pyro.distributions import HalfNormal, Uniform
 
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
+from invdyn.models.mixture import Stray
 
 
 class TimestampJitter(Effect):
-    """Mistimed by s (standard deviation over all frames), a coordinate that moves with v scatters by s v more.
+    """A share ρ of the detections is mistimed by s (standard deviation): a coordinate that moves with v is off by s v.
 
+    In truth all keypoints of a frame are mistimed together; here each has its own chance, which costs power, not truth.
     Told apart from noise by its growth with speed, along the motion only.
     """
 
     side, site, order = "observation", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Standard deviation s, s, of up to a frame."""
-        return (Parameter("sd", "s", HalfNormal(0.02)),)
+        """Share ρ, and standard deviation s, s, of up to a frame."""
+        return (
+            Parameter("rate", "1", Uniform(0.0, 1.0), 0.0, (0.1, 0.4, 0.9)),
+            Parameter("sd", "s", HalfNormal(0.02), 0.0, (0.003, 0.01, 0.03)),
+        )
 
-    def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
-        """√(σ² + (s v)²)."""
-        return torch.sqrt(sd**2 + (p["sd"].unsqueeze(-1) * view.tip_velocity) ** 2)
+    def mistake(self, p: Values, view: View) -> Stray:
+        """(1 − ρ) N(h, σ²) + ρ N(h, σ² + (s v)²)."""
+        return Stray(p["rate"], p["sd"].unsqueeze(-1) * view.tip_velocity)

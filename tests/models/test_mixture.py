@@ -35,7 +35,7 @@ def tensor(value):
 
 
 def rows_of(loc=LOC, scale=SCALE, rate=RATE, strays=1):
-    stray = Stray(tensor([rate]), tensor([WIDTH]))
+    stray = Stray(tensor([rate]), tensor([[WIDTH]]))
     swaps = [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))]
     return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), POINTS, [stray] * strays, swaps)
 
@@ -70,12 +70,12 @@ def test_density_of_batches():
     """Parameter sets (S, 1, 1) beside rows (T, O)."""
     rates, y = tensor([0.05, 0.2]).reshape(2, 1, 1), tensor(np.stack(list(ROWS.values())))
     loc = torch.as_tensor(LOC).expand(len(ROWS), 7)
-    many = MistakenRows(loc, torch.as_tensor(SCALE), POINTS, [Stray(rates, tensor([WIDTH]))], [])
+    many = MistakenRows(loc, torch.as_tensor(SCALE), POINTS, [Stray(rates, tensor([[WIDTH]]))], [])
     assert many.batch_shape == (2, len(ROWS))
     found = many.log_prob(y)
     for s in range(2):
         for t in range(len(ROWS)):
-            alone = MistakenRows(loc[t], torch.as_tensor(SCALE), POINTS, [Stray(rates[s, 0], tensor([WIDTH]))], [])
+            alone = MistakenRows(loc[t], torch.as_tensor(SCALE), POINTS, [Stray(rates[s, 0], tensor([[WIDTH]]))], [])
             torch.testing.assert_close(found[s, t], alone.log_prob(y[t]))
 
 
@@ -115,7 +115,7 @@ def test_draws():
         torch.as_tensor(LOC),
         torch.as_tensor(SCALE) / 100,
         POINTS,
-        [Stray(tensor([RATE]), tensor([0.01]))],
+        [Stray(tensor([RATE]), tensor([[0.01]]))],
         [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))],
     )
     y = emission.sample((n,)).numpy()
@@ -134,7 +134,7 @@ def test_draws():
 def test_rates_of_zero_are_no_mixture_and_have_slopes():
     rate = torch.zeros(1, dtype=F64, requires_grad=True)
     emission = MistakenRows(
-        torch.as_tensor(LOC), torch.as_tensor(SCALE), POINTS, [Stray(rate, tensor([0.3]))], [Swap(0, 1, rate)]
+        torch.as_tensor(LOC), torch.as_tensor(SCALE), POINTS, [Stray(rate, tensor([[0.3]]))], [Swap(0, 1, rate)]
     )
     y = tensor(ROWS["plain"])
     value = emission.log_prob(y)

@@ -96,3 +96,31 @@ def test_the_variant_is_under_forty_lines():
     new = [c.source for c in notebook.cells if c.cell_type == "code" and ("class " in c.source or "Link(" in c.source)]
     lines = [line for source in new for line in source.splitlines() if line.strip()]
     assert 10 < len(lines) < 40
+
+
+def test_diagnose_the_gap_says_what_was_put_in():
+    notebook = jupytext.read(FOLDER / "04_diagnose_the_gap.py")
+    text = printed(run(notebook))
+    friction, twins, unknown, strange, explained = text.split("gap: ")[1:]
+    first = re.compile(r"^  (\d\.\d\d)  (.+)$", re.M)
+    assert first.findall(friction)[0][1] == "viscous_friction.elbow"
+    assert float(first.findall(friction)[0][0]) > 0.5
+    assert abs(float(re.search(r"truth 0.05: ([+-]\d\.\d) standard deviations", friction)[1])) < 4
+    before, after = map(float, re.search(r"replay error: (\S+) mm before, (\S+) mm after", friction).groups())
+    assert after < 0.05 * before
+    assert "joint: shoulder 0.0" in friction
+    pair = {name: float(p) for p, name in first.findall(twins)}
+    assert min(pair["gravity_tilt"], pair["camera_roll"]) > 0.2
+    assert "plumb line" in twins
+    # What the text says of the recording whose torques are hidden.
+    assert unknown.startswith("no")
+    assert "viscous_friction.elbow" in unknown.split("could not have been seen: ")[1].splitlines()[0]
+    assert float(re.search(r"d' +(\S+)  soft_tissue.wrist", unknown)[1]) > 10
+    outside = {name: float(p) for p, name in first.findall(strange)}
+    assert outside["outside the catalogue"] > 0.5
+    assert (
+        abs(float(re.search(r"formula: (\S+) ± \S+ N·m·s/rad × dθ\[shoulder\]/dt on elbow", strange)[1]) + 0.1) < 0.05
+    )
+    assert first.findall(explained)[0][1].startswith("belt_drag")
+    assert abs(float(re.search(r"damping (\S+)", explained)[1]) - 0.1) < 0.01
+    assert figures(notebook) == 1

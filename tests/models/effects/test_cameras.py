@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
 from invdyn.models.effects import (
     CameraLatency,
@@ -110,14 +111,26 @@ def test_a_rolling_shutter_sees_a_point_when_its_row_is_read(seen):
             assert np.abs(found[n, k] - then).max() < 0.1 * np.abs(found[n, k] - true[n, k]).max() + 1e-6
 
 
-def test_jitter_and_blur_widen_the_noise(seen):
-    h = 1e-5
-    found, sd, true, x, ideal = seen(TimestampJitter(), sd=0.004)
+def test_jitter_is_a_mixture_that_widens_along_the_motion(arm, having, states):
+    h, rate, sd = 1e-5, 0.3, 0.004
+    ideal = arm(2)
+    model, x = having(ideal, TimestampJitter(), rate=rate, sd=sd), states(ideal, 5)
     velocity = (later(ideal, x, h) - later(ideal, x, -h)) / (2 * h)
     own = ideal.parameters["emission.keypoint_scale"].numpy()[:, None]
-    assert found == pytest.approx(true)
-    assert sd == pytest.approx(np.sqrt(own**2 + (0.004 * velocity) ** 2), rel=1e-5)
-    found, sd, true, _, _ = seen(VaryingNoise(), slope=0.7)
+    plain = ideal.emission(x, 3)
+    y = plain.mean + 0.01
+    residual = (y - plain.mean)[..., :4].unflatten(-1, (2, 2)).numpy()
+    on_time = norm.logpdf(residual, scale=own).sum(-1)
+    mistimed = norm.logpdf(residual, scale=np.hypot(own, sd * velocity)).sum(-1)
+    gained = (np.logaddexp(np.log(1 - rate) + on_time, np.log(rate) + mistimed) - on_time).sum(-1)
+    assert (model.emission(x, 3).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-5)
+
+
+def test_blur_widens_the_noise(seen):
+    h = 1e-5
+    found, sd, true, x, ideal = seen(VaryingNoise(), slope=0.7)
+    velocity = (later(ideal, x, h) - later(ideal, x, -h)) / (2 * h)
+    own = ideal.parameters["emission.keypoint_scale"].numpy()[:, None]
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     assert found == pytest.approx(true)
     assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.7 * speed), sd.shape), rel=1e-5)
