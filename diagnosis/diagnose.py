@@ -7,7 +7,7 @@ evidence, :mod:`.confirm` weighs the best by SMC, :mod:`.shrinkage` measures how
 Probabilities. Each cause has a posterior probability p_c by evidence and prior, and within it the share s_c of the
 spike: that nothing is left once the cause is in. Then, with "no gap" among the causes,
 
-    P(cause c) = p_c s_c,       P(outside the catalogue) = Σ_c p_c (1 − s_c).
+    P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1.
 """
@@ -61,9 +61,10 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Causes with probabilities, sorted; what the catalogue lacks; SMC runs by key."""
+    """Causes with probabilities, sorted, and those of their explaining a part; what the catalogue lacks; SMC by key."""
 
     causes: dict[str, tuple[Refined, float]]
+    in_part: dict[str, float]
     outside: float
     confirmed: dict[str, Confirmed]
     log_evidence: dict[str, float]
@@ -159,7 +160,8 @@ def _weigh(bound: Setting, found: Search, seed: int) -> _Weighed:
     share = np.array([_spike_share(bound, c) for c in ranked])
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
-    return _Weighed(causes, float((probability * (1 - share)).sum()), confirmed, evidence)
+    in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
+    return _Weighed(causes, in_part, sum(in_part.values()), confirmed, evidence)
 
 
 def _assemble(
@@ -196,11 +198,12 @@ def _assemble(
             probability,
             weighed.log_evidence[cause.key],
             weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
+            weighed.in_part[cause.key],
         )
         for cause, probability in weighed.causes.values()
-        if probability > 1e-4 or cause is best
+        if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
     )
-    causes = tuple(sorted(causes, key=lambda cause: -cause.probability))
+    causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
     nothing = weighed.causes.get("", (none, 0.0))[1]
     rivals = _ambiguous(causes)
     joints = body.joint_names

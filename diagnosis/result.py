@@ -44,12 +44,20 @@ class Finding:
 
 @dataclass(frozen=True)
 class Cause:
-    """A candidate cause: one effect, several together, or none for "no gap". `log_evidence_sd` is NaN without SMC."""
+    """A candidate cause: one effect, several together, or none for "no gap".
+
+    Attributes:
+        effects: what is at work.
+        probability: of their being at work and nothing else.
+        log_evidence, log_evidence_sd: nats; the second is NaN without SMC.
+        in_part: probability of their being at work beside something that the catalogue lacks.
+    """
 
     effects: tuple[Finding, ...]
     probability: float
     log_evidence: float
     log_evidence_sd: float
+    in_part: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -214,6 +222,7 @@ class Diagnosis:
                 {
                     "effects": [_finding(finding) for finding in cause.effects],
                     "probability": cause.probability,
+                    "probability_in_part": cause.in_part,
                     "log_evidence": cause.log_evidence,
                     "log_evidence_sd": cause.log_evidence_sd,
                 }

@@ -131,6 +131,9 @@ class Inference(Recorded):
 class Diagnosed(Recorded):
     """What `diagnose` is given: a recording, the body whose simulation is questioned, what to check the answer on."""
 
+    also: Annotated[
+        str | None, typer.Option(help="More recordings of the same arm to diagnose together with it, comma-separated.")
+    ] = None
     held_out: Annotated[
         str | None, typer.Option(help="Another recording of the same, on which the gap is measured again.")
     ] = None
@@ -156,7 +159,12 @@ class Diagnosed(Recorded):
     @property
     def files(self) -> list[Path]:
         """What is read, and must not be written over."""
-        return [Path(name) for name in (self.recording, self.body, self.held_out) if name is not None]
+        return [Path(name) for name in (self.recording, *self.others, self.body, self.held_out) if name is not None]
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of `also`."""
+        return tuple(name.strip() for name in (self.also or "").split(",") if name.strip())
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
@@ -173,8 +181,9 @@ class Diagnosed(Recorded):
                 recording = replace(recording, torques=None, joint_names=joints)
             return recording
 
+        recording = read(self.recording).select(*frame_range(self.frames))
         return {
-            "recording": read(self.recording).select(*frame_range(self.frames)),
+            "recording": [recording, *map(read, self.others)] if self.others else recording,
             "body": body,
             "held_out": None if self.held_out is None else read(self.held_out),
             "passive": self.passive,

@@ -62,10 +62,10 @@ def verdict(diagnosis: Diagnosis) -> str:
     if answer == "none":
         return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
     if answer == "outside":
-        place = _place(diagnosis)
+        place, part = _place(diagnosis), _in_part(diagnosis)
         return (
-            f"There is a gap{place}, and no effect in the catalogue explains it "
-            f"({percent(diagnosis.outside.probability)} probable)."
+            f"There is a gap{place}, and no effect in the catalogue explains {'all of it' if part else 'it'} "
+            f"({percent(diagnosis.outside.probability)} probable){part}."
         )
     if answer == "unclear":
         return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
@@ -98,6 +98,15 @@ def _closing(diagnosis: Diagnosis, them: str) -> str:
     if closed <= 0:
         return f"adding {them} closes none of the gap"
     return f"adding {them} closes {'all' if closed >= 0.995 else percent(closed)} of the gap"
+
+
+def _in_part(diagnosis: Diagnosis) -> str:
+    """What explains a part of the gap, where that is more probable than not."""
+    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.in_part, default=None)
+    if cause is None or cause.in_part <= 0.5:
+        return ""
+    them = "it" if len(cause.effects) == 1 else "them"
+    return f"; {cause_words(cause)} would be a part of it: {_closing(diagnosis, them)}"
 
 
 def _place(diagnosis: Diagnosis) -> str:
