@@ -84,7 +84,8 @@ friction = reality(ViscousFriction("elbow"), damping=DAMPING)
 #
 # $$ P(\text{cause } c) = p_c\, s_c, \qquad P(\text{outside the catalogue}) = \sum_c p_c\,(1 - s_c). $$
 #
-# So a cause is probable only when it explains the gap *and nothing is left*. "No gap" is one of the causes.
+# So a cause is probable only when it explains the gap *and nothing is left*; what it has of the second sum stands in
+# its `in_part`: it is at work, and so is something else. "No gap" is one of the causes.
 
 
 # %%
@@ -115,7 +116,7 @@ print(f"truth {DAMPING}: {(estimate.mean - DAMPING) / estimate.sd:+.1f} standard
 # Do not be surprised by a near relative among the causes. Drifting friction has constant friction as a special case
 # (its slope is then zero), so it explains the recording as well; it has a parameter more to waste, and Occam's
 # razor, which the evidence has built in, makes it less probable. Something stays outside the catalogue, too: next to
-# this friction, a torque so small that two seconds do not show it is not ruled out.
+# friction, a torque so small that two seconds do not show it is not ruled out.
 #
 # *Where* comes as shares of probability, *how far* from data that the fit has not seen: parameters are fitted on the
 # first two thirds, and on the last third each frame is predicted from the ones before. With the log scores of the
@@ -140,7 +141,8 @@ for joint, before in diagnosis.gap.residual_torque_rms.items():
 #
 # `diagnosis.tracks` holds what the report draws. On the left the residual torque at the elbow, before and after; on
 # the right the same against the elbow's velocity. Nearly a straight line through the origin: that is viscous friction,
-# seen by eye. The grey line is the truth.
+# seen by eye. It is flatter than the truth, in grey, for the prior of the residual pulls it towards zero; the
+# friction's own parameter has no such bias.
 
 # %%
 tracks = diagnosis.tracks
@@ -196,9 +198,9 @@ tell(unknown)
 print("could not have been seen:", ", ".join(unknown.not_identifiable))
 
 # %% [markdown]
-# Muscles whose torque is $-b\,\dot\theta$ more, or less, move the arm as friction does, and the keypoints do not tell them
-# apart. That is why the list of what *could not have been seen* comes along. It has every effect whose typical size
-# would change the recording by less than three standard deviations of what noise and an unknown torque do
+# Muscles whose torque is $-b\,\dot\theta$ more, or less, move the arm as friction does, and the keypoints do not tell
+# them apart. That is why the list of what *could not have been seen* comes along. It has every effect whose typical
+# size would change the recording by less than three standard deviations of what noise and an unknown torque do
 # ($d' < 3$). Viscous friction at the elbow, the truth, is in it. So "no gap" would be no proof that there is none;
 # and a cause that is named all the same, and is in the list, is a guess of the prior's, which says how strong and how
 # quick a limb's torque usually is. What does it close on data that were held out?
@@ -237,8 +239,8 @@ class BeltDrag(Effect):
     site = "pair"
 
     def parameters(self, scale):
-        joint = self.place[1]
-        return (Parameter("damping", "N·m·s/rad", Normal(0.0, 0.2 * scale.torque[joint] / scale.speed[joint])),)
+        inner, outer = self.place
+        return (Parameter("damping", "N·m·s/rad", Normal(0.0, 0.5 * scale.torque[outer] / scale.speed[inner])),)
 
     def force(self, p, now):
         inner, outer = self.place
@@ -256,7 +258,8 @@ print(f"which predicts each held-out frame better by {strange.outside.gain_per_f
 # Whatever effect is tried, a torque is left, so the probability lies outside the catalogue. The residual torque is
 # then regressed on a library of functions of $(\theta, \dot\theta, u, t)$, and a formula of at most three
 # terms comes out, as a hint. It is a hint and no proof: which terms stand in it is a choice among many that are
-# alike, and the standard deviations know nothing of that choice. Here its first term is the truth's.
+# alike, and the standard deviations know nothing of that choice. Here its first term is the truth's; compare its
+# coefficient with $-b = -0.1$.
 #
 # ## Turn it into an effect
 #
