@@ -39,7 +39,7 @@ from invdyn.diagnosis.result import (
     Visibility,
     Where,
 )
-from invdyn.diagnosis.search import Search, data_path, search
+from invdyn.diagnosis.search import FAINT, Search, data_path, imitable, search
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import NotEnoughData, Setting, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
@@ -53,9 +53,6 @@ NEAR = 3.0
 CONFIRMED = 2
 CREDIBLE = 0.95
 """Probability that the ambiguity set holds."""
-FAINT = 3.0
-"""d′ of an effect of typical size under which the recording could not have shown it."""
-
 Progress = Callable[[int, int, str], None]
 
 
@@ -151,17 +148,16 @@ def _weigh(bound: Setting, found: Search, seed: int) -> _Weighed:
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
     confirmed = {c.key: confirm(bound, c, seed) for c in close}
     evidence = {c.key: c.log_evidence for c in ranked}
-    for name, run in confirmed.items():
-        # Filters that collapsed say less than the linearised evidence does.
-        if np.isfinite(run.log_evidence) and run.log_evidence_sd < 0.5:
-            evidence[name] = run.log_evidence
+    # Filters that collapsed say less than the linearised evidence does; rivals are weighed on one scale.
+    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < 0.3 for run in confirmed.values()):
+        evidence |= {name: run.log_evidence for name, run in confirmed.items()}
     score = np.array([found.score(c) - c.log_evidence + evidence[c.key] for c in ranked])
     probability = np.exp(score - logsumexp(score))
     share = np.array([_spike_share(bound, c) for c in ranked])
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
-    return _Weighed(causes, in_part, sum(in_part.values()), confirmed, evidence)
+    return _Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
 
 
 def _assemble(
@@ -242,9 +238,16 @@ def _assemble(
             weighed.outside,
             formula.text if formula else None,
             formula.terms if formula else {},
-            formula.gain_per_frame if formula else None,
+            float(formula.gain_per_frame) if formula else None,
         ),
-        not_identifiable=tuple(sorted(v.key for v in visibility if v.dprime < FAINT)),
+        not_identifiable=tuple(
+            sorted(
+                key(s.effect)
+                for s in found.first
+                if s.effect is not None
+                and (s.dprime < FAINT or (bound.regime == "unknown_torque" and imitable(s.effect)))
+            )
+        ),
         shrinkage=Shrinkage(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,

@@ -6,8 +6,11 @@ set scored by its evidence and its prior:
     1  "no effect" by itself
     2  where the best single effect leaves something, sets of several by a beam search (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added; refine the most promising ones
-    4  where the best set has grown, drop each older effect in turn and look for a better one in its place
+    4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior
+
+With unknown torque one effect is looked for, of the observation and visible: what changes the motion alone, a torque
+can imitate, and only the prior of the torque could speak against it.
 
 Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
@@ -36,9 +39,12 @@ from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-WIDTH, SWAPS, SETS = (10, 3, 2, 2), 1, 3
+WIDTH, SWAPS, SETS = (10, 3, 2), 1, 2
 """Candidates refined when the first, second, … effect is sought, when one is to take another's place, and sets
 of several that are refined as a whole."""
+
+FORWARD = len(WIDTH)
+"""Effects that are added one by one; more only as sets."""
 
 HOPELESS, SHARE = 60.0, 0.1
 """Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them
@@ -57,6 +63,9 @@ MISTAKES = ("outliers", "label_swap")
 
 DOUBT = 5.0
 """Nats by which the screen may err: less promising ones are not refined."""
+
+FAINT = 3.0
+"""d′ of an effect of typical size under which the recording could not have shown it."""
 
 STRAY = 5.0
 """Standard deviations beyond which a detection counts as stray when the first path is judged."""
@@ -119,6 +128,11 @@ def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
     return found
 
 
+def imitable(effect: Effect) -> bool:
+    """Whether an unknown torque could do what the effect does."""
+    return effect.side == "dynamics" or effect.name in ("clock_rate", "camera_latency")
+
+
 def data_path(setting: Setting) -> tuple[Tensor, bool]:
     """The path that the data ask for: the simulation under a large residual, robust against stray detections.
 
@@ -155,17 +169,17 @@ def search(
     candidates = considered(setting, without)
     none = refine(setting, (), {}, path, LOOSE)
     found = Search(candidates, {none.key: none}, [], path, stray)
-    for number in range(MOST):
+    for number in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
         if not number <= len(best.effects) < MOST:
             break
         screened = _extend(setting, found, best, WIDTH[number])
         if not found.first:
             found.first = screened
-            if not _explained(found.ranked[0]):
+            if setting.regime != "unknown_torque" and not _explained(found.ranked[0]):
                 _several(setting, found)
         grown = found.ranked[0]
-        if len(grown.effects) > 1:
+        if len(grown.effects) == 2 and len(best.effects) == 1:
             for old in best.effects:
                 rest = tuple(effect for effect in grown.effects if effect.key != old.key)
                 base = found.pool.get(key_of(rest)) or refine(setting, rest, _values(grown), grown.path, LOOSE)
@@ -201,6 +215,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     ]
     top = max(cause.log_evidence for cause in found.pool.values())
     most = screened[0].log_evidence - nothing
+    if setting.regime == "unknown_torque":
+        promising = [s for s in promising if s.dprime > FAINT and not imitable(s.effect)]
     for place, each in enumerate(promising[:width]):
         gained = each.log_evidence - nothing
         if place >= 3 and gained < min(most - HOPELESS, SHARE * most):
@@ -217,8 +233,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             continue  # parameters that the screen took too far for the simulation to run at all
         found.add(cause)
         top = max(top, cause.log_evidence)
-    _refine_kin(setting, found, base)
-    if not base.effects and not _explained(found.ranked[0]):
+    _refine_kin(setting, found, len(base.effects) + 1)
+    if not base.effects and setting.regime != "unknown_torque" and not _explained(found.ranked[0]):
         for effect in free:
             # Play is no small change of anything: no column stands for it.
             if isinstance(effect, Backlash):
@@ -234,14 +250,18 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
 
 
 def _several(setting: Setting, found: Search) -> None:
-    """Refine the best sets of several effects."""
+    """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     straight = [s for s in found.first if s.effect is None or not isinstance(s.effect, Backlash)]
     common = unknowns(setting, ())
-    for each in together(setting, setting.model, found.path, straight, common, found.candidates, SETS):
-        try:
-            found.add(refine(setting, each.effects, each.values, found.path, each.size))
-        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            continue
+    for sets in together(setting, setting.model, found.path, straight, common, found.candidates, SETS):
+        for each in sets:
+            try:
+                found.add(refine(setting, each.effects, each.values, found.path, each.size))
+            except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+                continue
+        _refine_kin(setting, found, len(sets[0].effects))
+        if _explained(found.ranked[0]):
+            break
 
 
 def _explained(cause: Refined) -> bool:
@@ -249,13 +269,13 @@ def _explained(cause: Refined) -> bool:
     return int(cause.by_size.argmax()) == 0
 
 
-def _refine_kin(setting: Setting, found: Search, base: Refined) -> None:
-    """Refine the exact or near equivalents of what was found, from values that follow.
+def _refine_kin(setting: Setting, found: Search, number: int) -> None:
+    """Refine the exact or near equivalents of what was found, of causes with so many effects, from values that follow.
 
     A screen along the data's path cannot see them: the path itself is what they shift.
     """
     for cause in list(found.pool.values()):
-        if len(cause.effects) != len(base.effects) + 1:
+        if len(cause.effects) != number:
             continue
         for mine in cause.effects:
             for name, other, parameter, factor in KIN:
@@ -279,6 +299,8 @@ def _refine_hidden(setting: Setting, base: Refined, effect: HiddenHinge) -> Refi
         first = refine(setting, (*base.effects, effect), values, base.path, LOOSE, noise_log=base.noise_log, rounds=1)
         tried.append(first)
     best = max(tried, key=lambda cause: cause.log_evidence)
+    if best.log_evidence < base.log_evidence:
+        return best
     size = float(sizes(setting.regime)[int(best.by_size.argmax())])
     return refine(setting, best.effects, _values(best), best.path, size, noise_log=base.noise_log)
 

@@ -20,7 +20,7 @@ from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.prior import MOST, log_prior_of
 from invdyn.diagnosis.screen import Screened, beside, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import FAR, Unknowns
+from invdyn.diagnosis.unknowns import Unknowns
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
@@ -63,8 +63,8 @@ def together(
     common: Unknowns,
     candidates: Sequence[Effect],
     count: int,
-) -> list[Together]:
-    """The ``count`` most probable sets of two or more effects, best first, by the linearised evidence.
+) -> list[list[Together]]:
+    """The ``count`` most probable pairs by the linearised evidence, then sets of three, and so on; each best first.
 
     Args:
         screened: by themselves, best first, along ``path`` under ``model``.
@@ -117,16 +117,18 @@ def together(
         for row, members in enumerate(sets):
             effects = tuple(parts[i].screened.effect for i in members)
             best = int(table[:, row].argmax())
-            deviation = np.abs(results[best].mean[row] - mean[row]) / sd[row]
+            factors = results[best].mean[row]
+            # At the edge of a half-normal prior an effect is absent; beyond other bounds it is implausible.
+            beyond = (factors > upper[row]) | ((factors < lower[row]) & (lower[row] < mean[row]))
             score = float(logsumexp(table[:, row])) + log_prior_of(effects, candidates)
-            score = score if deviation.max() < FAR else -np.inf
-            values = _values([parts[i] for i in members], results[best].mean[row])
+            score = -np.inf if beyond.any() else score
+            values = _values([parts[i] for i in members], factors)
             evaluated.append(Together(effects, values, float(levels[best]), score))
         return evaluated
 
     beam: list[tuple[int, ...]] = [(i,) for i in range(len(parts))]
     alone = {members: found.score for members, found in zip(beam, evaluate(beam), strict=True)}
-    kept: list[Together] = []
+    kept: list[list[Together]] = []
     top = max(alone.values())
     for _ in range(2, MOST + 1):
         grown = {
@@ -145,9 +147,9 @@ def together(
         better = [found[row] for row in order if found[row].score > top]
         if not better:
             break
-        kept += better[:count]
+        kept.append(better[:count])
         top = better[0].score
-    return sorted(kept, key=lambda each: -each.score)[:count]
+    return kept
 
 
 def _agree(parts: Sequence[_Part], members: Sequence[int]) -> bool:

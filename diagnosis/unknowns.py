@@ -16,9 +16,9 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
-FAR = 4.0
-"""Prior standard deviations beyond which no parameter goes. Where nothing fits, evidence would else pay any price: arms
-without mass under motors without torque explain whatever there is."""
+FAR, FAR_ONE_SIDED = 4.0, 8.0
+"""Prior standard deviations beyond which no parameter goes, and those of a half-normal prior. Where nothing fits,
+evidence would else pay any price: arms without mass under motors without torque explain whatever there is."""
 EDGE = 1e-3
 """Share of an upper edge that parameters keep away from it: at probability one, what else there is is impossible."""
 
@@ -41,7 +41,9 @@ class Unknowns:
 
     def plausible(self, values: np.ndarray) -> bool:
         """Whether values (p,) lie nearer to their priors' centres than ``FAR``."""
-        return bool((np.abs(values - self.mean) < (FAR - 0.01) * self.sd).all())
+        inside = 1e-3 * self.sd
+        low = np.where(self.lower < self.mean, self.lower, -np.inf)
+        return bool(((values > low + inside) & (values < self.upper - inside)).all())
 
     def set_in(self, model: ArmModel, values: np.ndarray) -> ArmModel:
         """The model with ``values`` (p,), or with S sets of them (S, p) as parameter sets (S, 1, ...)."""
@@ -88,12 +90,16 @@ def spread(parameter: Parameter) -> float:
 
 def lower_bound(parameter: Parameter) -> float:
     """Smallest value that a parameter may have: its prior's edge, or ``FAR`` from its centre."""
-    far = centre(parameter) - FAR * spread(parameter)
+    far = centre(parameter) - _far(parameter) * spread(parameter)
     return max(far, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
 
 
 def upper_bound(parameter: Parameter) -> float:
     """Largest value that a parameter may have, likewise."""
-    far = centre(parameter) + FAR * spread(parameter)
+    far = centre(parameter) + _far(parameter) * spread(parameter)
     edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
     return min(far, edge - EDGE * abs(edge)) if np.isfinite(edge) else far
+
+
+def _far(parameter: Parameter) -> float:
+    return FAR_ONE_SIDED if type(parameter.prior).__name__ == "HalfNormal" else FAR

@@ -5,7 +5,7 @@ beyond it stretched out:
 
     inertia   Σ I + m r² about the joint                            kg·m²
     torque    the gravity load held level, or, without gravity, what turns it by a radian in a fifth of a second   N·m
-    speed     as seen, or √(torque / inertia), of a swing under that torque     rad/s
+    speed     √(torque / inertia), of a swing under that torque, or what has been seen if slower     rad/s
 """
 
 from dataclasses import dataclass
@@ -69,11 +69,11 @@ class Scale:
 
     @cached_property
     def speed(self) -> list[float]:
-        """Per joint, rad/s: as seen, or of a swing under the typical torque."""
+        """Per joint, rad/s: of a swing under the typical torque, or as seen, if that is slower."""
         swing = [(t / i) ** 0.5 for t, i in zip(self.torque, self.inertia, strict=True)]
         if self.motion is None:
             return swing
-        return [max(seen, 0.02 * own) for seen, own in zip(self.motion.tolist(), swing, strict=True)]
+        return [min(max(seen, 0.02 * own), own) for seen, own in zip(self.motion.tolist(), swing, strict=True)]
 
     @cached_property
     def reach(self) -> float:

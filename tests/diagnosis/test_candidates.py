@@ -12,7 +12,7 @@ from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.search import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
-from invdyn.diagnosis.unknowns import FAR, centre, lower_bound, spread, unknowns, upper_bound
+from invdyn.diagnosis.unknowns import FAR, FAR_ONE_SIDED, centre, lower_bound, spread, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -178,7 +178,7 @@ def test_log_prior_is_that_of_half_normals_and_normals():
 
 def test_the_gaussian_of_a_prior():
     damping, *_ = chosen("viscous_friction.elbow")[0].parameters(bound().model.scale)
-    assert (centre(damping), lower_bound(damping), upper_bound(damping)) == (0.0, 0.0, FAR * spread(damping))
+    assert (centre(damping), lower_bound(damping), upper_bound(damping)) == (0.0, 0.0, FAR_ONE_SIDED * spread(damping))
     assert spread(damping) == pytest.approx(float(damping.prior.scale))
     rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
     assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FAR * spread(rate)))
