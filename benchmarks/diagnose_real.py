@@ -67,9 +67,8 @@ def main() -> None:
                     print(f"      {each.key}.{key} {p.mean:.4g} ± {p.sd:.2g} {p.unit}")
         gap, closed = found.gap, found.shrinkage
         print(f"  nats a frame {gap.elpd_per_frame}; closed {closed.gap_closed} {closed.interval_90}")
-        print(
-            f"  residual N·m {gap.residual_torque_rms} → {closed.residual_torque_rms_after}; replay m {gap.replay_rms_m}"
-        )
+        print(f"  residual N·m {gap.residual_torque_rms} → {closed.residual_torque_rms_after}")
+        print(f"  replay m {gap.replay_rms_m}")
         print(f"  could not be seen: {', '.join(found.not_identifiable) or 'nothing'}")
         if arguments.out:
             (arguments.out / name).mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,8 @@ spike: that nothing is left once the cause is in. Then, with "no gap" among the 
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-With unknown torque there is always a torque left, which is the limb's own: s_c = 1.
+With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
+the prediction of held-out rows is taken back.
 """
 
 import json
@@ -117,9 +118,13 @@ def diagnose(
     report(2, "confirm")
     weighed = _weigh(bound, found, seed)
     report(3, "held out")
-    none, best = found.pool[""], weighed.best
-    without_cause, with_cause, rows = held_out_scores(bound, none, best, other)
-    shares = closed(without_cause, with_cause, rows, (other or bound).model.time.numpy(), seed)
+    none, time = found.pool[""], (other or bound).model.time.numpy()
+    shares = closed(*held_out_scores(bound, none, weighed.best, other), time, seed)
+    if bound.regime == "unknown_torque" and shares.per_frame["corrected"] < shares.per_frame["nominal"]:
+        # Evidence there rests on the torque's prior, which no limb obeys: a cause must predict what it has not seen.
+        weighed = _Weighed({"": (none, 1.0)}, {"": 0.0}, 0.0, {}, weighed.log_evidence)
+        shares = closed(*held_out_scores(bound, none, none, other), time, seed)
+    best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
     result = _assemble(bound, found, weighed, shares, formula, seed, held_out)
