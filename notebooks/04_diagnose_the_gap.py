@@ -199,19 +199,8 @@ print("could not have been seen:", ", ".join(unknown.not_identifiable))
 
 # %% [markdown]
 # Muscles whose torque is $-b\,\dot\theta$ more, or less, move the arm as friction does, and the keypoints do not tell
-# them apart. That is why the list of what *could not have been seen* comes along. It has every effect whose typical
-# size would change the recording by less than three standard deviations of what noise and an unknown torque do
-# ($d' < 3$). Viscous friction at the elbow, the truth, is in it. So "no gap" would be no proof that there is none;
-# and a cause that is named all the same, and is in the list, is a guess of the prior's, which says how strong and how
-# quick a limb's torque usually is. What does it close on data that were held out?
-
-# %%
-closed = unknown.shrinkage.gap_closed
-print("share of the gap closed:", "no cause, so nothing to close" if closed is None else f"{closed:.2f}")
-
-# %% [markdown]
-# Without commands this number is the judge of causes in the dynamics: below the commanded case's, or even negative
-# (the cause predicts worse than nothing), it says that the name is not to be believed.
+# them apart. So without commands no effect of the dynamics is named, and all of them are in the list of what *could
+# not have been seen*; viscous friction at the elbow, the truth, is one. "No gap" is no proof that there is none.
 #
 # A torque cannot stretch a link or shift a marker. Most of what only the camera sees stays visible:
 

@@ -232,3 +232,25 @@ def test_parameters_take_a_number_or_one_for_each_joint():
     assert model.parameters["torque.scale"].tolist() == [2.0, 2.0]
     assert model.parameters["noise.angle"].tolist() == [0.1, 0.2]
     assert model.dtype == F64
+
+
+# -- several recordings one after another ----------------------------------------------------------
+def test_where_an_arm_starts_anew_nothing_follows_from_before():
+    """Two recordings as one: the density is the product of theirs, the second's first row drawn about its angle."""
+    body = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("fore", "elbow", "wrist", 0.25, 0.8)])
+    time, angle = 0.02 * np.arange(9), torch.tensor([[0.4, -0.2]], dtype=torch.float64)
+    whole = ArmModel(body, time, Emission([0, 1])).starting_anew([5], angle)
+    first, second = (ArmModel(body, time[rows], Emission([0, 1])) for rows in (slice(0, 5), slice(5, 9)))
+    torch.manual_seed(0)
+    path = 0.1 * torch.randn(9, whole.state_dim, dtype=torch.float64)
+    y = whole.emission(path, torch.arange(9)).sample()
+    own = second.replace(
+        **{"initial.angle": angle[0], "initial.angle_scale": torch.full((2,), torch.pi, dtype=torch.float64)}
+    )
+    expected = first.log_joint(path[:5], y[:5]) + own.log_joint(path[5:], y[5:])
+    torch.testing.assert_close(whole.log_joint(path, y), expected)
+    # Row by row, as a filter goes, it is the same as all at once.
+    rows = torch.arange(1, 9)
+    together = whole.transition(path[:-1], rows).log_prob(path[1:])
+    alone = torch.stack([whole.transition(path[t - 1], t).log_prob(path[t]) for t in range(1, 9)])
+    torch.testing.assert_close(together, alone)
