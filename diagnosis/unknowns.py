@@ -12,7 +12,7 @@ import torch
 from pyro.distributions import Distribution, Normal
 
 from invdyn.diagnosis.noise import is_noise
-from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.setting import Setting, Uncertain
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
@@ -68,9 +68,15 @@ def unknowns(setting: Setting, effects: Sequence[Effect]) -> Unknowns:
     """Unknowns of bound ``effects``, but for those of the scatter (:mod:`.noise`), and of the setting's body."""
     found = [(f"{e.key}.{p.name}", p) for e in effects if not is_noise(e) for p in e.parameters(setting.model.scale)]
     rows = [(name, p.prior, centre(p), spread(p), lower_bound(p), upper_bound(p)) for name, p in found]
-    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, -np.inf, np.inf) for u in setting.uncertain]
+    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in setting.uncertain]
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
+
+
+def _least(number: Uncertain) -> float:
+    """Smallest value of a number of the body: lengths, masses and inertias stay above a tenth of what they are."""
+    edge = -np.inf if number.quantity == "com" else 0.1 * number.mean
+    return max(number.mean - FAR * number.sd, edge)
 
 
 def _normal(mean: float, sd: float) -> Normal:
