@@ -131,11 +131,14 @@ def main() -> None:
     print("\nrms of the torque that is missing, N·m, shoulder / elbow")
     for run in arguments.held_out:
         times, q, qd, qdd, u = smooth(load_truth(f"dfki-trajectory-{run}"))
-        rigid, found = (arm_on(times, u, body, effects) for effects in ([], result["causes"][0]["effects"]))
+        effects = result["causes"][0]["effects"]
+        friction = [each for each in effects if "friction" in each["effect"]]
+        rigid, found, rubbed = (arm_on(times, u, body, some) for some in ([], effects, friction))
         errors = {
             "rigid": model_error(rigid, q, qd, qdd),
             "lab's friction and rotors": published_error(rigid, q, qd, qdd),
             "found": model_error(found, q, qd, qdd),
+            "found, friction alone": model_error(rubbed, q, qd, qdd),
         }
         for name, error in errors.items():
             print(f"{run}  {name:<27} " + " / ".join(f"{v:.4f}" for v in rms(error)), flush=True)
