@@ -299,6 +299,8 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
                 twin = next((e for e in found.candidates if e.key == other), None)
                 if mine.key != name or twin is None or any(e.key == other for e in cause.effects):
                     continue
+                if setting.regime == "unknown_torque" and imitable(twin):
+                    continue
                 rest = tuple(e for e in cause.effects if e is not mine)
                 known = _values(cause)
                 value = known.pop(f"{mine.key}.{parameter[0]}")
