@@ -59,6 +59,7 @@ class Refined:
         noise, noise_sd: parameters of effects on the scatter, which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
+        about: (p,) where it was expanded; ``mean`` is a step from there, straight where parameters are not.
     """
 
     effects: tuple[Effect, ...]
@@ -74,6 +75,7 @@ class Refined:
     noise_sd: dict[str, float]
     noise_log: float
     plausible: bool = True
+    about: np.ndarray | None = None
 
     @property
     def sd(self) -> np.ndarray:
@@ -173,7 +175,7 @@ def refine(
             path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
             step = 0.05 * sd
             if best is None or cause.log_evidence > best.log_evidence:
-                best = cause
+                best = replace(cause, about=point)
             if (np.abs(target - point) < SETTLED * sd).all() or best.log_evidence < (enough if done else doubtful):
                 break
             point = target

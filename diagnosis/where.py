@@ -72,7 +72,7 @@ def where(
         side=_normal({"dynamics": dynamics, "observation": observation}),
         joints=_normal(dict(zip(body.joint_names, joints.tolist(), strict=True))),
         keypoints=_normal(dict(zip(tracked, keypoints.tolist(), strict=True))),
-        intervals=intervals(model.time.numpy(), frame_gap),
+        intervals=acting(causes) or intervals(model.time.numpy(), frame_gap),
         depends_on=tuple(depends_on),
     )
 
@@ -80,6 +80,18 @@ def where(
 def _normal(shares: dict[str, float]) -> dict[str, float]:
     total = sum(shares.values())
     return {name: (value / total if total > 0 else 0.0) for name, value in shares.items()}
+
+
+def acting(causes: Mapping[str, tuple[Refined, float]]) -> tuple[Interval, ...]:
+    """When the most probable cause is at work, where it has a start and a stop; its probability for a share."""
+    cause, probability = max(causes.values(), key=lambda pair: pair[1])
+    # Edges in time are no straight lines: where the cause was weighed they are in order.
+    known = dict(zip(cause.names, (cause.mean if cause.about is None else cause.about).tolist(), strict=True))
+    return tuple(
+        Interval(known[f"{effect.key}.start"], known[f"{effect.key}.stop"], probability)
+        for effect in cause.effects
+        if "start" in effect.located
+    )
 
 
 def intervals(time: np.ndarray, frame_gap: np.ndarray) -> tuple[Interval, ...]:
