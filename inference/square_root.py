@@ -118,7 +118,7 @@ def backward(
     folded, integrated = -0.5 * rho**2, -log_abs_det(R)
     if extra:
         folded[..., :-1] -= log_abs_det(S)
-    log_n = np.cumsum((folded + integrated)[..., ::-1], -1)[..., ::-1]
+    log_n = np.cumsum((folded + integrated)[..., ::-1], -1)[..., ::-1].copy()  # torch takes no negative strides
     log_c = log_n - integrated
     gain, offset, root = conditional(R, B, r, L)
     spread = np.zeros((*batch, steps - 1, dim, 0))
