@@ -164,7 +164,6 @@ def search(
     path: Tensor,
     stray: bool,
     without: Sequence[str] = (),
-    progress: Callable[[int, int, str], None] | None = None,
 ) -> Search:
     """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says.
 
@@ -197,8 +196,6 @@ def search(
                 if base is not None:
                     found.add(base)
                     _extend(setting, found, base, SWAPS)
-        if progress is not None:
-            progress(number + 1, MOST, "causes")
     return found
 
 
@@ -269,9 +266,8 @@ def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refi
 
 def _several(setting: Setting, found: Search) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
-    straight = [s for s in found.first if s.effect is None or not isinstance(s.effect, Backlash)]
     common = unknowns(setting, ())
-    for sets in together(setting, setting.model, found.path, straight, common, found.candidates, SETS):
+    for sets in together(setting, setting.model, found.path, found.first, common, found.candidates, SETS):
         for each in sets:
             cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size)
             if cause is not None:
