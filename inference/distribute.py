@@ -5,7 +5,8 @@ Results are the same to the bit without an executor, on one worker or on many, b
 * a part is a fixed share of the work, whoever does it, with a seed of its own (:mod:`.seeds`);
 * two parts never run in one process at once (torch's random numbers are the process's, and a Dask worker may have
   several threads), and the number of torch's threads changes no number in them;
-* results are put together in the order of the parts, not of their arrival.
+* results are put together in the order of the parts, not of their arrival, and of parts that have failed by then the
+  first is the one that is told of.
 
 Machines of different processors may still round differently.
 
@@ -128,7 +129,7 @@ def _collect_once(part: Part, arguments, names, missing: list[int], executor: Ex
         while pending:
             # With a timeout, for Windows hears no Ctrl-C inside a wait without end.
             ready, _ = wait(pending, timeout=1.0, return_when=FIRST_COMPLETED)
-            for future in ready:
+            for future in sorted(ready, key=pending.__getitem__):
                 i = pending.pop(future)
                 try:
                     result = pickle.loads(_named(names[i], future.result))

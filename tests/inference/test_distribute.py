@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -233,8 +233,20 @@ def test_a_cluster_that_goes_on_dying_is_an_error(cluster):
         spread(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=cluster.get_executor())
 
 
+class AtOnce(Executor):
+    """All parts are done before anyone waits for the first."""
+
+    def submit(self, work, /, *arguments):
+        done = Future()
+        try:
+            done.set_result(work(*arguments))
+        except ArithmeticError as error:
+            done.set_exception(error)
+        return done
+
+
 def test_what_fails_is_not_tried_again(pool):
-    for executor in (None, pool(1)):
+    for executor in (None, pool(1), AtOnce()):
         with pytest.raises(ArithmeticError, match="seed 0") as failure:
             spread(parts.failing, SEEDS, NAMES, executor=executor)
         assert failure.value.__notes__ == ["in part 0"]
