@@ -4,8 +4,8 @@ The parts are files of this room: :mod:`.setting` binds the recording, :mod:`.se
 evidence, :mod:`.confirm` weighs the best by SMC, :mod:`.shrinkage` measures how far the gap closes on held-out data,
 :mod:`.describe` puts into a formula what no cause explains, :mod:`.where` says where it lies.
 
-Probabilities. Each cause has a posterior probability p_c by evidence and prior, and within it the share s_c of the
-spike: that nothing is left once the cause is in. Then, with "no gap" among the causes,
+Probabilities. Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`), and within it the share
+s_c of residuals that are next to nothing: little is left once the cause is in. With "no gap" among the causes,
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
@@ -27,7 +27,7 @@ from invdyn.diagnosis.confirm import Confirmed, confirm, posterior
 from invdyn.diagnosis.describe import Formula, describe
 from invdyn.diagnosis.findings import finding, key
 from invdyn.diagnosis.noise import is_noise
-from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips, smoothed
+from invdyn.diagnosis.predict import WINDOW, best_size, replay, replay_rms, residual, scores, seen_tips, smoothed
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import (
@@ -40,6 +40,7 @@ from invdyn.diagnosis.result import (
     Visibility,
     Where,
 )
+from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.search import FAINT, Search, data_path, imitable, search
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import NotEnoughData, Setting, setting
@@ -52,6 +53,8 @@ from invdyn.recordings import Recording, joined, write_text
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
 CONFIRMED = 2
+LITTLE = 0.1
+"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
 CREDIBLE = 0.95
 """Probability that the ambiguity set holds."""
 Progress = Callable[[int, int, str], None]
@@ -141,10 +144,15 @@ def save(diagnosis: Diagnosis, folder: str | Path) -> None:
         save_posterior(diagnosis.posterior, folder / "posterior.nc")
 
 
-def _spike_share(bound: Setting, cause: Refined) -> float:
+def _share_alone(bound: Setting, found: Search, cause: Refined) -> float:
+    """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
     if bound.regime == "unknown_torque":
         return 1.0
-    return float(np.exp(cause.by_size[0] - logsumexp(cause.by_size)))
+    levels = sizes(bound.regime)
+    prior = log_prior(levels)
+    weight = found.temper * (cause.by_size - prior) + prior
+    little = levels <= max(levels[0], LITTLE * best_size(bound, found.pool[""]))
+    return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
 def _weigh(bound: Setting, found: Search, seed: int) -> _Weighed:
@@ -153,12 +161,14 @@ def _weigh(bound: Setting, found: Search, seed: int) -> _Weighed:
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
     confirmed = {c.key: confirm(bound, c, seed) for c in close}
     evidence = {c.key: c.log_evidence for c in ranked}
-    # Filters that collapsed say less than the linearised evidence does; rivals are weighed on one scale.
+    # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
+    # whole stand beside those that were not confirmed where the linearised evidence has them.
     if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < 0.3 for run in confirmed.values()):
-        evidence |= {name: run.log_evidence for name, run in confirmed.items()}
-    score = np.array([found.score(c) - c.log_evidence + evidence[c.key] for c in ranked])
+        apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
+        evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
+    score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
-    share = np.array([_spike_share(bound, c) for c in ranked])
+    share = np.array([_share_alone(bound, found, c) for c in ranked])
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}

@@ -7,6 +7,14 @@ The number of effects at work comes first, then which ones, then where each acts
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.screen`).
+
+Reality's friction is not quite the catalogue's, and the larger an effect, the more nats that small difference is worth.
+Evidence is therefore raised to a power ζ (a coarsened posterior: Miller & Dunson 2019, "Robust Bayesian inference via
+coarsening"), with G the nats that the best cause gains over none:
+
+    ζ = 1 / (1 + G/α)
+
+Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are.
 """
 
 import math
@@ -16,6 +24,13 @@ from invdyn.models.effects.base import Effect
 
 NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
 MOST = len(NUMBER) - 1
+ALPHA = 100.0
+"""α, nats."""
+
+
+def tempered(gain: float) -> float:
+    """ζ, for G = ``gain``."""
+    return 1 / (1 + max(gain, 0.0) / ALPHA)
 
 
 def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:

@@ -22,7 +22,7 @@ from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
-from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import ArmModel
@@ -38,6 +38,9 @@ EARNED = 2.0
 
 FIRM = 1e-3
 """Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
+
+SLACK = (1000.0, 100.0, 10.0, 1.0)
+"""Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
 
 SETTLED = 0.1
 """Change of a parameter, in its own standard deviations, under which it stays."""
@@ -76,6 +79,11 @@ class Refined:
     noise_log: float
     plausible: bool = True
     about: np.ndarray | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the cause does without a residual torque."""
+        return int(self.by_size.argmax()) == 0
 
     @property
     def sd(self) -> np.ndarray:
@@ -164,12 +172,9 @@ def refine(
         )
         return cause, target
 
-    # With the residual's own size first; then stiffer: a residual that bends the path lets wrong parameters stand.
-    for stiffness, most in ((1.0, rounds), (0.1, 2), (0.0, 2)):
-        if stiffness < 1.0 and (rounds < ROUNDS or int(best.by_size.argmax()) == 0 or best.log_evidence < enough):
-            break
-        if stiffness < 1.0:
-            point, path, size = best.mean, best.path, float(levels[best.by_size.argmax()])
+    def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int) -> None:
+        """Expand and move on, ``most`` times at most; the best stays."""
+        nonlocal best, step
         for done in range(most):
             cause, target = once(point, path, stiffness * size)
             path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
@@ -179,7 +184,34 @@ def refine(
             if (np.abs(target - point) < SETTLED * sd).all() or best.log_evidence < (enough if done else doubtful):
                 break
             point = target
+
+    patient = rounds == ROUNDS
+    if patient and model.effects.abrupt:
+        # Where joints stick or strike, a path that leaves much to the residual misleads.
+        descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
+    if best is None or not best.complete:
+        descend(point, path, size, 1.0, rounds)
+    # Then stiffer: a residual that bends the path lets wrong parameters stand.
+    for stiffness in (0.1, 0.0):
+        if patient and not best.complete and best.log_evidence >= enough:
+            size = float(levels[best.by_size.argmax()])
+            firm = led(setting, among.set_in(model, best.mean), best.path, stiffness * size)
+            descend(best.mean, firm, size, stiffness, 2)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
+
+
+def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+    """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
+
+    Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
+    much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
+    """
+    names = [name for name in ("noise.angle", "noise.velocity", "noise.hidden") if name in model.parameters]
+    for slack in SLACK:
+        loose = model.replace(**{name: slack * model.parameters[name] for name in names})
+        quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
+        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=2 * STEPS, tolerance=CLOSE).path
+    return path
 
 
 def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.noise import is_noise
-from invdyn.diagnosis.prior import MOST, log_prior_of
-from invdyn.diagnosis.refine import Refined, key_of, refine, refine_noise
+from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
+from invdyn.diagnosis.refine import FIRM, ROUNDS, Refined, key_of, led, lifted, refine, refine_noise
 from invdyn.diagnosis.screen import Screened, screen, sizes
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.together import together
@@ -90,9 +90,15 @@ class Search:
     path: Tensor
     stray: bool
 
+    @property
+    def temper(self) -> float:
+        """Power to which evidence is raised; see :func:`tempered`."""
+        none = self.pool[""].log_evidence
+        return tempered(max(cause.log_evidence for cause in self.pool.values()) - none)
+
     def score(self, cause: Refined) -> float:
         """Log posterior but for a constant."""
-        return cause.log_evidence + log_prior_of(cause.effects, self.candidates)
+        return self.temper * cause.log_evidence + log_prior_of(cause.effects, self.candidates)
 
     @property
     def ranked(self) -> list[Refined]:
@@ -184,8 +190,9 @@ def search(
         screened = _extend(setting, found, best, WIDTH[number])
         if not found.first:
             found.first = screened
-            if setting.regime != "unknown_torque" and not _explained(found.ranked[0]):
+            if setting.regime != "unknown_torque" and not found.ranked[0].complete:
                 _several(setting, found)
+                _reduce(setting, found)
         grown = found.ranked[0]
         if len(grown.effects) == 2 and len(best.effects) == 1:
             for old in best.effects:
@@ -196,7 +203,28 @@ def search(
                 if base is not None:
                     found.add(base)
                     _extend(setting, found, base, SWAPS)
+    _reduce(setting, found)
     return found
+
+
+def _reduce(setting: Setting, found: Search) -> None:
+    """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
+
+    A set may be what it took to get near the parameters of one of its members.
+    """
+    best = found.ranked[0]
+    tried = set()
+    while len(best.effects) > 1:
+        for effect in best.effects:
+            rest = tuple(e for e in best.effects if e is not effect)
+            if key_of(rest) not in tried and not all(is_noise(e) for e in rest):
+                cause = _attempt(refine, setting, rest, _values(best), best.path, FIRM, noise_log=best.noise_log)
+                if cause is not None:
+                    found.add(cause)
+            tried.add(key_of(rest))
+        if found.ranked[0] is best:
+            return
+        best = found.ranked[0]
 
 
 def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
@@ -211,16 +239,17 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     else:
         # The body as it is stated: without a cause its numbers have been bent to stand in for one.
         model, path, point = setting.model, found.path, common.mean
-    few = _explained(base) and bool(base.effects)
+    few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
-    nothing = next(s.log_evidence for s in screened if s.effect is None)
-    alone = nothing + log_prior_of(base.effects, found.candidates)
+    nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
+    alone = log_prior_of(base.effects, found.candidates)
     promising = [
         s
         for s in screened
         if s.effect is not None
-        and s.log_evidence + log_prior_of((*base.effects, s.effect), found.candidates) > alone - DOUBT
+        and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
+        > alone - DOUBT
     ]
     top = max(cause.log_evidence for cause in found.pool.values())
     most = screened[0].log_evidence - nothing
@@ -241,10 +270,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             found.add(cause)
             top = max(top, cause.log_evidence)
     _refine_kin(setting, found, len(base.effects) + 1)
-    if not base.effects and setting.regime != "unknown_torque" and not _explained(found.ranked[0]):
+    if not base.effects and setting.regime != "unknown_torque" and not found.ranked[0].complete:
         for effect in free:
-            # Play is no small change of anything: no column stands for it.
-            if isinstance(effect, Backlash) and (cause := _attempt(_refine_hidden, setting, base, effect)) is not None:
+            if effect.scan and (cause := _attempt(_scan, setting, base, effect)) is not None:
                 found.add(cause)
     for effect in free:
         if (
@@ -273,13 +301,8 @@ def _several(setting: Setting, found: Search) -> None:
             if cause is not None:
                 found.add(cause)
         _refine_kin(setting, found, len(sets[0].effects))
-        if _explained(found.ranked[0]):
+        if found.ranked[0].complete:
             break
-
-
-def _explained(cause: Refined) -> bool:
-    """Whether the cause does without a residual torque."""
-    return int(cause.by_size.argmax()) == 0
 
 
 def _refine_kin(setting: Setting, found: Search, number: int) -> None:
@@ -309,19 +332,23 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
                     found.add(other_one)
 
 
-def _refine_hidden(setting: Setting, base: Refined, effect: HiddenHinge) -> Refined:
-    """Refine an effect with a hidden hinge from the best of its grid points."""
-    parameters = effect.parameters(setting.model.scale)
+def _scan(setting: Setting, base: Refined, effect: Effect) -> Refined:
+    """Refine an effect from the best of its starting values, each on a path of its own."""
+    effects = (*base.effects, effect)
+    model = setting.model.with_effects(*effects)
+
+    def refined(values: dict[str, float], path: Tensor, rounds: int) -> Refined:
+        known = {name: torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+        there = model.replace(**{f"effect.{k}": v for k, v in known.items() if f"effect.{k}" in model.parameters})
+        path = led(setting, there, lifted(model, path), FIRM)
+        return refine(setting, effects, values, path, FIRM, noise_log=base.noise_log, rounds=rounds)
+
     tried = []
-    for point in product(*(p.grid or (p.absent,) for p in parameters)):
-        values = _values(base) | {f"{effect.key}.{p.name}": v for p, v in zip(parameters, point, strict=True)}
-        first = refine(setting, (*base.effects, effect), values, base.path, LOOSE, noise_log=base.noise_log, rounds=1)
-        tried.append(first)
+    for point in product(*effect.scan.values()):
+        values = _values(base) | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
+        tried.append(refined(values, base.path, 1))
     best = max(tried, key=lambda cause: cause.log_evidence)
-    if best.log_evidence < base.log_evidence:
-        return best
-    size = float(sizes(setting.regime)[int(best.by_size.argmax())])
-    return refine(setting, best.effects, _values(best), best.path, size, noise_log=base.noise_log)
+    return best if best.log_evidence < base.log_evidence else refined(_values(best), best.path, ROUNDS)
 
 
 def _values(cause: Refined) -> dict[str, float]:

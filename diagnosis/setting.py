@@ -27,6 +27,9 @@ REGIMES = ("commanded", "passive", "unknown_torque")
 DECAY = {"commanded": 20.0, "passive": 20.0, "unknown_torque": 4.0}
 """1/s: friction and the like change several times in a swing, a limb's own torque with it."""
 
+FIRMER = 0.3
+"""Of the dynamics' own noise in inference: what that noise can follow is no gap, and play or bending is so small."""
+
 LOOSE = 0.3
 """Size of the residual, in typical torques, under which the data's own path is found."""
 
@@ -149,12 +152,12 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
 
 
 def _as_seen(problem: Problem) -> ArmModel:
-    """The model with the noise that the recording's own jitter shows, whatever the simulation misfits."""
+    """The model with the noise that the recording's own jitter shows, whatever the simulation misfits, and firmer."""
     model, rows = problem.model, problem.observations.numpy()
     points = 2 * len(model.emission_model.tips)
     sd = jitter(rows)
     reach = model.body_parameters().length.sum().item()
-    found = {}
+    found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if points:
         found["emission.keypoint_scale"] = torch.as_tensor(sd[:points].reshape(-1, 2).mean(1)).clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import regression
-from invdyn.diagnosis.prior import MOST, log_prior_of
+from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened, beside, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns
@@ -72,6 +72,7 @@ def together(
         candidates: all effects considered, for the prior.
     """
     single = [s for s in screened if s.effect is not None][:BEST]
+    temper = tempered(single[0].log_evidence - next(s.log_evidence for s in screened if s.effect is None))
     parts, pieces, start = [], [], 1
     for each in single:
         h = each.best
@@ -120,7 +121,7 @@ def together(
             factors = results[best].mean[row]
             # At the edge of a half-normal prior an effect is absent; beyond other bounds it is implausible.
             beyond = (factors > upper[row]) | ((factors < lower[row]) & (lower[row] < mean[row]))
-            score = float(logsumexp(table[:, row])) + log_prior_of(effects, candidates)
+            score = temper * float(logsumexp(table[:, row])) + log_prior_of(effects, candidates)
             score = -np.inf if beyond.any() else score
             values = _values([parts[i] for i in members], factors)
             evaluated.append(Together(effects, values, float(levels[best]), score))

@@ -16,6 +16,7 @@ mean one step later; explicit Euler sees it held, as printed.
 """
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -26,7 +27,7 @@ from torch import Tensor
 from invdyn.models.arm_start import kinematic_paths
 from invdyn.models.body import Body, BodyParameters, Learned
 from invdyn.models.dynamics import dynamics_for
-from invdyn.models.effects.base import Effect
+from invdyn.models.effects.base import SHORT, Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition, own_values
 from invdyn.models.effects.parameters import check_tracked, is_signed, parameters_of
@@ -81,6 +82,7 @@ class ArmModel(StateSpaceModel):
         self.emission_model = emission or Emission(range(joints))
         self.torque = torque or OrnsteinUhlenbeck()
         self.integrator, self.substeps = integrator, substeps
+        self._abrupt = 1  # sub-steps that a force that jumps needs
         self.dynamics = dynamics_for(joints)
         # Of which links these follow from length and mass, for want of a number.
         missing = {name: torch.tensor([getattr(link, name) is None for link in body.links]) for name in DERIVED}
@@ -194,12 +196,14 @@ class ArmModel(StateSpaceModel):
         bound = tuple(effect.bound(self.body) for effect in effects)
         other = self.replace()
         other.effects = Composition((*self.effects, *bound))
+        if other.effects.abrupt:
+            other._abrupt = math.ceil(self.dt.median().item() / SHORT)
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         other.parameters |= starts
         other.priors = {**self.priors, **priors}
         if other.effects.hinge and not self.effects.hinge:
             spread = torch.tensor(other.effects.hinge.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
-            other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 0.01 * spread}
+            other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 1e-4 * spread}
             other.state_dim += 2
         check_tracked(bound, [self.body.keypoint_names[k] for k in self.emission_model.tips])
         return other
@@ -321,6 +325,7 @@ class ArmModel(StateSpaceModel):
         """E[x_t | x_{t−1} = state], shape (..., D)."""
         z, q, qd = self.split(state)
         dt, body = self._step(t), self.body_parameters()
+        parts = self.substeps_taken
         z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
         z_next = self.torque.mean(z, dt, self.parameters)
         joints = self.body.num_joints
@@ -330,7 +335,7 @@ class ArmModel(StateSpaceModel):
             start, change = start + mean - slope / 2, change + slope
 
         def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
-            return self._net(q, qd, start + s * change if s else start, body, t - 1, s, dt / self.substeps)
+            return self._net(q, qd, start + s * change if s else start, body, t - 1, s, dt / parts)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
             torque, own = net(q, qd, s)
@@ -338,9 +343,9 @@ class ArmModel(StateSpaceModel):
 
         if self.effects.hinge:
             p = own_values(self.effects.hinge, self.parameters)
-            step = self.effects.hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, self.substeps)
+            step = self.effects.hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts)
             return join(z_next, *step)
-        q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, dt, self.substeps)
+        q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, dt, parts)
         return join(z_next, q, qd)
 
     def _net(
@@ -382,6 +387,11 @@ class ArmModel(StateSpaceModel):
 
     def _interval(self, t: int | Tensor) -> Tensor:
         return self.dt[t].to(self.dtype).unsqueeze(-1)
+
+    @property
+    def substeps_taken(self) -> int:
+        """Integrator steps per row: ``substeps``, or more where an effect's force jumps."""
+        return max(self.substeps, self._abrupt)
 
     def _step(self, t: int | Tensor) -> Tensor:
         """What a row's interval really takes, s."""

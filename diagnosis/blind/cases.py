@@ -6,8 +6,9 @@ catalogue lacks), `leave_one_out` (the true effect is to be struck from the cata
 effect) to the byte. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by nobody
 before.
 
-An effect of usual size that was hardly met (a stop never reached; see `visibility`) has body, motion and size drawn
-again, at most `TRIES` times. The answer has d′ of every effect.
+An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
+body, motion and size drawn again, at most `TRIES` times, from the fourth on larger by half each time. The answer has
+d′ of every effect.
 """
 
 import json
@@ -32,6 +33,7 @@ KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outsi
 TRIES = 8
 ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
 WEAK = 0.25
+GROWING = 1.5
 
 TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
 NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
@@ -99,9 +101,9 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
         names = lot if _agree(lot) else None
     best = None
     for attempt in range(TRIES):
-        case = _attempt(
-            np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt]), kind, names
-        )
+        strength = WEAK if kind == "weak" else GROWING ** max(0, attempt - 2)
+        stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
+        case = _attempt(stream, kind, names, strength)
         if case is None:
             continue
         met = min((each["dprime"] for each in case.answer["effects"]), default=np.inf)
@@ -119,7 +121,7 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str]) -> Case | None:
+def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: float) -> Case | None:
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
@@ -134,7 +136,7 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str]) -> Case 
     if _wild(plain):
         return None
     yardsticks = scene(true_body, plan, plain)
-    present = [drawn(rng, name, yardsticks, WEAK if kind == "weak" else 1.0) for name in names]
+    present = [drawn(rng, name, yardsticks, strength) for name in names]
     seed = tuple(int(word) for word in rng.integers(2**31, size=4))
     noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
     noise = float(f"{noise:.3g}")

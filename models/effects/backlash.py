@@ -10,6 +10,8 @@ play nothing is changed; ψ is how far the link is ahead of it. Time-stepping af
 which keeps momentum and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
 """
 
+from typing import ClassVar
+
 import torch
 from pyro.distributions import HalfNormal
 from torch import Tensor
@@ -32,6 +34,8 @@ class Backlash(HiddenHinge):
 
     Told apart from Coulomb friction by slow reversals of the load.
     """
+
+    scan: ClassVar = {"width": tuple(0.003 * 2 ** (n / 2) for n in range(8))}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Width, rad."""

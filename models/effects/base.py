@@ -38,6 +38,9 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mixture import Stray, Swap
 
+SHORT = 0.003
+"""s, longest sub-step under a force that jumps: within one it has one value, whenever in it the jump should come."""
+
 Values = Mapping[str, Tensor]
 """An effect's own parameters by their own names, (..., 1) each."""
 
@@ -85,6 +88,12 @@ class Effect(ABC):
 
     located: ClassVar[tuple[str, ...]] = ()
     """Parameters that a recording itself suggests values of, such as when a push began; any grid is a makeshift."""
+
+    abrupt: ClassVar[bool] = False
+    """Whether its force jumps within a motion, as dry friction's where a joint turns around: see :data:`SHORT`."""
+    scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}
+    """Values of parameters that a search starts from, one after the other: where joints stick or gears have play, the
+    change near its absence does not tell how large an effect is."""
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""

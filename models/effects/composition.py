@@ -29,6 +29,7 @@ class Composition:
             raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
+        self.abrupt = any(effect.abrupt for effect in effects)
         self.has_friction = any(type(effect).friction is not Effect.friction for effect in effects)
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
         self.has_command = any(type(effect).command is not Effect.command for effect in effects)

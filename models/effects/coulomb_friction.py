@@ -1,5 +1,7 @@
 """Dry friction of a joint: −τ_c sgn θ̇."""
 
+from typing import ClassVar
+
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
@@ -13,6 +15,8 @@ class CoulombFriction(Effect):
 
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
+
+    abrupt: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction torque τ_c, N·m."""

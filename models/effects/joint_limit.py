@@ -1,7 +1,7 @@
 """A stop of a joint: a spring and damper past an angle, which push and never pull."""
 
 from collections.abc import Sequence
-from typing import Self
+from typing import ClassVar, Self
 
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
@@ -36,6 +36,8 @@ class JointLimit(Effect):
     def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
         """Both stops of every joint."""
         return [cls(joint, side) for joint in body.joint_names for side in SIDES]
+
+    abrupt: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""

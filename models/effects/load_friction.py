@@ -1,5 +1,7 @@
 """Friction that grows with the load on the gear: −k |τ_motor − τ_external| sgn θ̇."""
 
+from typing import ClassVar
+
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
@@ -14,6 +16,9 @@ class LoadFriction(Effect):
     The arm exerts −(h + c), its gravity, Coriolis and centrifugal torques; a motor that holds it up, u = c, loads the
     gear from both sides. Told apart from Coulomb friction by varying the load.
     """
+
+    abrupt: ClassVar[bool] = True
+    scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction per load k, a pure number."""

@@ -1,5 +1,7 @@
 """Dry friction that falls with speed: −(τ_c + (τ_s − τ_c) e^{−(θ̇/ω_s)²}) sgn θ̇ (Stribeck's curve)."""
 
+from typing import ClassVar
+
 import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
@@ -14,6 +16,8 @@ class StribeckFriction(Effect):
 
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
+
+    abrupt: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction in motion τ_c and near rest τ_s, N·m; speed ω_s of the change, rad/s."""
