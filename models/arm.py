@@ -334,36 +334,54 @@ class ArmModel(StateSpaceModel):
             mean, slope = (row.to(state) for row in self.motors.row(t))
             start, change = start + mean - slope / 2, change + slope
 
-        def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
-            return self._net(q, qd, start + s * change if s else start, body, t - 1, s, dt / parts)
-
-        def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
-            torque, own = net(q, qd, s)
-            return self.dynamics.forward(q, qd, torque, body, own)
+        def smooth(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None, Situation | None]:
+            return self._smooth(q, qd, start + s * change if s else start, body, t - 1, s, dt / parts)
 
         if self.effects.hinge:
-            p = own_values(self.effects.hinge, self.parameters)
-            step = self.effects.hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts)
-            return join(z_next, *step)
-        q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, dt, parts)
+            p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
+            net = lambda *moment: self._rubbed(*smooth(*moment))  # noqa: E731
+            return join(z_next, *hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts))
+
+        def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
+            """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
+            held = self._friction(*smooth(q, qd, begun)) if self.effects.has_friction else 0.0
+
+            def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
+                torque, own, _ = smooth(q, qd, begun + share * s)
+                return self.dynamics.forward(q, qd, torque + held, body, own)
+
+            return INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
+
+        if not self.effects.has_friction:
+            return join(z_next, *integrate(q, qd, 0.0, 1.0, parts))
+        for i in range(parts):
+            q, qd = integrate(q, qd, i / parts, 1 / parts, 1)
         return join(z_next, q, qd)
 
-    def _net(
+    def _smooth(
         self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
-    ) -> tuple[Tensor, Tensor | None]:
-        """Torque of motors and effects, and the joints' own inertias, (..., K), a part s of a row after row ``t``."""
+    ) -> tuple[Tensor, Tensor | None, Situation | None]:
+        """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
+
+        A part ``s`` of a row after row ``t``.
+        """
         if not self.effects:
-            return motor, None
+            return motor, None, None
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
-            return motor, own
+            return motor, own, None
         passed = s * self._interval(t + 1) if s else 0.0
         time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
         now = Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
-        torque = motor + self.effects.force(self.parameters, now)
-        if self.effects.has_friction:
-            torque = torque + self.effects.friction(self.parameters, now, torque, own)
-        return torque, own
+        return motor + self.effects.force(self.parameters, now), own, now
+
+    def _friction(self, torque: Tensor, own: Tensor | None, now: Situation) -> Tensor:
+        """Dry friction, (..., K) N·m, under all other torques."""
+        return self.effects.friction(self.parameters, now, torque, own)
+
+    def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
+        """All torques, and the joints' own inertias."""
+        return (torque + self._friction(torque, own, now) if self.effects.has_friction else torque), own
 
     def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
         """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on; no hidden hinge moves."""
@@ -372,7 +390,7 @@ class ArmModel(StateSpaceModel):
         if self.command is not None:
             mean, slope = (row.to(state) for row in self.motors.row(t + 1))
             torque = torque + mean - slope / 2
-        torque, own = self._net(q, qd, torque, body, t, 0.0, self._interval(t))
+        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, self._interval(t)))
         return self.dynamics.forward(q, qd, torque, body, own)
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -38,8 +38,8 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mixture import Stray, Swap
 
-SHORT = 0.003
-"""s, longest sub-step under a force that jumps: within one it has one value, whenever in it the jump should come."""
+SHORT = 0.006
+"""s, longest sub-step under a force that jumps; dry friction is held within one, at its mean about a stop."""
 
 Values = Mapping[str, Tensor]
 """An effect's own parameters by their own names, (..., 1) each."""

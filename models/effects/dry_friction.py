@@ -7,7 +7,8 @@ within a sub-step h. With a_0 the accelerations without friction and A = (D + di
 
 by projected Gauss–Seidel sweeps (Jean & Moreau's contact solver) from what would stop all joints; that is exact for one
 joint, and for any that all stick. A joint that slides gets −L sgn θ̇; one at rest that nothing overcomes stays at rest,
-and does not creep as under a smoothed sign.
+and does not creep as under a smoothed sign. A joint that is pushed through a stop within h, at t* = |θ̇| / (|a| + A L)
+with a its acceleration but for its own friction, gets the mean of what acts before and after, L (1 − 2 t*/h) sgn θ̇.
 """
 
 from collections.abc import Mapping
@@ -39,7 +40,20 @@ def dry_friction(levels: Mapping[int, Tensor], now: Situation, torque: Tensor, o
             best = friction[j] - wanted[..., j : j + 1] / column[..., j : j + 1]
             new = _within(best, level)
             wanted, friction[j] = wanted + column * (new - friction[j]), new
+    for j, level in levels.items():
+        friction[j] = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
     return sum((now.at(j, f) for j, f in friction.items()), start=still)
+
+
+def _through_stops(f: Tensor, level: Tensor, wanted: Tensor, mobility: Tensor, now: Situation, j: int) -> Tensor:
+    """Friction (..., 1) of a joint, or the mean of both its signs where the joint turns around within the step."""
+    v = now.qd[..., j : j + 1]
+    pushed = wanted - v / now.step - mobility * f
+    pace = pushed.abs() + mobility * level
+    turns = (pushed * v < 0) & (pushed.abs() > mobility * level) & (v.abs() < now.step * pace)
+    # where nothing turns the quotient's slope must not count either
+    share = v.abs() / torch.where(turns, now.step * pace, torch.ones_like(pace))
+    return torch.where(turns, v.sign() * level * (1 - 2 * share), f)
 
 
 def _stopping(levels: Mapping[int, Tensor], wanted: Tensor, columns: Mapping[int, Tensor]) -> dict[int, Tensor]:
