@@ -42,8 +42,8 @@ FIRM = 1e-3
 SLACK = (1000.0, 100.0, 10.0, 1.0)
 """Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
 
-SETTLED = 0.1
-"""Change of a parameter, in its own standard deviations, under which it stays."""
+SETTLED, UNSETTLED = 0.1, 5.0
+"""Change of a parameter, in its own standard deviations, under which it stays; nats that one that moves may cost."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +143,7 @@ def refine(
     levels = sizes(setting.regime)
     step = 0.05 * 0.2 * among.sd
     best: Refined | None = None
+    worth = -np.inf
 
     def once(point: np.ndarray, path: Tensor, size: float) -> tuple[Refined, np.ndarray]:
         """Path and expansion about ``point``; the cause, and where its parameters would go."""
@@ -154,7 +155,7 @@ def refine(
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
         top = outcomes[int(by_size.argmax())]
-        target = np.clip(point + top.mean[0], among.lower, among.upper)
+        target = among.step(point, point + top.mean[0])
         evidence = float(logsumexp(by_size))
         cause = Refined(
             effects,
@@ -174,14 +175,17 @@ def refine(
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int) -> None:
         """Expand and move on, ``most`` times at most; the best stays."""
-        nonlocal best, step
+        nonlocal best, worth, step
         for done in range(most):
             cause, target = once(point, path, stiffness * size)
             path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
             step = 0.05 * sd
-            if best is None or cause.log_evidence > best.log_evidence:
-                best = replace(cause, about=point)
-            if (np.abs(target - point) < SETTLED * sd).all() or best.log_evidence < (enough if done else doubtful):
+            off = np.abs(target - point) / np.maximum(sd, 1e-300)
+            # Evidence is that of a straight line from the point on: the farther it leads, the less it is worth.
+            true = cause.log_evidence - min(0.5 * float((off**2).sum()), UNSETTLED)
+            if best is None or true > worth:
+                best, worth = replace(cause, about=point), true
+            if (off < SETTLED).all() or best.log_evidence < (enough if done else doubtful):
                 break
             point = target
 

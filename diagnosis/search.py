@@ -270,10 +270,13 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             found.add(cause)
             top = max(top, cause.log_evidence)
     _refine_kin(setting, found, len(base.effects) + 1)
-    if not base.effects and setting.regime != "unknown_torque" and not found.ranked[0].complete:
-        for effect in free:
-            if effect.scan and (cause := _attempt(_scan, setting, base, effect)) is not None:
+    if not base.effects and setting.regime != "unknown_torque":
+        for effect in sorted((e for e in free if e.scan), key=lambda e: isinstance(e, HiddenHinge)):
+            if found.ranked[0].complete:
+                break
+            if (cause := _attempt(_scan, setting, base, effect, top - HOPELESS)) is not None:
                 found.add(cause)
+                top = max(top, cause.log_evidence)
     for effect in free:
         if (
             is_noise(effect)
@@ -332,8 +335,8 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
                     found.add(other_one)
 
 
-def _scan(setting: Setting, base: Refined, effect: Effect) -> Refined:
-    """Refine an effect from the best of its starting values, each on a path of its own."""
+def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Refined:
+    """Refine an effect from the best of its starting values, each on a path of its own, if that has ``enough`` nats."""
     effects = (*base.effects, effect)
     model = setting.model.with_effects(*effects)
 
@@ -348,7 +351,8 @@ def _scan(setting: Setting, base: Refined, effect: Effect) -> Refined:
         values = _values(base) | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
         tried.append(refined(values, base.path, 1))
     best = max(tried, key=lambda cause: cause.log_evidence)
-    return best if best.log_evidence < base.log_evidence else refined(_values(best), best.path, ROUNDS)
+    most = max(base.log_evidence, base.log_evidence + (1 - SHARE) * (enough - base.log_evidence))
+    return best if best.log_evidence < most else refined(_values(best), best.path, ROUNDS)
 
 
 def _values(cause: Refined) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.predict import Scores, best_size, scores
-from invdyn.diagnosis.refine import Refined, refine
+from invdyn.diagnosis.refine import Refined, led, refine
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.inference.gauss_newton import gauss_newton
 
@@ -52,8 +52,7 @@ def held_out_scores(
         for each in (none, cause):
             model = each.carried_to(other)
             start = gauss_newton(other.with_residual(LOOSE, model), other.observations).path
-            quiet = other.with_residual(max(best_size(setting, each), 1e-3), model)
-            path = gauss_newton(quiet, other.observations, start=start, max_iterations=8).path
+            path = led(other, model, start, best_size(setting, each))
             pair.append(scores(other, each.moved_to(model, path)))
         return *pair, np.ones(len(other.observations), bool)
     train, rows = split(setting)

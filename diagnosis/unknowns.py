@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, Normal
+from pyro.distributions import Distribution, LogNormal, Normal
 
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.setting import Setting, Uncertain
@@ -33,6 +33,12 @@ class Unknowns:
     sd: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+
+    def step(self, point: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """``target`` (p,) within bounds, and a positive parameter no less than half of what it is at ``point``."""
+        positive = np.array([isinstance(prior, LogNormal) for prior in self.priors], dtype=bool)
+        target = np.where(positive, np.maximum(target, point / 2), target)
+        return np.clip(target, self.lower, self.upper)
 
     def log_prior(self, values: torch.Tensor) -> torch.Tensor:
         """Log prior density (S,) of values (S, p)."""

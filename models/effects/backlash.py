@@ -35,7 +35,7 @@ class Backlash(HiddenHinge):
     Told apart from Coulomb friction by slow reversals of the load.
     """
 
-    scan: ClassVar = {"width": tuple(0.003 * 2 ** (n / 2) for n in range(8))}
+    scan: ClassVar = {"width": tuple(0.0035 * 1.6**n for n in range(6))}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Width, rad."""
