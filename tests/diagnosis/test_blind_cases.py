@@ -142,6 +142,14 @@ def test_the_visibility_of_an_effect_is_that_of_its_change():
     assert effect["dprime"] > effect["visibility_rms"]
 
 
+def test_play_that_is_never_crossed_is_not_visible(monkeypatch):
+    """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
+    monkeypatch.setattr(cases, "TRIES", 1)
+    (effect,) = make_case(301, "commanded", "backlash").answer["effects"]
+    assert effect["parameters"]["width"]["value"] > 0.005
+    assert effect["dprime"] < 1
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="kind of case among commanded"):
         make_case(1, "weird")

@@ -12,7 +12,7 @@ from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
-from invdyn.diagnosis.refine import key_of, lifted, refine, refine_noise
+from invdyn.diagnosis.refine import FIRM, key_of, led, lifted, refine, refine_noise
 from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import DECAY, LOOSE, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
@@ -155,6 +155,49 @@ def test_friction_is_found_and_believed():
     assert cause.model.parameters["effect.viscous_friction.pivot.damping"].item() == pytest.approx(cause.mean[0])
     # The noise scale starts from the recording's own jitter: a factor near one, n = 160.
     assert 0.7 < cause.kappa < 1.3
+
+
+@cache
+def rubbed(level=0.15):
+    """A pendulum under known commands with dry friction enough to stick at every turn."""
+    arm = random_arm(PENDULUM, duration=3.0, fps=50, noise=0.001, torque_scale=0.5, commanded=True, seed=2)
+    effect = EFFECTS["coulomb_friction"]("pivot")
+    values = {"effect.coulomb_friction.pivot.torque": torch.tensor([level], dtype=torch.float64)}
+    here = setting(record(arm.with_effects(effect).replace(**values), 2)[0], PENDULUM)
+    return here, effect, values
+
+
+def test_a_path_is_led_through_what_sticks():
+    here, effect, values = rubbed()
+    model = here.model.with_effects(effect).replace(**values)
+    loose = path_of(here)
+    by_itself = gauss_newton(here.with_residual(FIRM, model), here.observations, start=loose, max_iterations=24)
+    path = led(here, model, loose, FIRM)
+    quiet = gauss_newton(here.with_residual(FIRM, model), here.observations, start=path, max_iterations=1)
+    assert quiet.log_joint > by_itself.log_joint - 1
+    stuck = path[1:, -1].abs() < 1e-3
+    assert 3 < stuck.sum() < len(path) / 2
+
+
+def test_dry_friction_is_found_from_where_the_screen_would_not_have_it():
+    here, effect, _ = rubbed()
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    for start in (0.05, 0.3):
+        cause = refine(here, (effect,), {"coulomb_friction.pivot.torque": start}, path_of(here), LOOSE)
+        assert cause.complete
+        assert abs(cause.mean[0] - 0.15) < 4 * cause.sd[0]
+        assert cause.log_evidence > none.log_evidence + 50
+
+
+def test_a_positive_parameter_is_halved_at_most():
+    here, _, _ = rubbed()
+    among = unknowns(here, (EFFECTS["stribeck_friction"]("pivot").bound(PENDULUM),))
+    velocity = among.names.index("stribeck_friction.pivot.velocity")
+    point = among.mean.copy()
+    there = among.step(point, point - 100.0 * among.sd)
+    assert there[velocity] == pytest.approx(point[velocity] / 2)
+    assert (there >= among.lower).all()
+    assert among.step(point, point + 0.1 * among.sd) == pytest.approx(point + 0.1 * among.sd)
 
 
 def test_friction_that_is_not_there_costs_its_prior():

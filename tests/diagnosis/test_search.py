@@ -10,10 +10,10 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
-from invdyn.diagnosis.prior import NUMBER, log_prior_of
+from invdyn.diagnosis.prior import ALPHA, NUMBER, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
-from invdyn.diagnosis.search import Search, considered, data_path, search
+from invdyn.diagnosis.search import Search, _reduce, _scan, considered, data_path, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -64,6 +64,34 @@ def test_friction_is_named():
     place = [s.effect.key for s in screened].index("viscous_friction.pivot")
     assert place < 4
     assert screened[place].dprime > 10
+
+
+def test_a_set_loses_what_it_does_not_need():
+    """From friction and a spring that is not there, friction alone."""
+    bound = setting(recorded(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
+    none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
+    found = Search(considered(bound), {"": none, both.key: both}, [], path, stray)
+    assert found.ranked[0].key == both.key
+    _reduce(bound, found)
+    assert found.ranked[0].key == "viscous_friction.pivot"
+
+
+def test_load_friction_is_found_from_afar():
+    bound = setting(recorded(EFFECTS["load_friction"]("pivot"), rows=120, coefficient=0.2), PENDULUM)
+    path, _ = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    cause = _scan(bound, none, EFFECTS["load_friction"]("pivot"), -np.inf)
+    assert cause.complete
+    assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
+def test_no_more_than_alpha_nats_count(gain):
+    assert gain * tempered(gain) <= ALPHA
+    assert gain * tempered(gain) == pytest.approx(gain, rel=gain / ALPHA)
+    assert tempered(-5.0) == 1.0
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,36 @@ def test_friction_holds_two_joints_at_once(arm, having, states):
     assert np.abs(qd[-1]).max() < 1e-3
 
 
+@pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])
+def test_a_rod_turns_around_within_a_step(step, having):
+    """Thrown against a constant torque it stops at t* and comes back: both parts are parabolas, whatever the step."""
+    level, push = 0.3, -1.1
+    command = torch.full((int(0.8 / step) + 2, 1), push, dtype=F64)
+    model = having(rod(rows=len(command), step=step, command=command), CoulombFriction("hinge"), torque=level)
+    _, qd = rolled(model, [0.0], [6.0])
+    time = step * np.arange(len(command))
+    stop = 6.0 * INERTIA / (level - push)
+    exact = np.where(time < stop, 6.0 + (push - level) / INERTIA * time, (push + level) / INERTIA * (time - stop))
+    assert stop < time[-2]
+    assert qd[:, 0] == pytest.approx(exact, abs=1e-9)
+
+
+def test_friction_about_a_stop_follows_its_level():
+    """The mean of both signs has the slopes of the exact answer, in the level and in the speed."""
+    level = torch.tensor([0.3], dtype=F64, requires_grad=True)
+    speed = torch.tensor([0.2], dtype=F64, requires_grad=True)
+    command = torch.full((3, 1), -1.1, dtype=F64)
+    model = rod(rows=3, step=0.05, command=command).with_effects(CoulombFriction("hinge"))
+    model._abrupt = 1
+
+    def after(level, speed):
+        there = model.replace(**{"effect.coulomb_friction.hinge.torque": level})
+        return there.transition_mean(torch.cat([torch.zeros(2, dtype=F64), speed]), 1)[-1]
+
+    assert torch.autograd.gradcheck(after, (level, speed))
+    assert after(level, speed).item() == pytest.approx(-0.8 / INERTIA * (0.05 - 0.2 * INERTIA / 1.4))
+
+
 def test_friction_of_two_kinds_adds_up(arm, states):
     ideal = arm(2)
     both = ideal.with_effects(CoulombFriction("joint1"), LoadFriction("joint1"))
