@@ -21,8 +21,9 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
+from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
-from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import ArmModel
@@ -35,12 +36,6 @@ STEPS, CLOSE = 3, 0.3
 
 EARNED = 2.0
 """Nats that an effect on the scatter must gain over its base on the grid, to be searched further."""
-
-FIRM = 1e-3
-"""Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
-
-SLACK = (1000.0, 100.0, 10.0, 1.0)
-"""Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
 
 SETTLED, UNSETTLED = 0.1, 5.0
 """Change of a parameter, in its own standard deviations, under which it stays; nats that one that moves may cost."""
@@ -204,20 +199,6 @@ def refine(
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 
-def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
-    """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
-
-    Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
-    much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
-    """
-    names = [name for name in ("noise.angle", "noise.velocity", "noise.hidden") if name in model.parameters]
-    for slack in SLACK:
-        loose = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
-        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=2 * STEPS, tolerance=CLOSE).path
-    return path
-
-
 def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:
     """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
     index = np.arange(1, len(point) + 1)[None]
@@ -226,17 +207,6 @@ def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[R
         regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
         for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
     ]
-
-
-def lifted(model: ArmModel, path: Tensor) -> Tensor:
-    """A path (T, D) in the states of ``model``: a hidden hinge that it does not know yet is at rest."""
-    missing = model.state_dim - path.shape[-1]
-    if not missing:
-        return path
-    torque = model.torque_size
-    if missing < 0:
-        return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
-    return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)
 
 
 def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:

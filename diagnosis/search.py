@@ -16,9 +16,7 @@ Everything that was refined stays in the pool, so that what the data cannot tell
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -26,15 +24,14 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.noise import is_noise
-from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
-from invdyn.diagnosis.refine import FIRM, ROUNDS, Refined, key_of, led, lifted, refine, refine_noise
+from invdyn.diagnosis.paths import FIRM, led, lifted
+from invdyn.diagnosis.pool import Search, considered, imitable
+from invdyn.diagnosis.prior import MOST, log_prior_of
+from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_noise
 from invdyn.diagnosis.screen import Screened, screen, sizes
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.inference.gauss_newton import gauss_newton
-from invdyn.models import ArmModel
-from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
@@ -67,102 +64,6 @@ DOUBT = 5.0
 
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
-
-STRAY = 5.0
-"""Standard deviations beyond which a detection counts as stray when the first path is judged."""
-
-
-@dataclass
-class Search:
-    """The pool of causes that were refined, and what the first screen said of all.
-
-    Attributes:
-        candidates: all effects at all places that were considered.
-        pool: refined causes by key.
-        first: the screen of every single effect.
-        path: (T, D) that the data ask for, whatever the cause.
-        stray: whether some detections are far from it.
-    """
-
-    candidates: list[Effect]
-    pool: dict[str, Refined]
-    first: list[Screened]
-    path: Tensor
-    stray: bool
-
-    @property
-    def temper(self) -> float:
-        """Power to which evidence is raised; see :func:`tempered`."""
-        none = self.pool[""].log_evidence
-        return tempered(max(cause.log_evidence for cause in self.pool.values()) - none)
-
-    def score(self, cause: Refined) -> float:
-        """Log posterior but for a constant."""
-        return self.temper * cause.log_evidence + log_prior_of(cause.effects, self.candidates)
-
-    @property
-    def ranked(self) -> list[Refined]:
-        """The pool, best first, without sets that a part of them beats."""
-        scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
-
-        def earns_its_size(cause: Refined) -> bool:
-            mine = frozenset(e.key for e in cause.effects)
-            return all(scores[mine] > score for other, score in scores.items() if other < mine)
-
-        kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
-        return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
-
-    def add(self, cause: Refined) -> None:
-        """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
-        if not cause.plausible:
-            return
-        known = self.pool.get(cause.key)
-        if known is None or cause.log_evidence > known.log_evidence:
-            self.pool[cause.key] = cause
-
-
-def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
-    """Every effect of the catalogue at every place at which it can act in this regime, bound."""
-    body = setting.model.body
-    tracked = [body.keypoint_names[tip] for tip in setting.model.emission_model.tips]
-    found = []
-    for name, kind in EFFECTS.items():
-        if name in without or (kind.needs_command and setting.regime != "commanded"):
-            continue
-        if kind.side == "observation" and not tracked and name != "clock_rate":
-            continue
-        found += [effect.bound(body) for effect in kind.everywhere(body, tracked)]
-    return found
-
-
-def imitable(effect: Effect) -> bool:
-    """Whether an unknown torque could do what the effect does."""
-    return effect.side == "dynamics" or effect.name in ("clock_rate", "camera_latency")
-
-
-def data_path(setting: Setting) -> tuple[Tensor, bool]:
-    """The path that the data ask for: the simulation under a large residual, robust against stray detections.
-
-    And whether there are any.
-    """
-    loose = setting.with_residual(LOOSE)
-    path = gauss_newton(loose, setting.observations).path
-    rows = torch.arange(len(path))
-    with torch.no_grad():
-        seen = loose.emission(path, rows).base_dist
-        far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
-    if not bool(far.any()):
-        return path, False
-    return gauss_newton(_heavy_tailed(loose), setting.observations).path, True
-
-
-def _heavy_tailed(model: ArmModel) -> ArmModel:
-    """The model with Student-t observations."""
-    other = copy.copy(model)
-    other.emission_model = copy.copy(model.emission_model)
-    other.emission_model.family = "student_t"
-    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
-    return other
 
 
 def search(

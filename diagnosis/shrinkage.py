@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from invdyn.diagnosis.paths import led
 from invdyn.diagnosis.predict import Scores, best_size, scores
-from invdyn.diagnosis.refine import Refined, led, refine
+from invdyn.diagnosis.refine import Refined, refine
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.inference.gauss_newton import gauss_newton
 

@@ -10,7 +10,7 @@ from scipy.stats import halfnorm, norm
 
 from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing
 from invdyn.diagnosis.noise import is_noise
-from invdyn.diagnosis.search import considered
+from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
 from invdyn.diagnosis.unknowns import FAR, FAR_ONE_SIDED, centre, lower_bound, spread, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton

@@ -11,8 +11,9 @@ from scipy.integrate import quad
 from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
-from invdyn.diagnosis.refine import FIRM, key_of, led, lifted, refine, refine_noise
+from invdyn.diagnosis.refine import key_of, refine, refine_noise
 from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import DECAY, LOOSE, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split

@@ -10,10 +10,12 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.prior import ALPHA, NUMBER, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
-from invdyn.diagnosis.search import Search, _reduce, _scan, considered, data_path, search
+from invdyn.diagnosis.search import _reduce, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.screen import screen, sizes
-from invdyn.diagnosis.search import considered, data_path
 from invdyn.diagnosis.setting import setting
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns

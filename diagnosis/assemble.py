@@ -1,0 +1,232 @@
+"""The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
+
+from collections.abc import Sequence
+
+import arviz as az
+import numpy as np
+import torch
+
+from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.describe import Formula
+from invdyn.diagnosis.findings import finding, key
+from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.pool import Search, imitable
+from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips, smoothed
+from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Shrinkage, Tracks, Visibility, Where
+from invdyn.diagnosis.search import FAINT
+from invdyn.diagnosis.separate import separating_experiment
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.shrinkage import Closed
+from invdyn.diagnosis.weigh import Weighed
+from invdyn.diagnosis.where import where
+from invdyn.models import Body
+from invdyn.recordings import Recording
+
+CREDIBLE = 0.95
+"""Probability that the ambiguity set holds."""
+
+
+def assembled(
+    bound: Setting,
+    found: Search,
+    weighed: Weighed,
+    shares: Closed,
+    formula: Formula | None,
+    seed: int,
+    held_out: object,
+) -> Diagnosis:
+    """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left."""
+    model, body = bound.model, bound.model.body
+    none, best = found.pool[""], weighed.best
+    before, before_sd = residual(bound, none)
+    after, after_sd = (before, before_sd) if best is none else residual(bound, best)
+    path = smoothed(bound, best).path
+    _, q, qd = best.model.split(path)
+    tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
+    replays = {
+        "nominal": replay(model, _without_hidden(model, path), bound.starts),
+        "corrected": replay(best.model, path, bound.starts),
+    }
+    frame_gap = scores(bound, best).score - scores(bound, none).score
+    moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
+    shifts = (
+        np.sqrt((moved**2).sum(-1).mean(0))
+        / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
+        if moved.size
+        else np.zeros(moved.shape[1])
+    )
+    causes = tuple(
+        Cause(
+            tuple(finding(bound, cause, effect, seed) for effect in cause.effects),
+            probability,
+            weighed.log_evidence[cause.key],
+            weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
+            weighed.in_part[cause.key],
+        )
+        for cause, probability in weighed.causes.values()
+        if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
+    )
+    causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
+    nothing = weighed.causes.get("", (none, 0.0))[1]
+    rivals = _ambiguous(causes)
+    joints = body.joint_names
+    visibility = tuple(
+        Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
+    )
+    probability = 1.0 - nothing
+    return Diagnosis(
+        recording=bound.problem.recording.name,
+        body=body.name,
+        seed=seed,
+        regime=bound.regime,
+        gap=Gap(
+            detected=probability > 0.5,
+            probability=probability,
+            elpd_per_frame=shares.per_frame,
+            residual_torque_rms=_rms(joints, before),
+            replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+        ),
+        where=where(
+            model,
+            weighed.causes,
+            weighed.outside,
+            before,
+            bound.typical.numpy(),
+            shifts,
+            frame_gap,
+            formula.variables if formula else (),
+        ),
+        causes=causes,
+        ambiguity_set=(rivals,) if rivals else (),
+        separating_experiment=separating_experiment(
+            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects]
+        ),
+        outside=Outside(
+            weighed.outside,
+            formula.text if formula else None,
+            formula.terms if formula else {},
+            float(formula.gain_per_frame) if formula else None,
+        ),
+        not_identifiable=tuple(
+            sorted(
+                key(s.effect)
+                for s in found.first
+                if s.effect is not None
+                and (s.dprime < FAINT or (bound.regime == "unknown_torque" and imitable(s.effect)))
+            )
+        ),
+        shrinkage=Shrinkage(
+            shares.share if best.effects else None,
+            shares.interval if best.effects else None,
+            True,
+            _rms(joints, after),
+        ),
+        joint_names=joints,
+        link_names=tuple(link.name for link in body.links),
+        lengths=tuple(model.body_parameters().length.tolist()),
+        tracks=Tracks(
+            time=model.time.numpy(),
+            observed=bound.observations[:, : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy(),
+            keypoint_names=tuple(body.keypoint_names[tip] for tip in model.emission_model.tips),
+            base=np.asarray(body.base, dtype=float),
+            command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
+            angle=q.numpy(),
+            velocity=qd.numpy(),
+            nominal_replay=replays["nominal"],
+            corrected_replay=replays["corrected"],
+            replay_window=WINDOW,
+            smoothed=tips,
+            residual_before=before,
+            residual_before_sd=before_sd,
+            residual_after=after,
+            residual_after_sd=after_sd,
+            frame_gap=frame_gap,
+        ),
+        screened=tuple(
+            (key(s.effect), float(s.log_evidence - _nothing(found))) for s in found.first if s.effect is not None
+        ),
+        visibility=visibility,
+        method=_method(bound, found, held_out),
+        posterior=_posterior(bound, best, weighed, seed),
+    )
+
+
+def _posterior(bound: Setting, best: Refined, weighed: Weighed, seed: int) -> az.InferenceData:
+    run = weighed.confirmed.get(best.key) or confirm(bound, best, seed)
+    return posterior(bound, best, run, seed)
+
+
+def _nothing(found: Search) -> float:
+    return next(s.log_evidence for s in found.first if s.effect is None)
+
+
+def _without_hidden(model, path: torch.Tensor) -> torch.Tensor:
+    extra = path.shape[-1] - model.state_dim
+    return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
+
+
+def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
+    """Keys of the causes that together hold most of the probability of all that name one; none for a single one."""
+    named = [cause for cause in causes if cause.effects]
+    total = sum(cause.probability for cause in named)
+    held, rivals = 0.0, []
+    for cause in named:
+        if total <= 0 or held > CREDIBLE * total:
+            break
+        rivals.append("+".join(f.key for f in cause.effects))
+        held += cause.probability
+    return tuple(rivals) if len(rivals) > 1 else ()
+
+
+def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
+    return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
+
+
+def _method(bound: Setting, found: Search, held_out: object) -> dict[str, str]:
+    model = bound.model
+    return {
+        "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
+        "row, chosen so that the integrator's own error stays a tenth of what can be noticed",
+        "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined",
+        "evidence": "linearised about each cause's own path and parameters, residual torque's size and noise scale "
+        "integrated out; the best confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "held out": "another recording" if held_out is not None else "the last third of the rows",
+        "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
+    }
+
+
+def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, reason: str) -> Diagnosis:
+    """The answer "not enough data"."""
+    joints = body.joint_names
+    nan = float("nan")
+    known = recording.torques is not None and np.isfinite(recording.torques).any()
+    empty = dict.fromkeys(joints, nan)
+    return Diagnosis(
+        recording=recording.name,
+        body=body.name,
+        seed=seed,
+        regime="passive" if passive else "commanded" if known else "unknown_torque",
+        gap=Gap(
+            False,
+            nan,
+            dict.fromkeys(("nominal", "corrected", "noise_floor"), nan),
+            empty,
+            {"nominal": nan, "corrected": nan},
+        ),
+        where=Where({"dynamics": nan, "observation": nan}, empty, {}, (), ()),
+        causes=(),
+        ambiguity_set=(),
+        separating_experiment=None,
+        outside=Outside(nan),
+        not_identifiable=(),
+        shrinkage=Shrinkage(None, None, False, empty),
+        joint_names=joints,
+        link_names=tuple(link.name for link in body.links),
+        lengths=tuple(link.nominal("length") for link in body.links),
+        tracks=None,
+        screened=(),
+        visibility=(),
+        method={},
+        not_enough_data=reason,
+    )

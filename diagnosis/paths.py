@@ -1,0 +1,73 @@
+"""Paths that refinements start from: what the data ask for, whatever the cause; and from one cause's path to another's.
+
+Gauss–Newton finds the path of highest density near where it starts. A first one is had under a large residual, which
+lets the arm follow the data under any simulation, with heavy tails where there are stray detections.
+"""
+
+import copy
+
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import ArmModel
+
+STRAY = 5.0
+"""Standard deviations beyond which a detection counts as stray when the first path is judged."""
+FIRM = 1e-3
+"""Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
+SLACK = (1000.0, 100.0, 10.0, 1.0)
+"""Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
+ITERATIONS, CLOSE = 6, 0.3
+"""Gauss–Newton steps at each of them, at most, and the gain in nats under which they end."""
+
+
+def data_path(setting: Setting) -> tuple[Tensor, bool]:
+    """The path that the data ask for: the simulation under a large residual, robust against stray detections.
+
+    And whether there are any.
+    """
+    loose = setting.with_residual(LOOSE)
+    path = gauss_newton(loose, setting.observations).path
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        seen = loose.emission(path, rows).base_dist
+        far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
+    if not bool(far.any()):
+        return path, False
+    return gauss_newton(_heavy_tailed(loose), setting.observations).path, True
+
+
+def _heavy_tailed(model: ArmModel) -> ArmModel:
+    """The model with Student-t observations."""
+    other = copy.copy(model)
+    other.emission_model = copy.copy(model.emission_model)
+    other.emission_model.family = "student_t"
+    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
+    return other
+
+
+def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+    """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
+
+    Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
+    much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
+    """
+    names = [name for name in ("noise.angle", "noise.velocity", "noise.hidden") if name in model.parameters]
+    for slack in SLACK:
+        loose = model.replace(**{name: slack * model.parameters[name] for name in names})
+        quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
+        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=ITERATIONS, tolerance=CLOSE).path
+    return path
+
+
+def lifted(model: ArmModel, path: Tensor) -> Tensor:
+    """A path (T, D) in the states of ``model``: a hidden hinge that it does not know yet is at rest."""
+    missing = model.state_dim - path.shape[-1]
+    if not missing:
+        return path
+    torque = model.torque_size
+    if missing < 0:
+        return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
+    return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)

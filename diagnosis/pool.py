@@ -1,0 +1,81 @@
+"""The pool of causes of a search: which effects are considered, what was refined, and how it ranks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from invdyn.diagnosis.prior import log_prior_of, tempered
+from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.screen import Screened
+from invdyn.diagnosis.setting import Setting
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect
+
+
+@dataclass
+class Search:
+    """The pool of causes that were refined, and what the first screen said of all.
+
+    Attributes:
+        candidates: all effects at all places that were considered.
+        pool: refined causes by key.
+        first: the screen of every single effect.
+        path: (T, D) that the data ask for, whatever the cause.
+        stray: whether some detections are far from it.
+    """
+
+    candidates: list[Effect]
+    pool: dict[str, Refined]
+    first: list[Screened]
+    path: Tensor
+    stray: bool
+
+    @property
+    def temper(self) -> float:
+        """Power to which evidence is raised; see :func:`tempered`."""
+        none = self.pool[""].log_evidence
+        return tempered(max(cause.log_evidence for cause in self.pool.values()) - none)
+
+    def score(self, cause: Refined) -> float:
+        """Log posterior but for a constant."""
+        return self.temper * cause.log_evidence + log_prior_of(cause.effects, self.candidates)
+
+    @property
+    def ranked(self) -> list[Refined]:
+        """The pool, best first, without sets that a part of them beats."""
+        scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
+
+        def earns_its_size(cause: Refined) -> bool:
+            mine = frozenset(e.key for e in cause.effects)
+            return all(scores[mine] > score for other, score in scores.items() if other < mine)
+
+        kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
+        return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
+
+    def add(self, cause: Refined) -> None:
+        """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
+        if not cause.plausible:
+            return
+        known = self.pool.get(cause.key)
+        if known is None or cause.log_evidence > known.log_evidence:
+            self.pool[cause.key] = cause
+
+
+def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
+    """Every effect of the catalogue at every place at which it can act in this regime, bound."""
+    body = setting.model.body
+    tracked = [body.keypoint_names[tip] for tip in setting.model.emission_model.tips]
+    found = []
+    for name, kind in EFFECTS.items():
+        if name in without or (kind.needs_command and setting.regime != "commanded"):
+            continue
+        if kind.side == "observation" and not tracked and name != "clock_rate":
+            continue
+        found += [effect.bound(body) for effect in kind.everywhere(body, tracked)]
+    return found
+
+
+def imitable(effect: Effect) -> bool:
+    """Whether an unknown torque could do what the effect does."""
+    return effect.side == "dynamics" or effect.name in ("clock_rate", "camera_latency")

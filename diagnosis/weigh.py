@@ -1,0 +1,80 @@
+"""Probabilities of causes: the best confirmed by SMC, all weighed by tempered evidence, prior and what they leave.
+
+Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`), and within it the share s_c of
+residuals that are next to nothing: little is left once the cause is in. With "no gap" among the causes,
+
+    P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
+
+With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
+the prediction of held-out rows is taken back.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from invdyn.diagnosis.confirm import Confirmed, confirm
+from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.predict import best_size
+from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.screen import log_prior, sizes
+from invdyn.diagnosis.setting import Setting
+
+NEAR = 3.0
+"""Nats behind the best within which causes are confirmed by SMC, and how many at most."""
+CONFIRMED = 2
+LITTLE = 0.1
+"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Causes with probabilities, sorted, and those of their explaining a part; what the catalogue lacks; SMC by key."""
+
+    causes: dict[str, tuple[Refined, float]]
+    in_part: dict[str, float]
+    outside: float
+    confirmed: dict[str, Confirmed]
+    log_evidence: dict[str, float]
+
+    @property
+    def best(self) -> Refined:
+        """The most probable cause, whatever is left besides it."""
+        return next(iter(self.causes.values()))[0]
+
+
+def _alone(bound: Setting, found: Search, cause: Refined) -> float:
+    """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
+    if bound.regime == "unknown_torque":
+        return 1.0
+    levels = sizes(bound.regime)
+    prior = log_prior(levels)
+    weight = found.temper * (cause.by_size - prior) + prior
+    little = levels <= max(levels[0], LITTLE * best_size(bound, found.pool[""]))
+    return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
+
+
+def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
+    """Confirm the best by SMC, and turn scores into probabilities."""
+    ranked = found.ranked
+    close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
+    confirmed = {c.key: confirm(bound, c, seed) for c in close}
+    evidence = {c.key: c.log_evidence for c in ranked}
+    # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
+    # whole stand beside those that were not confirmed where the linearised evidence has them.
+    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < 0.3 for run in confirmed.values()):
+        apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
+        evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
+    score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
+    probability = np.exp(score - logsumexp(score))
+    share = np.array([_alone(bound, found, c) for c in ranked])
+    order = np.argsort(-probability, kind="stable")
+    causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
+    in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
+    return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
+
+
+def certain(cause: Refined, log_evidence: dict[str, float]) -> Weighed:
+    """One cause with probability one."""
+    return Weighed({cause.key: (cause, 1.0)}, {cause.key: 0.0}, 0.0, {}, log_evidence)
