@@ -198,10 +198,12 @@ def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refi
 
 def _several(setting: Setting, found: Search) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
-    common = unknowns(setting, ())
+    common, none = unknowns(setting, ()), found.pool[""].log_evidence
     for sets in together(setting, setting.model, found.path, found.first, common, found.candidates, SETS):
         for each in sets:
-            cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size)
+            top = max(cause.log_evidence for cause in found.pool.values())
+            limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
+            cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:
                 found.add(cause)
         _refine_kin(setting, found, len(sets[0].effects))

@@ -39,6 +39,9 @@ LEAST = 0.1
 RMS = 0.5
 """Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
 
+JUMP = 10.0
+"""Times the upper quartile of the distances from a median of five, beyond which an observation jumps."""
+
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
 
@@ -142,13 +145,27 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         model = model.driven_by(whole.model.time, whole.model.command)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
-    paths = model.initial_paths(problem.observations)
+    calm = _calm(problem.observations)
+    paths = model.initial_paths(calm)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    model.substeps = sufficient_substeps(model, problem.observations)
+    model.substeps = sufficient_substeps(model, calm)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
+
+
+def _calm(observations: Tensor) -> Tensor:
+    """Observations (T, O) without those that jump out of their neighbours' median: exchanged labels are no fast arm."""
+    values = observations.numpy()
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)  # NaN last
+    seen = np.isfinite(windows).sum(-1)
+    middle = np.take_along_axis(windows, np.maximum((seen - 1) // 2, 0)[..., None], -1)[..., 0]
+    away = np.abs(values - middle)
+    some = [column[np.isfinite(column)] for column in away.T]
+    usual = np.array([np.quantile(column, 0.75) if len(column) else np.inf for column in some])
+    return torch.as_tensor(np.where(away > JUMP * usual, np.nan, values))
 
 
 def _as_seen(problem: Problem) -> ArmModel:

@@ -35,7 +35,7 @@ class Backlash(HiddenHinge):
     Told apart from Coulomb friction by slow reversals of the load.
     """
 
-    scan: ClassVar = {"width": tuple(0.0035 * 1.6**n for n in range(6))}
+    scan: ClassVar = {"width": tuple(0.004 * 1.6**n for n in range(5))}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Width, rad."""
