@@ -5,6 +5,8 @@ from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
+import numpy as np
+
 from invdyn.models import Body
 from invdyn.recordings import (
     FORMATS,
@@ -40,7 +42,8 @@ def load_recording(
     Args:
         name: a file, or the name of a known recording.
         body: says which keypoints and joints, and their order.
-        base: the keypoint at the first joint, if it is not called as the joint is.
+        base: the keypoint at the first joint, if it is not called as the joint is. Where the file has it, the others
+            are taken relative to it, and lie about the body's own base.
         body_lengths: divide by the tracked body's own length (the base must be tracked).
         as_filmed: take nothing away from the keypoints of a file that is in metres in the body's own frame, unless
             `base` says so; a tilted camera would no longer show, and the base's noise would be in all of them.
@@ -69,6 +72,9 @@ def load_recording(
         recording = _with_keypoints(recording, range(1, len(tips) + 1))
     else:
         recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
+    if not in_frame and any(body.base) and base in load(name, joints=body.joint_names, **options).keypoint_names:
+        # what was taken relative to the base's own track lies about the body's base
+        recording = replace(recording, keypoints=recording.keypoints + np.asarray(body.base))
     if recording.length_unit == "px":
         raise InputError(
             f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"

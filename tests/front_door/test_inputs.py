@@ -1,0 +1,31 @@
+"""What a command is given: where the tips of a tracked base lie."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invdyn.inputs import load_recording
+from invdyn.models import Body, Link
+from invdyn.recordings import Recording, write_keypoint_csv
+
+ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
+TIME = 0.02 * np.arange(30)
+ANGLE = np.sin(3 * TIME)
+TIP = 0.3 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
+
+
+@pytest.mark.parametrize("base", [(0.0, 0.0), (0.4, -0.2)])
+@pytest.mark.parametrize("tracked", [False, True])
+def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
+    """A tracked base takes the frame's own shift away; a base that is not tracked is where the body says."""
+    shift = np.array([5.0, 7.0]) if tracked else np.array(base)
+    points, names = (TIP + shift)[:, None], ("tip",)
+    if tracked:
+        points, names = np.concatenate([np.broadcast_to(shift, (30, 1, 2)), points], 1), ("pivot", "tip")
+    file = tmp_path / "rec.csv"
+    write_keypoint_csv(Recording(TIME, points, names), file)
+    body = replace(Body("arm", [ROD]), base=base)
+    recording = load_recording(str(file), body, None, False)
+    assert recording.keypoint_names == ("tip",)
+    np.testing.assert_allclose(recording.keypoints[:, 0], TIP + np.array(base), atol=1e-6)
