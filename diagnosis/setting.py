@@ -39,8 +39,8 @@ LEAST = 0.1
 RMS = 0.5
 """Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
 
-JUMP = 10.0
-"""Times the upper quartile of the distances from a median of five, beyond which an observation jumps."""
+JUMP = 5.0
+"""Times the upper quartile of the steps from frame to frame; an observation so far from a median of five jumps."""
 
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
@@ -163,8 +163,8 @@ def _calm(observations: Tensor) -> Tensor:
     seen = np.isfinite(windows).sum(-1)
     middle = np.take_along_axis(windows, np.maximum((seen - 1) // 2, 0)[..., None], -1)[..., 0]
     away = np.abs(values - middle)
-    some = [column[np.isfinite(column)] for column in away.T]
-    usual = np.array([np.quantile(column, 0.75) if len(column) else np.inf for column in some])
+    steps = [np.abs(np.diff(column[np.isfinite(column)])) for column in values.T]
+    usual = np.array([np.quantile(column, 0.75) if len(column) else np.inf for column in steps])
     return torch.as_tensor(np.where(away > JUMP * usual, np.nan, values))
 
 

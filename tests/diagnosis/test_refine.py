@@ -15,7 +15,7 @@ from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.refine import key_of, refine, refine_noise
 from invdyn.diagnosis.screen import log_prior, sizes
-from invdyn.diagnosis.setting import DECAY, LOOSE, setting
+from invdyn.diagnosis.setting import DECAY, LOOSE, _calm, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.inference.gauss_newton import gauss_newton
@@ -48,6 +48,22 @@ def causes(damping=DAMPING):
     here = setting(recorded(damping), PENDULUM)
     path = path_of(here)
     return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
+
+
+def test_jumps_are_no_fast_arm():
+    """Exchanged labels and strays do not count as motion; a fast arm, and frames that were not seen, stay."""
+    time = 0.02 * np.arange(200)
+    arm = np.stack([np.sin(3 * time), np.cos(2 * time)], -1)
+    arm += 1e-3 * np.random.default_rng(0).normal(size=arm.shape)
+    seen = arm.copy()
+    seen[[20, 90, 91, 150]] = arm[[20, 90, 91, 150], ::-1]
+    seen[120] = np.nan
+    calm = _calm(torch.as_tensor(seen)).numpy()
+    jumped = np.abs(seen - arm) > 0.3
+    assert np.isnan(calm[jumped]).all()
+    kept = np.isfinite(calm)
+    assert kept[~jumped & np.isfinite(seen)].mean() > 0.97
+    np.testing.assert_array_equal(calm[kept], seen[kept])
 
 
 # -- a chain whose answers are known -----------------------------------------------------------------------------

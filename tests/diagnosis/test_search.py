@@ -14,11 +14,12 @@ from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.prior import ALPHA, NUMBER, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.screen import screen, sizes
 from invdyn.diagnosis.search import _reduce, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.weigh import _alone
 from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -87,6 +88,24 @@ def test_load_friction_is_found_from_afar():
     cause = _scan(bound, none, EFFECTS["load_friction"]("pivot"), -np.inf)
     assert cause.complete
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
+
+
+def test_what_is_little_beside_the_gap_is_nothing_left():
+    """A tenth of the residual that the simulation alone needs; and large gaps forgive more than small ones."""
+    bound = setting(recorded(), PENDULUM)
+    none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
+    levels = sizes("commanded")
+    needed = replace(none, by_size=np.where(levels == levels[5], 0.0, -1e4), log_evidence=0.0)
+    cause = replace(none, effects=considered(bound)[:1], log_evidence=50.0)
+
+    def share(left, gain=50.0):
+        left = replace(cause, by_size=np.where(levels == levels[left], 0.0, -60.0), log_evidence=gain)
+        return _alone(bound, Search([], {"": needed, left.key: left}, [], none.path, False), left)
+
+    assert share(0) > 0.99
+    assert share(2) > 0.99  # 2.4 % of the needed one
+    assert share(4) < 0.01
+    assert share(4, gain=5000.0) > share(4)
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
