@@ -16,7 +16,7 @@ coverage  The same arm and the same wrong start, by the method "vsmc" (50 steps;
 scale     Three of these recordings with the torque's scale σ_τ learned too, which trades with the masses: what the
           posterior says about that.
 
-    python benchmarks/vsmc.py [bound step memory learn coverage scale] [--seeds 4] [--sets 20] [--frames 200]
+    python benchmarks/vsmc.py [bound step memory learn coverage scale] [--seeds 4] [--sets 20] [--first 0] [--frames 200]
 """
 
 import argparse
@@ -188,12 +188,12 @@ def learned(problem: Problem, names: tuple[str, ...], seed: int) -> tuple[az.Inf
     return idata, quantiles
 
 
-def coverage(sets: int, frames: int) -> None:
+def coverage(first: int, sets: int, frames: int) -> None:
     truth = dict(zip([f"{n}[{k}]" for n in LEARNED for k in (0, 1)], (1.0, 1.0, 0.5, 0.3), strict=True))
     print(f"\n{frames} rows\n\n| set | | L₁ | L₂ | M₁ | M₂ | outer ESS | bound | gain | log Ẑ | s |")
     print("|---" * 11 + "|")
     hits, errors = {name: [] for name in truth}, {name: [] for name in truth}
-    for seed in range(sets):
+    for seed in range(first, first + sets):
         start = time.process_time()
         idata, quantiles = learned(wrongly_started(seed, frames), LEARNED, seed)
         seconds = time.process_time() - start
@@ -228,6 +228,7 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", help=f"any of {', '.join(parts)}; all by default")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--sets", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first set")
     parser.add_argument("--frames", type=int, default=200)
     arguments = parser.parse_args()
     unknown = set(arguments.parts) - set(parts)
@@ -242,7 +243,7 @@ def main() -> None:
             "step": step,
             "memory": memory,
             "learn": lambda: learn(arguments.seeds),
-            "coverage": lambda: coverage(arguments.sets, arguments.frames),
+            "coverage": lambda: coverage(arguments.first, arguments.sets, arguments.frames),
             "scale": lambda: scale(arguments.frames),
         }[part]()
 
