@@ -16,7 +16,8 @@ coverage  The same arm and the same wrong start, by the method "vsmc" (50 steps;
 scale     Three of these recordings with the torque's scale σ_τ learned too, which trades with the masses: what the
           posterior says about that.
 
-    python benchmarks/vsmc.py [bound step memory learn coverage scale] [--seeds 4] [--sets 20] [--first 0] [--frames 200]
+    python benchmarks/vsmc.py [bound step memory learn coverage scale] [--seeds 4] [--sets 20] [--first 0]
+                              [--frames 200]
 """
 
 import argparse
