@@ -21,6 +21,7 @@ from invdyn.diagnosis.shrinkage import Closed
 from invdyn.diagnosis.weigh import Weighed
 from invdyn.diagnosis.where import where
 from invdyn.models import Body
+from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
 CREDIBLE = 0.95
@@ -108,14 +109,7 @@ def assembled(
             formula.terms if formula else {},
             float(formula.gain_per_frame) if formula else None,
         ),
-        not_identifiable=tuple(
-            sorted(
-                key(s.effect)
-                for s in found.first
-                if s.effect is not None
-                and (s.dprime < FAINT or (bound.regime == "unknown_torque" and imitable(s.effect)))
-            )
-        ),
+        not_identifiable=tuple(sorted(_unseen(bound, found))),
         shrinkage=Shrinkage(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
@@ -150,6 +144,17 @@ def assembled(
         method=_method(bound, found, held_out),
         posterior=_posterior(bound, best, weighed, seed),
     )
+
+
+def _unseen(bound: Setting, found: Search) -> set[str]:
+    """Keys of the effects that this recording could not have shown; without commands, all of the actuators'."""
+    unknown, body = bound.regime == "unknown_torque", bound.model.body
+    shown = [s for s in found.first if s.effect is not None]
+    unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
+    if bound.regime != "commanded":
+        silent = [k for k in EFFECTS.values() if k.needs_command or (unknown and k.side == "dynamics")]
+        unseen |= {key(effect.bound(body)) for kind in silent for effect in kind.everywhere(body, [])}
+    return unseen
 
 
 def _posterior(bound: Setting, best: Refined, weighed: Weighed, seed: int) -> az.InferenceData:

@@ -175,9 +175,9 @@ def test_friction_is_found_and_believed():
 
 
 @cache
-def rubbed(level=0.15):
-    """A pendulum under known commands with dry friction enough to stick at every turn."""
-    arm = random_arm(PENDULUM, duration=3.0, fps=50, noise=0.001, torque_scale=0.5, commanded=True, seed=2)
+def rubbed(level=0.15, torque=0.5):
+    """A pendulum under known commands with dry friction enough to stick at some turns."""
+    arm = random_arm(PENDULUM, duration=3.0, fps=50, noise=0.001, torque_scale=torque, commanded=True, seed=2)
     effect = EFFECTS["coulomb_friction"]("pivot")
     values = {"effect.coulomb_friction.pivot.torque": torch.tensor([level], dtype=torch.float64)}
     here = setting(record(arm.with_effects(effect).replace(**values), 2)[0], PENDULUM)
@@ -185,15 +185,15 @@ def rubbed(level=0.15):
 
 
 def test_a_path_is_led_through_what_sticks():
-    here, effect, values = rubbed()
+    """Where Gauss–Newton by itself ends in a path that nothing explains."""
+    here, effect, values = rubbed(0.3, 1.0)
     model = here.model.with_effects(effect).replace(**values)
     loose = path_of(here)
     by_itself = gauss_newton(here.with_residual(FIRM, model), here.observations, start=loose, max_iterations=24)
     path = led(here, model, loose, FIRM)
     quiet = gauss_newton(here.with_residual(FIRM, model), here.observations, start=path, max_iterations=1)
-    assert quiet.log_joint > by_itself.log_joint - 1
-    stuck = path[1:, -1].abs() < 1e-3
-    assert 3 < stuck.sum() < len(path) / 2
+    assert quiet.log_joint > by_itself.log_joint + 1e4
+    assert 3 < (path[1:, -1].abs() < 1e-3).sum() < len(path) / 2
 
 
 def test_dry_friction_is_found_from_where_the_screen_would_not_have_it():
