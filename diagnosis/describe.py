@@ -23,6 +23,8 @@ from invdyn.inference.gauss_newton import linearise
 
 MOST = 3
 """Terms in a formula."""
+PRODUCT = 5.0
+"""Nats by which a term of two factors must be better than one of a single: on a short arc sin θ is nearly a number."""
 
 Feature = Callable[["Motion", int], np.ndarray]
 
@@ -90,7 +92,10 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     chosen: list[int] = []
     best = _evidence(whitened, chosen, sd)
     while len(chosen) < MOST:
-        gains = [(-np.inf if i in chosen else _evidence(whitened, [*chosen, i], sd)) for i in range(len(terms))]
+        gains = [
+            -np.inf if i in chosen else _evidence(whitened, [*chosen, i], sd) - PRODUCT * _is_product(terms[i][0])
+            for i in range(len(terms))
+        ]
         if max(gains) < best + np.log(len(terms)) + 3:
             break
         chosen, best = [*chosen, int(np.argmax(gains))], max(gains)
@@ -106,6 +111,11 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     text = "; ".join(f"{mean:+.3g} ± {s:.1g} {unit} × {name}" for name, (mean, s, unit) in named.items())
     variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
     return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd))
+
+
+def _is_product(name: str) -> bool:
+    """Whether a term's name has two factors: "sin(θ[elbow]) dθ[elbow]/dt on elbow"."""
+    return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
 def _library(setting: Setting, cause: Refined, path: Tensor):

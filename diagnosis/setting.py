@@ -28,7 +28,8 @@ DECAY = {"commanded": 20.0, "passive": 20.0, "unknown_torque": 4.0}
 """1/s: friction and the like change several times in a swing, a limb's own torque with it."""
 
 FIRMER = 0.3
-"""Of the dynamics' own noise in inference: what that noise can follow is no gap, and play or bending is so small."""
+"""Of the dynamics' own noise in inference, where torques are known: what that noise can follow is no gap, and play or
+bending is so small. A limb's own torque follows more than that."""
 
 LOOSE = 0.3
 """Size of the residual, in typical torques, under which the data's own path is found."""
@@ -140,7 +141,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         )
     # Rows without an observation only carry commands, which a row takes as they come.
     problem = arm_problem(recording.at(rows), body, passive=passive, parameters={"torque.decay": DECAY[regime]})
-    model = _as_seen(problem)
+    model = _as_seen(problem, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
     # The first row of a recording that was seen; it follows from none before it.
@@ -168,13 +169,15 @@ def _calm(observations: Tensor) -> Tensor:
     return torch.as_tensor(np.where(away > JUMP * usual, np.nan, values))
 
 
-def _as_seen(problem: Problem) -> ArmModel:
-    """The model with the noise that the recording's own jitter shows, whatever the simulation misfits, and firmer."""
+def _as_seen(problem: Problem, regime: str) -> ArmModel:
+    """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics."""
     model, rows = problem.model, problem.observations.numpy()
     points = 2 * len(model.emission_model.tips)
     sd = jitter(rows)
     reach = model.body_parameters().length.sum().item()
-    found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
+    found = {}
+    if regime != "unknown_torque":
+        found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if points:
         found["emission.keypoint_scale"] = torch.as_tensor(sd[:points].reshape(-1, 2).mean(1)).clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:
