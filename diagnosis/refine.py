@@ -6,6 +6,9 @@ parameters that it has reached; the regression on its columns then moves them, u
 on path and parameters in turns, and its evidence is that of the model linearised about both: a Laplace
 approximation.
 
+Where joints stick or strike, the first path is led to a stiff chain's by a homotopy (:mod:`.paths`), as are the paths
+of the last, stiffer rounds.
+
 Nothing is assumed of the effects but that the model's three distributions follow their parameters smoothly enough for
 differences of a twentieth of their uncertainty. Parameters of all effects in the model are free.
 """

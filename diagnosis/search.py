@@ -1,13 +1,15 @@
 """The search for causes: screen, refine the best, add another effect, measure again.
 
 Forward selection with replacement over sets of at most four effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
-set scored by its evidence and its prior:
+set scored by its tempered evidence and its prior (:mod:`.prior`):
 
     1  "no effect" by itself
-    2  where the best single effect leaves something, sets of several by a beam search (:mod:`.together`)
+    2  where the best single effect leaves something: from several values those that no screen tells the size of
+       (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior
+    6  leave effects of the best set out, one by one, while that raises it
 
 With unknown torque one effect is looked for, of the observation and visible: what changes the motion alone, a torque
 can imitate, and only the prior of the torque could speak against it.

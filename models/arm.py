@@ -339,7 +339,10 @@ class ArmModel(StateSpaceModel):
 
         if self.effects.hinge:
             p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
-            net = lambda *moment: self._rubbed(*smooth(*moment))  # noqa: E731
+
+            def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
+                return self._rubbed(*smooth(q, qd, s))
+
             return join(z_next, *hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts))
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:

@@ -196,7 +196,7 @@ def test_a_path_is_led_through_what_sticks():
     assert 3 < (path[1:, -1].abs() < 1e-3).sum() < len(path) / 2
 
 
-def test_dry_friction_is_found_from_where_the_screen_would_not_have_it():
+def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():
     here, effect, _ = rubbed()
     none = refine(here, (), {}, path_of(here), LOOSE)
     for start in (0.05, 0.3):
