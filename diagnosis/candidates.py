@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.unknowns import Unknowns, lower_bound, spread, upper_bound
 from invdyn.inference.gauss_newton import emission_mean
 from invdyn.models import ArmModel
@@ -76,36 +77,11 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if with_effect.state_dim > model.state_dim:
-            path = _driven(with_effect, path, hidden, len(sets))
+            path = driven(with_effect, path, len(sets))
         f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:]))
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)
-
-
-def _driven(model: ArmModel, path: Tensor, hidden: slice, count: int) -> Tensor:
-    """Paths (S, T, D + 2) with the hidden hinge swinging as the motion along ``path`` drives it, to first order.
-
-    ψ_{t+1} = A_t ψ_t + b_t, with A and b by differences about rest, from the deflection that the first row would hold.
-    """
-    rows, size = torch.arange(1, len(path)), hidden.stop - hidden.start
-    still = path.new_zeros(len(path), size)
-    path = torch.cat([path[:, : hidden.start], still, path[:, hidden.start :]], -1).expand(count, -1, -1).clone()
-    nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3
-
-    def moved(nudge: Tensor) -> Tensor:
-        shifted = path[:, :-1].clone()
-        shifted[..., hidden] = nudge
-        return gaussian_mean(model.transition(shifted, rows))[..., hidden]
-
-    b = moved(torch.zeros(size))
-    A = torch.stack([(moved(nudge) - b) / nudge.sum() for nudge in torch.diag(nudges)], -1)
-    psi = torch.linalg.solve(torch.eye(size, dtype=path.dtype) - A[:, 0], b[:, 0])
-    for t in range(len(path[0])):
-        path[:, t, hidden] = psi
-        if t < len(rows):
-            psi = (A[:, t] @ psi.unsqueeze(-1)).squeeze(-1) + b[:, t]
-    return path
 
 
 def hypotheses(
@@ -196,8 +172,13 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
         return Columns(np.zeros((len(path) - 1, model.state_dim, 0)), np.zeros((len(path), model.observation_dim, 0)))
     many = among.set_in(model, sets)
     with torch.no_grad():
-        f = gaussian_mean(many.transition(path[:-1], rows[1:])).expand(2 * p, len(path) - 1, -1)
-        h = emission_mean(many, path, rows).expand(2 * p, len(path), -1)
+        if model.driven is not None:
+            path = many.settled(path.expand(2 * p, -1, -1))
+        f = gaussian_mean(many.transition(path[..., :-1, :], rows[1:])).expand(2 * p, len(rows) - 1, -1)
+        if model.driven is not None:
+            f = f.clone()
+            f[..., model.driven] = 0.0
+        h = emission_mean(many, path, rows).expand(2 * p, len(rows), -1)
     width = torch.as_tensor(up - down).reshape(-1, 1, 1)
 
     def slope(values: Tensor) -> np.ndarray:

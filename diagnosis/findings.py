@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Estimate, Finding
 from invdyn.diagnosis.setting import Setting
@@ -51,7 +51,7 @@ def finding(setting: Setting, cause: Refined, effect: Effect, seed: int) -> Find
 def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     names = [f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)]
-    if is_noise(effect):
+    if is_searched(effect):
         return {
             name.rsplit(".", 1)[1]: cause.noise[name]
             * np.exp(np.nan_to_num(cause.noise_sd.get(name, 0.0)) / cause.noise[name] * rng.standard_normal(DRAWS))

@@ -4,6 +4,8 @@ Stray detections, exchanged labels, mistimed frames and noise that grows with sp
 be, not where it is expected. Their evidence is that of the data under the changed emission (:func:`.screen.whiten`
 without any column), on a grid of their parameters first, and then by a simplex search of the logarithms from the
 best one on. The posterior's spread comes from the curvature there.
+
+So it is for play: what a gap changes hangs on when it is crossed, and no slope tells that.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,6 +16,7 @@ import torch
 from scipy.optimize import minimize
 
 from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.effects.scale import Scale
 
 EVALUATIONS = 16
@@ -28,6 +31,11 @@ def is_noise(effect: Effect) -> bool:
     """Whether an effect changes the scatter of what is seen and not its mean."""
     kind = type(effect)
     return kind.noise is not Effect.noise or getattr(kind, "mistake", None) is not getattr(Effect, "mistake", None)
+
+
+def is_searched(effect: Effect) -> bool:
+    """Whether the parameters of an effect are searched, because no column describes what they change."""
+    return is_noise(effect) or (isinstance(effect, HiddenHinge) and effect.forgets)
 
 
 def grid(effect: Effect, scale: Scale) -> tuple[list[Parameter], list[tuple[float, ...]]]:

@@ -9,8 +9,9 @@ import copy
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.setting import LOOSE, Setting
-from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.inference.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
 
 STRAY = 5.0
@@ -58,16 +59,18 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
     for slack in SLACK:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
         quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
-        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=ITERATIONS, tolerance=CLOSE).path
+        path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
     return path
 
 
 def lifted(model: ArmModel, path: Tensor) -> Tensor:
-    """A path (T, D) in the states of ``model``: a hidden hinge that it does not know yet is at rest."""
+    """A path (T, D) in the states of ``model``: a hinge that it does not know yet is at rest, a gap as it is driven."""
     missing = model.state_dim - path.shape[-1]
     if not missing:
         return path
     torque = model.torque_size
+    if missing > 0 and model.effects.hinge.forgets:
+        return driven(model, path, 1)[0]
     if missing < 0:
         return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
     return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)

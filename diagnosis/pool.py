@@ -32,10 +32,14 @@ class Search:
     stray: bool
 
     @property
+    def top(self) -> float:
+        """The highest log evidence of all."""
+        return max(cause.log_evidence for cause in self.pool.values())
+
+    @property
     def temper(self) -> float:
         """Power to which evidence is raised; see :func:`tempered`."""
-        none = self.pool[""].log_evidence
-        return tempered(max(cause.log_evidence for cause in self.pool.values()) - none)
+        return tempered(self.top - self.pool[""].log_evidence)
 
     def score(self, cause: Refined) -> float:
         """Log posterior but for a constant."""

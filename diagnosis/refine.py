@@ -23,12 +23,12 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import Regression, regression
-from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
+from invdyn.diagnosis.noise import climb, grid, is_searched, log_prior_of
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
-from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.inference.gauss_newton import gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import PREFIX
@@ -126,18 +126,18 @@ def refine(
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``enough`` nats
-    after two rounds is left as it is. Parameters of effects on the scatter stay where ``values`` has them;
+    after two rounds is left as it is. Parameters of effects that are searched stay where ``values`` has them;
     ``noise_log`` is what their integral adds to the log evidence.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
-    noise = {f"{e.key}.{p.name}" for e in effects if is_noise(e) for p in e.parameters(setting.model.scale)}
+    noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
     noise = {name: float(values[name]) for name in noise}
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
-    path = lifted(model, path)
     among = unknowns(setting, effects)
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
     point = np.clip(point, among.lower, among.upper)
+    path = lifted(among.set_in(model, point), path)
     levels = sizes(setting.regime)
     step = 0.05 * 0.2 * among.sd
     best: Refined | None = None
@@ -147,7 +147,7 @@ def refine(
         """Path and expansion about ``point``; the cause, and where its parameters would go."""
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
-        path = gauss_newton(quiet, setting.observations, start=path, max_iterations=STEPS, tolerance=CLOSE).path
+        path = gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, here, path, columns, levels)
         outcomes = expansions(whitened, among, point)
@@ -212,8 +212,8 @@ def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[R
     ]
 
 
-def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
-    """``base`` and an effect on the scatter (:mod:`.noise`), whose parameters are searched.
+def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+    """``base`` and an effect whose parameters are searched: on the scatter (:mod:`.noise`), or play.
 
     None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
     """
@@ -231,7 +231,11 @@ def refine_noise(setting: Setting, base: Refined, effect: Effect, enough: float 
     def score(log_values: np.ndarray) -> float:
         values = np.minimum(np.exp(log_values), most)
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
-        whitened = whiten(setting, model.replace(**given), path, columns, levels[some])
+        here, there, those = model.replace(**given), path, columns
+        if model.driven is not None:
+            there = here.settled(lifted(here, path))
+            those = slopes(here, common, base.mean, 0.05 * base.sd, there)
+        whitened = whiten(setting, here, there, those, levels[some])
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
         return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
 

@@ -25,16 +25,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.pool import Search, considered, imitable
 from invdyn.diagnosis.prior import MOST, log_prior_of
-from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_noise
+from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_searched
 from invdyn.diagnosis.screen import Screened, screen, sizes
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
@@ -120,7 +119,7 @@ def _reduce(setting: Setting, found: Search) -> None:
     while len(best.effects) > 1:
         for effect in best.effects:
             rest = tuple(e for e in best.effects if e is not effect)
-            if key_of(rest) not in tried and not all(is_noise(e) for e in rest):
+            if key_of(rest) not in tried and not all(is_searched(e) for e in rest):
                 cause = _attempt(refine, setting, rest, _values(best), best.path, FIRM, noise_log=best.noise_log)
                 if cause is not None:
                     found.add(cause)
@@ -135,7 +134,7 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
     busy = any(isinstance(effect, HiddenHinge) for effect in base.effects)
-    straight = [e for e in free if not is_noise(e) and not isinstance(e, HiddenHinge if busy else Backlash)]
+    straight = [e for e in free if not is_searched(e) and not (busy and isinstance(e, HiddenHinge))]
     common = unknowns(setting, base.effects)
     if base.effects:
         model, path, point = base.model, base.path, base.mean
@@ -144,6 +143,29 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
+    _refine_promising(setting, found, base, screened, path, width)
+    _refine_kin(setting, found, len(base.effects) + 1)
+    if not base.effects and setting.regime != "unknown_torque":
+        for effect in (e for e in free if e.scan):
+            if found.ranked[0].complete:
+                break
+            if (cause := _attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
+                found.add(cause)
+    for effect in free:
+        if (
+            is_searched(effect)
+            and (found.stray or effect.name not in MISTAKES)
+            and not (isinstance(effect, HiddenHinge) and (busy or found.ranked[0].complete))
+            and (cause := _attempt(refine_searched, setting, base, effect, found.top - HOPELESS)) is not None
+        ):
+            found.add(cause)
+    return screened
+
+
+def _refine_promising(
+    setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], path: Tensor, width: int
+) -> None:
+    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
     alone = log_prior_of(base.effects, found.candidates)
@@ -154,12 +176,11 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
         > alone - DOUBT
     ]
-    top = max(cause.log_evidence for cause in found.pool.values())
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":
         promising = [s for s in promising if s.dprime > FAINT and not imitable(s.effect)]
     for place, each in enumerate(promising[:width]):
-        gained = each.log_evidence - nothing
+        gained, top = each.log_evidence - nothing, found.top
         if place >= 3 and gained < min(most - HOPELESS, SHARE * most):
             continue
         values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | _values(base)
@@ -171,23 +192,6 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         cause = _attempt(refine, setting, effects, values, path, each.size, noise_log=base.noise_log, **limits)
         if cause is not None:
             found.add(cause)
-            top = max(top, cause.log_evidence)
-    _refine_kin(setting, found, len(base.effects) + 1)
-    if not base.effects and setting.regime != "unknown_torque":
-        for effect in sorted((e for e in free if e.scan), key=lambda e: isinstance(e, HiddenHinge)):
-            if found.ranked[0].complete:
-                break
-            if (cause := _attempt(_scan, setting, base, effect, top - HOPELESS)) is not None:
-                found.add(cause)
-                top = max(top, cause.log_evidence)
-    for effect in free:
-        if (
-            is_noise(effect)
-            and (found.stray or effect.name not in MISTAKES)
-            and (cause := _attempt(refine_noise, setting, base, effect, top - HOPELESS)) is not None
-        ):
-            found.add(cause)
-    return screened
 
 
 def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
@@ -203,7 +207,7 @@ def _several(setting: Setting, found: Search) -> None:
     common, none = unknowns(setting, ()), found.pool[""].log_evidence
     for sets in together(setting, setting.model, found.path, found.first, common, found.candidates, SETS):
         for each in sets:
-            top = max(cause.log_evidence for cause in found.pool.values())
+            top = found.top
             limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
             cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from pyro.distributions import Distribution, LogNormal, Normal
 
-from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.setting import Setting, Uncertain
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
@@ -72,7 +72,7 @@ class Unknowns:
 
 def unknowns(setting: Setting, effects: Sequence[Effect]) -> Unknowns:
     """Unknowns of bound ``effects``, but for those of the scatter (:mod:`.noise`), and of the setting's body."""
-    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_noise(e) for p in e.parameters(setting.model.scale)]
+    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(setting.model.scale)]
     rows = [(name, p.prior, centre(p), spread(p), lower_bound(p), upper_bound(p)) for name, p in found]
     rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in setting.uncertain]
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)

@@ -110,6 +110,8 @@ def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Lin
     rows = torch.arange(path.shape[-2])
     predicted, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :])
     h, H = jacobian(lambda x: emission_mean(model, x, rows), path)
+    if model.driven is not None:
+        F[..., model.driven, :] = 0.0
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, rows)
@@ -164,11 +166,20 @@ def gauss_newton(
     observations = observations.detach().cpu().double()
     if start is None:
         start = _by_homotopy(model, observations)
-    path, merit, done = _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)
-    linear = linearise(model, path, observations)
+    path, merit, done, linear = _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)
+    linear = linear or linearise(model, path, observations)
     factors = solve(linear)
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
     return GaussianSmoother(path, factors, linear, evidence, merit, done)
+
+
+def gauss_newton_path(
+    model: StateSpaceModel, observations: Tensor, start: Tensor, max_iterations: int, tolerance: float
+) -> Tensor:
+    """The path alone, (…, T, D), that :func:`gauss_newton` would find from ``start``; raises as it does."""
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations, start = (values.detach().cpu().double() for values in (observations, start))
+    return _ascend(model, observations, start, max_iterations, tolerance)[0]
 
 
 def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
@@ -177,7 +188,7 @@ def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
         relaxed = model.relaxed(amount)
         if relaxed is model:
             return path[0]
-        path, merit, _ = _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)
+        path, merit, *_ = _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)
         if path.ndim == 3:  # candidates part ways in how often they wind round: the best one is plain at once
             path = path[merit.nan_to_num(-torch.inf).argmax()]
     return path
@@ -185,8 +196,8 @@ def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
 
 def _ascend(
     model: StateSpaceModel, observations: Tensor, path: Tensor, max_iterations: int, tolerance: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged."""
+) -> tuple[Tensor, Tensor, Tensor, Linearisation | None]:
+    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation, if known."""
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
     scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
@@ -196,15 +207,17 @@ def _ascend(
         raise ValueError("the starting path has no finite density: check noise scales and units")
     damping = np.zeros(batch)
     done = torch.zeros(batch, dtype=torch.bool)
-    linear = linearise(model, path, observations)
+    linear = None
     for _ in range(max_iterations):
+        linear = linear or linearise(model, path, observations)
         factors = solve(linear, damping, scale)
-        candidate = path + torch.as_tensor(forward_mean(factors, linear.m0))
+        candidate = model.settled(path + torch.as_tensor(forward_mean(factors, linear.m0)))
         with torch.no_grad():
             reached = model.log_joint(candidate, observations).nan_to_num(-torch.inf)
         gain = reached - merit
         better = (gain >= 0) & ~done
-        path = torch.where(better[..., None, None], candidate, path)
+        if bool(better.any()):
+            path, linear = torch.where(better[..., None, None], candidate, path), None
         merit = torch.where(better, reached, merit)
         damping = np.where(better.numpy(), damping / 10, np.maximum(damping, 1e-5) * 10)
         damping = np.where(damping < 1e-4, 0.0, damping)
@@ -212,6 +225,4 @@ def _ascend(
         done = done | (better & (gain < tolerance)) | (gain.abs() < 1e-9) | torch.as_tensor(damping > 1e12)
         if bool(done.all()):
             break
-        if bool(better.any()):
-            linear = linearise(model, path, observations)
-    return path, merit, done
+    return path, merit, done, linear

@@ -40,6 +40,8 @@ from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
 DERIVED = ("com", "inertia")
+CROSSING = 12
+"""Rows in which a gap is crossed."""
 
 
 class ArmModel(StateSpaceModel):
@@ -437,6 +439,25 @@ class ArmModel(StateSpaceModel):
         """Paths (C, T, D) through smoothed inverse kinematics; see :mod:`.arm_start`."""
         paths = kinematic_paths(self, observations)
         return super().initial_paths(observations) if paths is None else paths
+
+    @property
+    def driven(self) -> slice | None:
+        """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
+        hinge = self.effects.hinge
+        return slice(self.torque_size, self.state_dim - 2 * self.body.num_joints) if hinge and hinge.forgets else None
+
+    @torch.no_grad()
+    def settled(self, path: Tensor) -> Tensor:
+        """The path (..., T, D) with the gap's state as the joints' motion drives it.
+
+        All rows at once are sent one row on, until each has come from a contact: ``CROSSING`` rows.
+        """
+        if self.driven is None:
+            return path
+        path, rows = path.clone(), torch.arange(1, path.shape[-2])
+        for _ in range(CROSSING):
+            path[..., 1:, self.driven] = self.transition_mean(path[..., :-1, :], rows)[..., self.driven]
+        return path
 
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""

@@ -69,6 +69,13 @@ class StateSpaceModel(ABC):
         """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
         return self
 
+    driven: slice | None = None
+    """States that are no freedom of a path: Gauss–Newton leaves them where :meth:`settled` has them."""
+
+    def settled(self, path: Tensor) -> Tensor:
+        """The path (..., T, D) with its ``driven`` states as the others make them."""
+        return path
+
     # -- parameters ----------------------------------------------------------------------------
     @property
     def dtype(self) -> torch.dtype:

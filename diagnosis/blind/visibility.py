@@ -20,9 +20,12 @@ from .present import Present, pace, seen_by_camera, world_with
 from .reality import Trajectory, World
 from .sizes import Scene
 
+EARLY = 0.1
+"""s before the first frame from which the world is replayed: longer than any delay, and nobody saw what was before."""
 NUDGE = 1e-4
 """rad, of the differences by which the effect of another starting state is measured."""
-STEPS = 3
+STEPS = 10
+"""Gauss–Newton steps at most, in each window damped by itself (Levenberg–Marquardt)."""
 
 
 def visibility(
@@ -80,8 +83,9 @@ def _unlike_any_start(
 ) -> np.ndarray:
     """Tips ``seen`` (T, K, 2) at ``frames`` (T,), less what ``world`` makes of the best states to start from.
 
-    Gauss–Newton on angles and velocities at the start of every window, with slopes along the first replay.
+    Gauss–Newton on angles and velocities at the start of every window, with new slopes where straight lines misled.
     """
+    true = _from(true, frames[0] - EARLY)
     hz = pendulum_frequency(s.body)
     interval = np.diff(true.command_time).mean()
     steps = max(1, round(min(2.0, 1 / hz) / interval))  # restarts then fall on rows of the command
@@ -96,32 +100,57 @@ def _unlike_any_start(
         steps //= 2
         rest = seen - followed(0.0, 0.0)
     period = interval * steps
-    slopes = np.stack([followed(*unit) - (seen - rest) for unit in units], axis=-1)
     origin = true.command_time[0]
     early = 1e-3 * interval  # a restart belongs to the window that it opens
     window, of_time = (((time - origin + early) // period).astype(int) for time in (frames, true.time))
     count = max(window.max(), of_time.max()) + 1
-    shift, going = np.zeros((count, len(units))), set(np.unique(window).tolist())
+    shift, damping, slopes = np.zeros((count, len(units))), np.zeros(count), None
+    going = set(np.unique(window).tolist())
+
+    def started(shift: np.ndarray) -> np.ndarray:
+        each = shift[of_time]
+        return followed(*(sum(each[:, i, None] * unit[part] for i, unit in enumerate(units)) for part in (0, 1)))
+
     for _ in range(STEPS):
-        tried, straight = shift.copy(), rest.copy()
+        if slopes is None:
+            here = seen - rest
+            slopes = np.stack([started(shift + unit) - here for unit in np.eye(len(units))], axis=-1)
+        tried, hoped, misled = shift.copy(), {}, False
         for number in going:
             rows = (window == number) & np.isfinite(rest).all((1, 2)) & np.isfinite(slopes).all((1, 2, 3))
             if rows.sum() > len(units):
-                design = slopes[rows].reshape(-1, len(units))
-                step = np.linalg.lstsq(design, rest[rows].ravel(), rcond=None)[0]
+                design, misfit = slopes[rows].reshape(-1, len(units)), rest[rows].ravel()
+                square = design.T @ design
+                square += damping[number] * np.diag(square.diagonal())
+                step = np.linalg.lstsq(square, design.T @ misfit, rcond=None)[0]
                 tried[number] += step
-                straight[rows] -= (design @ step).reshape(straight[rows].shape)
-        each = tried[of_time]
-        start = (sum(each[:, i, None] * unit[part] for i, unit in enumerate(units)) for part in (0, 1))
-        left = seen - followed(*start)
+                hoped[number] = float(((misfit - design @ step) ** 2).sum())
+        left = seen - started(tried)
         for number in sorted(going):
             rows = window == number
-            if np.nansum(left[rows] ** 2) < np.nansum(rest[rows] ** 2):
+            before, after = (float(np.nansum(each[rows] ** 2)) for each in (rest, left))
+            if number not in hoped or before - hoped[number] < 0.01 * before:
+                going.discard(number)  # nothing more to be had
+                continue
+            misled |= before - after < 0.75 * (before - hoped[number])
+            if after < before:
                 rest[rows], shift[number] = left[rows], tried[number]
-            else:  # too far from straight lines to be followed: what they say is the least
-                rest[rows] = straight[rows]
-                going.discard(number)
+                damping[number] /= 10
+            else:
+                damping[number] = max(10 * damping[number], 0.01)
+        if misled:
+            slopes = None
+        if not going:
+            break
     return rest
+
+
+def _from(trajectory: Trajectory, moment: float) -> Trajectory:
+    """A trajectory without what was before its last row of the command by that ``moment``, s."""
+    row = max(int(np.searchsorted(trajectory.command_time, moment, side="right")) - 1, 0)
+    first = int(np.argmin(np.abs(trajectory.time - trajectory.command_time[row])))
+    rows = {name: getattr(trajectory, name)[row:] for name in ("command_time", "command")}
+    return Trajectory(*(values[first:] for values in trajectory[:5]), **rows)
 
 
 def _misfit(points: np.ndarray, body: Body, noise: float) -> np.ndarray:

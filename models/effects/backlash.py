@@ -10,21 +10,21 @@ play nothing is changed; ψ is how far the link is ahead of it. Time-stepping af
 which keeps momentum and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
 """
 
-from typing import ClassVar
-
 import torch
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import Dynamics, dynamics_for
-from invdyn.models.effects.base import Parameter, Values, quantiles
+from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Net, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
 
 ROTOR_SHARE = 0.5
+WIDTHS = tuple(0.003 * 1.6**n for n in range(8))
+"""rad."""
 SHORTEST = 40.0
 """Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
 
@@ -35,12 +35,12 @@ class Backlash(HiddenHinge):
     Told apart from Coulomb friction by slow reversals of the load.
     """
 
-    scan: ClassVar = {"width": tuple(0.004 * 1.6**n for n in range(5))}
+    forgets = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Width, rad."""
         prior = HalfNormal(0.02)
-        return (Parameter("width", "rad", prior, 0.0, quantiles(prior, 5)),)
+        return (Parameter("width", "rad", prior, 0.0, WIDTHS),)
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
         """Anywhere in a typical gap, slowly."""

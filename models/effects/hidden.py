@@ -13,6 +13,7 @@ The other effects act on the chain of K links; on the hinge itself none of them 
 import math
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -29,6 +30,9 @@ Net = Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor | None]]
 
 class HiddenHinge(Effect):
     """Base of the effects with a hidden coordinate; at most one of them in a model."""
+
+    forgets: ClassVar[bool] = False
+    """Whether contact makes its motion forget what was before."""
 
     @abstractmethod
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:

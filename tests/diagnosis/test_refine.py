@@ -13,7 +13,7 @@ from scipy.stats import halfnorm
 from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
-from invdyn.diagnosis.refine import key_of, refine, refine_noise
+from invdyn.diagnosis.refine import key_of, refine, refine_searched
 from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import DECAY, LOOSE, _calm, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
@@ -279,6 +279,22 @@ def test_a_path_gets_and_loses_a_hidden_hinge():
 
 
 # -- the scatter -------------------------------------------------------------------------------------------------
+def test_play_is_searched_and_found():
+    """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
+    body = replace(PENDULUM, gravity=(0.0, 0.0))
+    play = EFFECTS["backlash"]("pivot")
+    arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
+    width = torch.tensor([0.06], dtype=torch.float64)
+    recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
+    here = setting(recording, body)
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    cause = refine_searched(here, none, play.bound(body))
+    assert cause.log_evidence > none.log_evidence + 20
+    assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.2)
+    assert cause.path.shape[-1] == none.path.shape[-1] + 2
+    assert refine_searched(here, none, play.bound(body), cause.log_evidence + 100) is None
+
+
 def test_stray_detections_are_counted():
     recording = recorded(0.0, rows=100)
     rng = np.random.default_rng(3)
@@ -289,12 +305,12 @@ def test_stray_detections_are_counted():
     clean = setting(recording, PENDULUM)
     path = path_of(clean)
     outliers = EFFECTS["outliers"]().bound(PENDULUM)
-    cause = refine_noise(here, refine(here, (), {}, path, LOOSE), outliers)
+    cause = refine_searched(here, refine(here, (), {}, path, LOOSE), outliers)
     assert cause.names == ()
     assert abs(cause.noise["outliers.rate"] - stray.mean()) < 4 * cause.noise_sd["outliers.rate"] < 0.2
     assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
     assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
-    assert refine_noise(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+    assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
 
 
 # -- predictions -------------------------------------------------------------------------------------------------

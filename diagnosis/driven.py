@@ -1,0 +1,45 @@
+"""What a hinge that nobody sees does along a motion that is known: its path (ψ, ψ̇), driven by it.
+
+A hinge on a spring follows to first order: ψ_{t+1} = A_t ψ_t + b_t, with A and b by differences about rest, from the
+deflection that the first row would hold.
+
+A gap forgets what was before as soon as there is contact: :meth:`.ArmModel.settled`.
+
+Shapes: T rows, D states without the hinge, S parameter sets.
+"""
+
+import torch
+from torch import Tensor
+
+from invdyn.models import ArmModel
+from invdyn.models.state_space import gaussian_mean
+
+
+def driven(model: ArmModel, path: Tensor, count: int) -> Tensor:
+    """Paths (S, T, D + 2) along ``path`` (T, D), with the hinge of ``model``, of S = ``count`` parameter sets."""
+    rows, first = torch.arange(1, len(path)), model.torque_size
+    hidden = slice(first, first + model.state_dim - path.shape[-1])
+    still = path.new_zeros(len(path), model.state_dim - path.shape[-1])
+    path = torch.cat([path[:, :first], still, path[:, first:]], -1).expand(count, -1, -1).clone()
+
+    def moved(path: Tensor) -> Tensor:
+        return gaussian_mean(model.transition(path[:, :-1], rows))[..., hidden]
+
+    if model.driven is not None:
+        return model.settled(path)
+
+    nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3
+
+    def nudged(nudge: Tensor) -> Tensor:
+        shifted = path.clone()
+        shifted[..., hidden] = nudge
+        return moved(shifted)
+
+    b = moved(path)
+    A = torch.stack([(nudged(nudge) - b) / nudge.sum() for nudge in torch.diag(nudges)], -1)
+    psi = torch.linalg.solve(torch.eye(len(nudges), dtype=path.dtype) - A[:, 0], b[:, 0])
+    for t in range(path.shape[1]):
+        path[:, t, hidden] = psi
+        if t < len(rows):
+            psi = (A[:, t] @ psi.unsqueeze(-1)).squeeze(-1) + b[:, t]
+    return path
