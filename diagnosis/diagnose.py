@@ -18,7 +18,7 @@ from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores
-from invdyn.diagnosis.weigh import certain, weigh
+from invdyn.diagnosis.weigh import certain, doubted, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import Recording, joined, write_text
@@ -78,6 +78,8 @@ def diagnose(
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must predict what it has not seen.
         weighed = certain(none, weighed.log_evidence)
         shares = closed(*held_out_scores(bound, none, none, other), time, seed)
+    elif bound.regime != "unknown_torque" and weighed.best.effects and shares.refuted:
+        weighed = doubted(weighed)
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None

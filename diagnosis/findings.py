@@ -1,4 +1,11 @@
-"""An effect of a refined cause in the words of the result: place, and parameters with units and intervals."""
+"""An effect of a refined cause in the words of the result: place, and parameters with units and intervals.
+
+Intervals are those of the coarsened posterior that weighs the causes (:mod:`.prior`), the likelihood raised to ζ: where
+much was gained, what reality's effect is otherwise than the catalogue's moves parameters by more than noise does. With
+the refined precision Λ and the prior's S⁻¹,
+
+    Λ_ζ = ζ (Λ − S⁻¹) + S⁻¹
+"""
 
 import numpy as np
 import torch
@@ -7,7 +14,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Estimate, Finding
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.unknowns import Unknowns, unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.joint_limit import JointLimit
 
@@ -33,10 +40,10 @@ def key(effect: Effect) -> str:
     return ".".join([effect.name, *place(effect).values()])
 
 
-def finding(setting: Setting, cause: Refined, effect: Effect, seed: int) -> Finding:
-    """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds."""
+def finding(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float = 1.0) -> Finding:
+    """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds; ``temper`` is ζ."""
     parameters = effect.parameters(setting.model.scale)
-    draws = _draws(setting, cause, effect, seed)
+    draws = _draws(setting, cause, effect, seed, temper)
     described = {
         name: (values.reshape(-1).numpy(), unit)
         for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
@@ -48,16 +55,30 @@ def finding(setting: Setting, cause: Refined, effect: Effect, seed: int) -> Find
     return Finding(effect.name, effect.side, place(effect), estimates)
 
 
-def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int) -> dict[str, np.ndarray]:
+def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     names = [f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)]
     if is_searched(effect):
         return {
             name.rsplit(".", 1)[1]: cause.noise[name]
-            * np.exp(np.nan_to_num(cause.noise_sd.get(name, 0.0)) / cause.noise[name] * rng.standard_normal(DRAWS))
+            * np.exp(_share_of_itself(cause, name) / np.sqrt(temper) * rng.standard_normal(DRAWS))
             for name in names
         }
     among = unknowns(setting, cause.effects)
-    drawn = rng.multivariate_normal(cause.mean, cause.covariance, DRAWS, method="eigh")
+    drawn = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
     drawn = np.clip(drawn, among.lower, among.upper)
     return {name.rsplit(".", 1)[1]: drawn[:, among.names.index(name)] for name in names}
+
+
+def _share_of_itself(cause: Refined, name: str) -> float:
+    """Standard deviation of a parameter that was searched, as a share of it."""
+    return float(np.nan_to_num(cause.noise_sd.get(name, 0.0)) / cause.noise[name])
+
+
+def tempered_covariance(cause: Refined, among: Unknowns, temper: float) -> np.ndarray:
+    """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
+    # In units of the prior's spreads, where S = I and no eigenvalue of the posterior's covariance is above one.
+    values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))
+    values = np.clip(values, 1e-300, 1.0)
+    wider = values / (temper + (1 - temper) * values)
+    return (vectors * wider) @ vectors.T * np.outer(among.sd, among.sd)

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.refine import Refined
-from invdyn.diagnosis.screen import SPIKE, sizes, whiten
+from invdyn.diagnosis.screen import SPIKE, Whitened, sizes, whiten
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
@@ -44,17 +44,31 @@ def best_size(setting: Setting, cause: Refined) -> float:
     return float(sizes(setting.regime)[int(cause.by_size.argmax())])
 
 
+def _whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float]) -> Whitened:
+    none = Columns(
+        np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
+    )
+    return whiten(setting, cause.model, path, none, np.array(levels))
+
+
+def correlation(setting: Setting, cause: Refined) -> float:
+    """Of whitened prediction errors of neighbouring rows, all observations together: near 0 for a right simulation."""
+    whitened = _whitened(setting, cause, cause.path, [best_size(setting, cause)])
+    errors = np.full(setting.observations.shape, np.nan)
+    errors[whitened.seen > 0] = whitened.columns[0, :, 0].reshape(-1, errors.shape[-1])
+    errors[np.isnan(setting.observations.numpy())] = np.nan
+    pairs = errors[1:] * errors[:-1]
+    return float(np.nanmean(pairs) / np.nanmean(errors**2)) if np.isfinite(pairs).any() else 0.0
+
+
 def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scores:
     """One-step predictive scores of ``setting``'s rows under a cause found there or on another recording.
 
     ``path`` is linearised along, the cause's own by default.
     """
     path = cause.path if path is None else path
-    none = Columns(
-        np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
-    )
     quietest = SPIKE if setting.regime != "unknown_torque" else best_size(setting, cause)
-    whitened = whiten(setting, cause.model, path, none, np.array([best_size(setting, cause), quietest]))
+    whitened = _whitened(setting, cause, path, [best_size(setting, cause), quietest])
     seen, kappa = whitened.seen, cause.kappa
     squares = np.full(len(path), np.nan)
     rows = whitened.columns[0, :, 0].reshape(-1, setting.observations.shape[-1])

@@ -8,6 +8,9 @@ The number of effects at work comes first, then which ones, then where each acts
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.screen`).
 
+Three effects at once are rarer than one that the catalogue lacks, which several together imitate well: of k ≥ 3 that
+are found, a share P(k)/(P(k) + P(lacking)), P(lacking) = .03, is believed; the rest is "outside the catalogue".
+
 Reality's friction is not quite the catalogue's, and the larger an effect, the more nats that small difference is worth.
 Evidence is therefore raised to a power ζ (a coarsened posterior: Miller & Dunson 2019, "Robust Bayesian inference via
 coarsening"), with G the nats that the best cause gains over none:
@@ -24,6 +27,8 @@ from invdyn.models.effects.base import Effect
 
 NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
 MOST = len(NUMBER) - 1
+LACKING, IMITATORS = 0.03, 3
+"""P(lacking), and the number of effects from which on they are suspected to imitate it."""
 ALPHA = 100.0
 """α, nats."""
 
@@ -31,6 +36,11 @@ ALPHA = 100.0
 def tempered(gain: float) -> float:
     """ζ, for G = ``gain``."""
     return 1 / (1 + max(gain, 0.0) / ALPHA)
+
+
+def believed(count: int) -> float:
+    """Probability that ``count`` effects that explain a gap are at work, and not one that they imitate."""
+    return 1.0 if count < IMITATORS else NUMBER[count] / (NUMBER[count] + LACKING)
 
 
 def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:

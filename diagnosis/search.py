@@ -155,7 +155,7 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         if (
             is_searched(effect)
             and (found.stray or effect.name not in MISTAKES)
-            and not (isinstance(effect, HiddenHinge) and (busy or found.ranked[0].complete))
+            and not (isinstance(effect, HiddenHinge) and (base.effects or found.ranked[0].complete))
             and (cause := _attempt(refine_searched, setting, base, effect, found.top - HOPELESS)) is not None
         ):
             found.add(cause)

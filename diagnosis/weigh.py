@@ -1,22 +1,27 @@
 """Probabilities of causes: the best confirmed by SMC, all weighed by tempered evidence, prior and what they leave.
 
 Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`), and within it the share s_c of
-residuals that are next to nothing: little is left once the cause is in. With "no gap" among the causes,
+residuals that are next to nothing: little is left once the cause is in; less where so many effects are more likely to
+imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" among the causes,
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
+
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if half of the gap
+stands on held-out rows.
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
 the prediction of held-out rows is taken back.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.confirm import Confirmed, confirm
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.predict import best_size
+from invdyn.diagnosis.predict import best_size, correlation
+from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import Setting
@@ -24,8 +29,13 @@ from invdyn.diagnosis.setting import Setting
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
 CONFIRMED = 2
+FAINT = 1e-4
+"""Probability under which nobody asks what a cause leaves."""
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
+ALIKE = 0.2
+"""Correlation of neighbouring errors of prediction from which on they are alike; a right simulation's have none, but
+for chance (some hundredths) and for what reality's effects are otherwise than the catalogue's."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +58,13 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
     if bound.regime == "unknown_torque":
         return 1.0
+    if correlation(bound, cause) > ALIKE:
+        return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)
     weight = found.temper * (cause.by_size - prior) + prior
     little = levels <= max(levels[0], LITTLE * best_size(bound, found.pool[""]))
-    return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
+    return believed(len(cause.effects)) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
 def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
@@ -68,11 +80,20 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
         evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
-    share = np.array([_alone(bound, found, c) for c in ranked])
+    share = np.array([_alone(bound, found, c) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)])
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
+
+
+def doubted(weighed: Weighed) -> Weighed:
+    """The same with the best cause explaining a part only: held-out rows refute that it explains all."""
+    key = weighed.best.key
+    cause, probability = weighed.causes[key]
+    in_part = weighed.in_part | {key: weighed.in_part[key] + probability}
+    causes = weighed.causes | {key: (cause, 0.0)}
+    return replace(weighed, causes=causes, in_part=in_part, outside=min(sum(in_part.values()), 1.0))
 
 
 def certain(cause: Refined, log_evidence: dict[str, float]) -> Weighed:

@@ -11,6 +11,7 @@ from scipy.integrate import quad
 from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.refine import key_of, refine, refine_searched
@@ -279,6 +280,22 @@ def test_a_path_gets_and_loses_a_hidden_hinge():
 
 
 # -- the scatter -------------------------------------------------------------------------------------------------
+def test_intervals_are_those_of_the_tempered_likelihood():
+    here, _, cause = causes()
+    among = unknowns(here, cause.effects)
+    spread = np.array([[0.3, 0.1], [0.1, 0.2]])
+    among = replace(among, sd=np.array([1.0, 2.0]))
+    both = replace(cause, covariance=spread)
+    np.testing.assert_allclose(tempered_covariance(both, among, 1.0), spread)
+    np.testing.assert_allclose(tempered_covariance(both, among, 0.0), np.diag([1.0, 4.0]), atol=1e-12)
+    prior = np.diag([1.0, 0.25])
+    direct = np.linalg.inv(0.2 * (np.linalg.inv(spread) - prior) + prior)
+    np.testing.assert_allclose(tempered_covariance(both, among, 0.2), direct)
+    narrow, wide = (finding(here, cause, cause.effects[0], 0, temper).parameters["damping"] for temper in (1.0, 0.1))
+    assert wide.sd == pytest.approx(narrow.sd / np.sqrt(0.1), rel=0.1)
+    assert wide.mean == pytest.approx(narrow.mean, abs=3 * wide.sd / np.sqrt(4000))
+
+
 def test_play_is_searched_and_found():
     """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
@@ -429,3 +446,17 @@ def test_share_of_known_scores():
     assert more.share == 1.0  # not more than all
     nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
     assert (nothing.share, nothing.interval) == (None, None)
+    assert not nothing.refuted
+
+
+def test_a_cause_is_refuted_where_half_of_a_gap_that_shows_stands():
+    time, rows, zero = 0.1 * np.arange(100), np.ones(100, bool), np.zeros(100)
+    gap = np.full(100, 2.0)
+
+    def refuted(gain, gap):
+        return closed(Scores(zero, gap), Scores(gain, gap), rows, time, 0).refuted
+
+    assert refuted(0.3 * gap, gap)
+    assert refuted(-gap, gap)
+    assert not refuted(0.7 * gap, gap)
+    assert not refuted(0.3 * gap, 0.05 * gap)  # ten nats in all
