@@ -29,6 +29,8 @@ from invdyn.diagnosis.setting import Setting
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
 CONFIRMED = 2
+SURE = 0.7
+"""Nats of Monte Carlo error up to which SMC's evidence is taken for more certain than the linearised one."""
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
 LITTLE = 0.1
@@ -75,7 +77,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
     # whole stand beside those that were not confirmed where the linearised evidence has them.
-    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < 0.3 for run in confirmed.values()):
+    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < SURE for run in confirmed.values()):
         apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
         evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
