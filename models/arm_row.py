@@ -1,0 +1,111 @@
+"""The arm's mechanics from one row to the next: E[x_t | x_{t−1}] in sub-steps.
+
+Within a row the torque process moves on a straight line from z to its mean one row later, under a command that is held
+or moves as the motors make it. Effects act in the order
+
+    motors, forces, inertias of the joints    as the integrator asks for them
+    dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
+    a hidden hinge                            has a step of its own: :mod:`.effects.hidden`
+
+Shapes: states (..., D), joint quantities (..., K).
+"""
+
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.effects.composition import own_values
+from invdyn.models.effects.situation import Situation
+from invdyn.models.integrators import INTEGRATORS
+from invdyn.models.shapes import join
+
+
+class ArmRow:
+    """One row of :class:`.ArmModel`, which has the body, torque, effects, command, clocks and parameters used here."""
+
+    def transition_mean(self, state: Tensor, t: int | Tensor) -> Tensor:
+        """E[x_t | x_{t−1} = state], shape (..., D)."""
+        z, q, qd = self.split(state)
+        dt, body = self._step(t), self.body_parameters()
+        parts = self.substeps_taken
+        z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
+        z_next = self.torque.mean(z, dt, self.parameters)
+        joints = self.body.num_joints
+        start, change = z[..., :joints], (z_next - z)[..., :joints]
+        if self.command is not None:
+            mean, slope = (row.to(state) for row in self.motors.row(t))
+            start, change = start + mean - slope / 2, change + slope
+
+        def smooth(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None, Situation | None]:
+            return self._smooth(q, qd, start + s * change if s else start, body, t - 1, s, dt / parts)
+
+        if self.effects.hinge:
+            p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
+
+            def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
+                return self._rubbed(*smooth(q, qd, s))
+
+            return join(z_next, *hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts))
+
+        def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
+            """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
+            held = self._friction(*smooth(q, qd, begun)) if self.effects.has_friction else 0.0
+
+            def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
+                torque, own, _ = smooth(q, qd, begun + share * s)
+                return self.dynamics.forward(q, qd, torque + held, body, own)
+
+            return INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
+
+        if not self.effects.has_friction:
+            return join(z_next, *integrate(q, qd, 0.0, 1.0, parts))
+        for i in range(parts):
+            q, qd = integrate(q, qd, i / parts, 1 / parts, 1)
+        return join(z_next, q, qd)
+
+    def _smooth(
+        self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
+    ) -> tuple[Tensor, Tensor | None, Situation | None]:
+        """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
+
+        A part ``s`` of a row after row ``t``.
+        """
+        if not self.effects:
+            return motor, None, None
+        own = self.effects.inertia(self.parameters, self.body.num_joints)
+        if not (self.effects.has_force or self.effects.has_friction):
+            return motor, own, None
+        passed = s * self._interval(t + 1) if s else 0.0
+        time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
+        now = Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
+        return motor + self.effects.force(self.parameters, now), own, now
+
+    def _friction(self, torque: Tensor, own: Tensor | None, now: Situation) -> Tensor:
+        """Dry friction, (..., K) N·m, under all other torques."""
+        return self.effects.friction(self.parameters, now, torque, own)
+
+    def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
+        """All torques, and the joints' own inertias."""
+        return (torque + self._friction(torque, own, now) if self.effects.has_friction else torque), own
+
+    def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
+        """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on; no hidden hinge moves."""
+        z, q, qd = self.split(state)
+        torque = z[..., : self.body.num_joints]
+        if self.command is not None:
+            mean, slope = (row.to(state) for row in self.motors.row(t + 1))
+            torque = torque + mean - slope / 2
+        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, self._interval(t)))
+        return self.dynamics.forward(q, qd, torque, body, own)
+
+    def _interval(self, t: int | Tensor) -> Tensor:
+        return self.dt[t].to(self.dtype).unsqueeze(-1)
+
+    @property
+    def substeps_taken(self) -> int:
+        """Integrator steps per row: ``substeps``, or more where an effect's force jumps."""
+        return max(self.substeps, self._abrupt)
+
+    def _step(self, t: int | Tensor) -> Tensor:
+        """What a row's interval really takes, s."""
+        dt = self._interval(t)
+        return self.effects.interval(self.parameters, dt) if self.effects else dt
