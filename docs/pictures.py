@@ -1,8 +1,11 @@
-"""Make the pictures of README.md, from a real run: `python docs/pictures.py`.
+"""Make the pictures of README.md, from real runs: `python docs/pictures.py`, or `… demo`, `… diagnosis`.
 
-demo.png and demo.gif are what `invdyn demo` draws; cost.png comes from `python benchmarks/cost.py`.
+demo.png and demo.gif are what `invdyn demo` draws; diagnosis.png is the top of the report on a simulated arm with
+friction at its elbow (needs chromium, chromedriver and the extra `dev`); cost.png comes from
+`python benchmarks/cost.py`.
 """
 
+import io
 import shutil
 import subprocess
 import sys
@@ -14,16 +17,61 @@ from PIL import Image
 DOCS = Path(__file__).parent
 COLOURS = 128  # of a palette: a third of the bytes, and the eye sees no difference
 WIDTH = 1400  # pixels
+WINDOW = 1000, 1275  # pixels, of the report that is shown
+
+
+def demo(folder: str) -> None:
+    """Run the demo, keep its figure with a palette, and its film as it is."""
+    subprocess.run([sys.executable, "-m", "invdyn", "demo", "--out", folder], check=True)
+    figure = Image.open(Path(folder) / "figure.png")
+    _keep(figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS), "demo.png")
+    shutil.copyfile(Path(folder) / "film.gif", DOCS / "demo.gif")
+
+
+def diagnosis(folder: str) -> None:
+    """Diagnose a simulated arm that has friction at its elbow, and photograph the report."""
+    import torch
+    from selenium import webdriver
+
+    from invdyn.diagnosis import diagnose, save
+    from invdyn.models import Body, Link
+    from invdyn.models.effects import ViscousFriction
+    from invdyn.simulate import random_arm, record
+
+    upper = Link("upper_arm", joint="shoulder", tip="elbow", length=0.30, mass=1.5)
+    fore = Link("forearm", joint="elbow", tip="wrist", length=0.25, mass=1.0)
+    body = Body("arm", [upper, fore], gravity=(0.0, -9.81))
+    arm = random_arm(body, duration=4.0, fps=50, noise=0.002, commanded=True).with_effects(ViscousFriction("elbow"))
+    damping = torch.tensor([0.05], dtype=torch.float64)
+    recording, _ = record(arm.replace(**{"effect.viscous_friction.elbow.damping": damping}))
+    save(diagnose(recording, body), folder)
+
+    options = webdriver.ChromeOptions()
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "hide-scrollbars"):
+        options.add_argument(f"--{flag}")
+    window = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        size = dict(zip(("width", "height"), WINDOW, strict=True))
+        window.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
+        window.get((Path(folder) / "report.html").resolve().as_uri())
+        _keep(Image.open(io.BytesIO(window.get_screenshot_as_png())), "diagnosis.png")
+    finally:
+        window.quit()
+
+
+def _keep(picture: Image.Image, name: str) -> None:
+    picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(DOCS / name, optimize=True)
 
 
 def main() -> None:
-    """Run the demo, keep its figure with a palette, and its film as it is."""
-    with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-m", "invdyn", "demo", "--out", folder], check=True)
-        figure = Image.open(Path(folder) / "figure.png").convert("RGB")
-        figure = figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS)
-        figure.quantize(COLOURS, dither=Image.Dither.NONE).save(DOCS / "demo.png", optimize=True)
-        shutil.copyfile(Path(folder) / "film.gif", DOCS / "demo.gif")
+    """Make those that are named, or all."""
+    known = {"demo": demo, "diagnosis": diagnosis}
+    wanted = sys.argv[1:] or list(known)
+    if unknown := set(wanted) - set(known):
+        sys.exit(f"no picture {', '.join(sorted(unknown))}; expected any of {', '.join(known)}")
+    for name in wanted:
+        with tempfile.TemporaryDirectory() as folder:
+            known[name](folder)
 
 
 if __name__ == "__main__":
