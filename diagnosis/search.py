@@ -151,11 +151,12 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 break
             if (cause := _attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
+    play = not base.effects and setting.regime != "unknown_torque" and not found.ranked[0].complete
     for effect in free:
         if (
             is_searched(effect)
             and (found.stray or effect.name not in MISTAKES)
-            and not (isinstance(effect, HiddenHinge) and (base.effects or found.ranked[0].complete))
+            and (play or not isinstance(effect, HiddenHinge))
             and (cause := _attempt(refine_searched, setting, base, effect, found.top - HOPELESS)) is not None
         ):
             found.add(cause)
