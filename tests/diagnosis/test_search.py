@@ -69,6 +69,15 @@ def test_friction_is_named():
     assert screened[place].dprime > 10
 
 
+def test_where_torques_are_unknown_the_motion_has_no_cause():
+    """Not even play, which no screen ranks: an unknown torque could do what it does."""
+    arm = replace(recorded(EFFECTS["backlash"]("pivot"), width=0.1), torques=None)
+    bound = setting(arm, PENDULUM)
+    found = search(bound, *data_path(bound))
+    assert bound.regime == "unknown_torque"
+    assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
+
+
 def test_a_set_loses_what_it_does_not_need():
     """From friction and a spring that is not there, friction alone."""
     bound = setting(recorded(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
