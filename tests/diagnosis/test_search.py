@@ -1,5 +1,6 @@
 """Candidates, forward selection and what a report says of them."""
 
+import sys
 from collections import Counter
 from dataclasses import replace
 from functools import cache
@@ -69,13 +70,19 @@ def test_friction_is_named():
     assert screened[place].dprime > 10
 
 
-def test_where_torques_are_unknown_the_motion_has_no_cause():
-    """Not even play, which no screen ranks: an unknown torque could do what it does."""
-    arm = replace(recorded(EFFECTS["backlash"]("pivot"), width=0.1), torques=None)
-    bound = setting(arm, PENDULUM)
-    found = search(bound, *data_path(bound))
-    assert bound.regime == "unknown_torque"
-    assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
+def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
+    """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
+    tried = []
+    module = sys.modules[search.__module__]
+    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
+    arm = recorded(EFFECTS["backlash"]("pivot"), width=0.1)
+    for torques, looked in ((None, False), (0 * arm.torques, True)):
+        tried.clear()
+        bound = setting(replace(arm, torques=torques), PENDULUM)
+        found = search(bound, *data_path(bound))
+        assert ("backlash" in tried) is looked
+        if torques is None:
+            assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
 
 
 def test_a_set_loses_what_it_does_not_need():
