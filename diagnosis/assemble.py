@@ -90,8 +90,8 @@ def assembled(
         ),
         where=where(
             model,
-            weighed.causes,
-            weighed.outside,
+            {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
+            weighed.in_part.get("", 0.0),
             before,
             bound.typical.numpy(),
             shifts,

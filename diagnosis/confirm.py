@@ -6,8 +6,8 @@ linearised about its own path, and the outer weight
 
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
-which is unbiased whatever q and the guide are. Noise scale and residual stand at their estimates; what integrating over
-the residual's size adds is taken from the refinement.
+which is unbiased whatever q and the guide are. Noise scale, residual and parameters that were searched (:mod:`.noise`)
+stand at their estimates; what integrating over the residual's size and over those adds is taken from the refinement.
 
 Shapes: M filters, N particles, T rows, p unknowns.
 """
@@ -142,4 +142,6 @@ def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int)
     draws = idata["posterior"].sizes["draw"]
     for name, column in zip(unknowns(setting, cause.effects).names, confirmed.values.T, strict=True):
         idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.repeat(column[:, None], draws, 1))
+    for name, value in cause.noise.items():
+        idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.full((len(confirmed.values), draws), value))
     return idata

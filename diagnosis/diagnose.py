@@ -13,16 +13,19 @@ from pathlib import Path
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
-from invdyn.diagnosis.shrinkage import closed, held_out_scores
+from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
 from invdyn.diagnosis.weigh import certain, doubted, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import Recording, joined, write_text
 
+RIVAL = 0.05
+"""Probability from which on a cause is asked what it predicts once the best one is refuted."""
 Progress = Callable[[int, int, str], None]
 """Called with (stages done, stages, what comes next)."""
 
@@ -73,13 +76,18 @@ def diagnose(
     weighed = weigh(bound, found, seed)
     report(3, "held out")
     none, time = found.pool[""], (other or bound).model.time.numpy()
-    shares = closed(*held_out_scores(bound, none, weighed.best, other), time, seed)
+
+    def held(cause: Refined) -> Closed:
+        return closed(*held_out_scores(bound, none, cause, other), time, seed)
+
+    shares = held(weighed.best)
     if bound.regime == "unknown_torque" and shares.per_frame["corrected"] < shares.per_frame["nominal"]:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must predict what it has not seen.
         weighed = certain(none, weighed.log_evidence)
-        shares = closed(*held_out_scores(bound, none, none, other), time, seed)
+        shares = held(none)
     elif bound.regime != "unknown_torque" and weighed.best.effects and shares.refuted:
-        weighed = doubted(weighed)
+        rivals = [c for c, p in weighed.causes.values() if p > RIVAL and c.effects and c is not weighed.best]
+        weighed = doubted(weighed, [weighed.best.key, *(c.key for c in rivals if held(c).refuted)])
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None

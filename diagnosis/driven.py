@@ -3,7 +3,7 @@
 A hinge on a spring follows to first order: ψ_{t+1} = A_t ψ_t + b_t, with A and b by differences about rest, from the
 deflection that the first row would hold.
 
-A gap forgets what was before as soon as there is contact: :meth:`.ArmModel.settled`.
+A gap forgets what was before as soon as there is contact: :meth:`.StateSpaceModel.settled`.
 
 Shapes: T rows, D states without the hinge, S parameter sets.
 """

@@ -10,12 +10,12 @@ the refined precision Λ and the prior's S⁻¹,
 import numpy as np
 import torch
 
-from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.noise import is_searched, log_spread
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Estimate, Finding
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import Unknowns, unknowns
-from invdyn.models.effects.base import Effect
+from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
+from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.joint_limit import JointLimit
 
 DRAWS = 4000
@@ -51,7 +51,9 @@ def finding(setting: Setting, cause: Refined, effect: Effect, seed: int, temper:
     estimates = {}
     for name, (values, unit) in described.items():
         low, high = np.quantile(values, [0.05, 0.95])
-        estimates[name] = Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit)
+        # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
+        mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
+        estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit)
     return Finding(effect.name, effect.side, place(effect), estimates)
 
 
@@ -59,26 +61,30 @@ def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: 
     rng = np.random.default_rng(seed)
     names = [f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)]
     if is_searched(effect):
-        return {
-            name.rsplit(".", 1)[1]: cause.noise[name]
-            * np.exp(_share_of_itself(cause, name) / np.sqrt(temper) * rng.standard_normal(DRAWS))
-            for name in names
-        }
+        parameters = effect.parameters(setting.model.scale)
+        return {p.name: _searched(cause, p, f"{effect.key}.{p.name}", temper, rng) for p in parameters}
     among = unknowns(setting, cause.effects)
     drawn = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
     drawn = np.clip(drawn, among.lower, among.upper)
     return {name.rsplit(".", 1)[1]: drawn[:, among.names.index(name)] for name in names}
 
 
-def _share_of_itself(cause: Refined, name: str) -> float:
-    """Standard deviation of a parameter that was searched, as a share of it."""
-    return float(np.nan_to_num(cause.noise_sd.get(name, 0.0)) / cause.noise[name])
+def _searched(cause: Refined, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:
+    """Draws (``DRAWS``,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
+    value, prior = cause.noise[name], log_spread(p)
+    share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
+    wider = prior * np.sqrt(_tempered(min(share, 1.0) ** 2, temper))
+    return np.minimum(value * np.exp(wider * rng.standard_normal(DRAWS)), upper_bound(p))
+
+
+def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float:
+    """Posterior variances, in the prior's, under the likelihood raised to ``temper``."""
+    return variance / (temper + (1 - temper) * variance)
 
 
 def tempered_covariance(cause: Refined, among: Unknowns, temper: float) -> np.ndarray:
     """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
     # In units of the prior's spreads, where S = I and no eigenvalue of the posterior's covariance is above one.
     values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))
-    values = np.clip(values, 1e-300, 1.0)
-    wider = values / (temper + (1 - temper) * values)
+    wider = _tempered(np.clip(values, 1e-300, 1.0), temper)
     return (vectors * wider) @ vectors.T * np.outer(among.sd, among.sd)

@@ -1,11 +1,11 @@
-"""Effects on the scatter of what is seen: no column describes them, their few parameters are searched instead.
+"""Effects that no column describes, so that their few parameters are searched: those on the scatter, and play.
 
 Stray detections, exchanged labels, mistimed frames and noise that grows with speed change what an observation may
 be, not where it is expected. Their evidence is that of the data under the changed emission (:func:`.screen.whiten`
 without any column), on a grid of their parameters first, and then by a simplex search of the logarithms from the
 best one on. The posterior's spread comes from the curvature there.
 
-So it is for play: what a gap changes hangs on when it is crossed, and no slope tells that.
+What play changes hangs on when the gap is crossed, and no slope tells that: each width gets the path that it drives.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 import torch
 from scipy.optimize import minimize
+from scipy.special import ndtri
 
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.hidden import HiddenHinge
@@ -49,6 +50,12 @@ def _quantiles(parameter: Parameter) -> tuple[float, ...]:
         torch.manual_seed(0)
         draws = parameter.prior.sample((DRAWS,)).double()
     return tuple(torch.quantile(draws, torch.tensor(QUANTILES).double()).tolist())
+
+
+def log_spread(parameter: Parameter) -> float:
+    """Standard deviation of a positive parameter's logarithm under its prior, from the quantiles that the grid has."""
+    low, *_, high = np.log(_quantiles(parameter))
+    return float((high - low) / (ndtri(QUANTILES[-1]) - ndtri(QUANTILES[0])))
 
 
 def log_prior_of(parameters: Sequence[Parameter], values: np.ndarray) -> float:

@@ -67,9 +67,9 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
     """A path (T, D) in the states of ``model``: a hinge that it does not know yet is at rest, a gap as it is driven."""
     missing = model.state_dim - path.shape[-1]
     if not missing:
-        return path
+        return model.settled(path)
     torque = model.torque_size
-    if missing > 0 and model.effects.hinge.forgets:
+    if missing > 0 and model.driven is not None:
         return driven(model, path, 1)[0]
     if missing < 0:
         return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)

@@ -38,7 +38,7 @@ STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
 
 EARNED = 2.0
-"""Nats that an effect on the scatter must gain over its base on the grid, to be searched further."""
+"""Nats that an effect whose parameters are searched must gain over its base on the grid, to be searched further."""
 
 SETTLED, UNSETTLED = 0.1, 5.0
 """Change of a parameter, in its own standard deviations, under which it stays; nats that one that moves may cost."""
@@ -57,7 +57,7 @@ class Refined:
         kappa: factor on the observations' noise at the best size.
         path: (T, D) its own.
         model: with the parameters at their means.
-        noise, noise_sd: parameters of effects on the scatter, which are no part of ``names``.
+        noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
         about: (p,) where it was expanded; ``mean`` is a step from there, straight where parameters are not.
@@ -93,6 +93,11 @@ class Refined:
         """Keys of the effects, sorted and joined; "" for none."""
         return key_of(self.effects)
 
+    @property
+    def searched(self) -> dict:
+        """What :func:`refine` needs to know of parameters that were searched."""
+        return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
+
     def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
         """The same cause with another model and path."""
         return replace(self, model=model, path=path)
@@ -119,6 +124,7 @@ def refine(
     size: float,
     *,
     noise_log: float = 0.0,
+    noise_sd: Mapping[str, float] | None = None,
     enough: float = -np.inf,
     doubtful: float = -np.inf,
     rounds: int = ROUNDS,
@@ -127,12 +133,13 @@ def refine(
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``enough`` nats
     after two rounds is left as it is. Parameters of effects that are searched stay where ``values`` has them;
-    ``noise_log`` is what their integral adds to the log evidence.
+    ``noise_log`` is what their integral adds to the log evidence, ``noise_sd`` their standard deviations.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
     noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
     noise = {name: float(values[name]) for name in noise}
+    spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
     among = unknowns(setting, effects)
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
@@ -166,7 +173,7 @@ def refine(
             path,
             here,
             noise,
-            {},
+            spread,
             noise_log,
         )
         return cause, target
@@ -233,7 +240,7 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
         here, there, those = model.replace(**given), path, columns
         if model.driven is not None:
-            there = here.settled(lifted(here, path))
+            there = lifted(here, path)
             those = slopes(here, common, base.mean, 0.05 * base.sd, there)
         whitened = whiten(setting, here, there, those, levels[some])
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]

@@ -8,7 +8,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
        (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
-    5  again from 3, until nothing that is added raises the posterior
+    5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
+       (:mod:`.noise`) come after each screen, but play by itself only, and where nothing else explains the gap
     6  leave effects of the best set out, one by one, while that raises it
 
 With unknown torque one effect is looked for, of the observation and visible: what changes the motion alone, a torque
@@ -120,7 +121,8 @@ def _reduce(setting: Setting, found: Search) -> None:
         for effect in best.effects:
             rest = tuple(e for e in best.effects if e is not effect)
             if key_of(rest) not in tried and not all(is_searched(e) for e in rest):
-                cause = _attempt(refine, setting, rest, _values(best), best.path, FIRM, noise_log=best.noise_log)
+                kept = best.searched if any(is_searched(e) for e in rest) else {}
+                cause = _attempt(refine, setting, rest, _values(best), best.path, FIRM, **kept)
                 if cause is not None:
                     found.add(cause)
             tried.add(key_of(rest))
@@ -190,7 +192,7 @@ def _refine_promising(
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         effects = (*base.effects, each.effect)
-        cause = _attempt(refine, setting, effects, values, path, each.size, noise_log=base.noise_log, **limits)
+        cause = _attempt(refine, setting, effects, values, path, each.size, **base.searched, **limits)
         if cause is not None:
             found.add(cause)
 
@@ -238,9 +240,7 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
                 value = known.pop(f"{mine.key}.{parameter[0]}")
                 values = known | {f"{other}.{parameter[1]}": factor * value}
                 size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
-                other_one = _attempt(
-                    refine, setting, (*rest, twin), values, found.path, size, noise_log=cause.noise_log
-                )
+                other_one = _attempt(refine, setting, (*rest, twin), values, found.path, size, **cause.searched)
                 if other_one is not None:
                     found.add(other_one)
 
@@ -254,7 +254,7 @@ def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Ref
         known = {name: torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
         there = model.replace(**{f"effect.{k}": v for k, v in known.items() if f"effect.{k}" in model.parameters})
         path = led(setting, there, lifted(model, path), FIRM)
-        return refine(setting, effects, values, path, FIRM, noise_log=base.noise_log, rounds=rounds)
+        return refine(setting, effects, values, path, FIRM, rounds=rounds, **base.searched)
 
     tried = []
     for point in product(*effect.scan.values()):

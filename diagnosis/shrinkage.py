@@ -1,8 +1,9 @@
 """How far the gap closes on data that the cause's parameters have not seen.
 
 Another recording of the same arm where there is one; else the last third of this one, the cause refitted on the first
-two. In nats of one-step prediction, with the simulation as it is, with the cause, and the floor that a simulation
-without a gap would reach:
+two; but what was searched (:mod:`.noise`), and what the first two cannot show, such as a push that comes later, keeps
+the parameters that all rows gave it. In nats of one-step prediction, with the simulation as it is, with the cause, and
+the floor that a simulation without a gap would reach:
 
     closed = Σ (with − without) / Σ (floor − without)
 
@@ -25,6 +26,8 @@ BLOCK = 0.4
 DRAWS = 1000
 SHOWS, HALF = 20.0, 0.5
 """Nats of a gap that is no accident, and the share of it that a cause must close."""
+LATER = 4.0
+"""Factor by which a parameter's standard deviation grows where the rows that show it are missing; by 1.2 elsewhere."""
 SHARE = 2 / 3
 """Of the rows, to fit on, where the rest is held out."""
 
@@ -72,14 +75,20 @@ def held_out_scores(
     for each in (none, cause):
         values = dict(zip(each.names, each.mean.tolist(), strict=True)) | each.noise
         try:
-            fitted = refine(
-                train, each.effects, values, each.path, best_size(setting, each), noise_log=each.noise_log, rounds=2
-            )
+            fitted = refine(train, each.effects, values, each.path, best_size(setting, each), rounds=2, **each.searched)
         except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            fitted = each  # the first rows by themselves lead nowhere: its parameters have then seen all rows
+            fitted = each  # the first rows by themselves lead nowhere
+        if _shown_later(each, fitted):
+            fitted = each
         # Linearised along a path that knows the held-out rows; the predictions themselves do not.
         pair.append(scores(setting, fitted.moved_to(fitted.model, each.path)))
     return *pair, rows
+
+
+def _shown_later(cause: Refined, fitted: Refined) -> bool:
+    """Whether the rows that a cause is ``fitted`` on say next to nothing of some parameter of its effects."""
+    mine = np.array([not name.startswith("body.") for name in cause.names], dtype=bool)
+    return bool((fitted.sd[mine] > LATER * cause.sd[mine]).any())
 
 
 def closed(without: Scores, with_cause: Scores, rows: np.ndarray, time: np.ndarray, seed: int) -> Closed:

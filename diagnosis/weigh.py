@@ -6,13 +6,14 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if half of the gap
-stands on held-out rows.
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if half of a gap that
+shows on held-out rows is certain to stand (:attr:`.shrinkage.Closed.refuted`).
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
 the prediction of held-out rows is taken back.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,12 +90,13 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
 
 
-def doubted(weighed: Weighed) -> Weighed:
-    """The same with the best cause explaining a part only: held-out rows refute that it explains all."""
-    key = weighed.best.key
-    cause, probability = weighed.causes[key]
-    in_part = weighed.in_part | {key: weighed.in_part[key] + probability}
-    causes = weighed.causes | {key: (cause, 0.0)}
+def doubted(weighed: Weighed, keys: Sequence[str]) -> Weighed:
+    """The same with some causes explaining a part only: held-out rows refute that they explain all."""
+    causes, in_part = dict(weighed.causes), dict(weighed.in_part)
+    for key in keys:
+        cause, probability = causes[key]
+        causes[key] = cause, 0.0
+        in_part[key] += probability
     return replace(weighed, causes=causes, in_part=in_part, outside=min(sum(in_part.values()), 1.0))
 
 

@@ -38,8 +38,8 @@ def where(
 
     Args:
         model: the simulation.
-        causes: key → (cause, probability).
-        outside: probability of what the catalogue lacks, which is a torque.
+        causes: key → (cause, probability that it is at work, alone or beside something else).
+        outside: probability of a torque that the catalogue lacks and no cause stands in for.
         residual: (T, K) residual torque without any cause, N·m.
         typical: (K,) N·m.
         shifts: (P,) rms of what observation effects move each tracked keypoint by, in noise sds.

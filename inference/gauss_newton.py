@@ -201,6 +201,7 @@ def _ascend(
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
     scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
+    path = model.settled(path)
     with torch.no_grad():
         merit = model.log_joint(path, observations)
     if not bool(torch.isfinite(merit).any()):

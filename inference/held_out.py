@@ -36,6 +36,11 @@ class Continued(StateSpaceModel):
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
         self.num_steps = model.num_steps - first
 
+    @property
+    def driven(self) -> slice | None:
+        """The model's."""
+        return self.model.driven
+
     def replace(self, **values: Tensor) -> "Continued":
         """Other values, of the whole model's parameters too."""
         other = super().replace(**values)

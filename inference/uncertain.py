@@ -36,6 +36,11 @@ class Uncertain(StateSpaceModel):
         spread = inverse * torch.as_tensor(parameters.sd)
         self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)
 
+    @property
+    def driven(self) -> slice | None:
+        """The model's."""
+        return self.log_parameters.model.driven
+
     def phi(self, u: Tensor) -> Tensor:
         """Log-parameters (…, P) at u (…, P)."""
         return self.centre + u @ self.root.mT

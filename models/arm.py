@@ -41,8 +41,6 @@ from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
 DERIVED = ("com", "inertia")
-CROSSING = 12
-"""Rows in which a gap is crossed."""
 
 
 class ArmModel(ArmRow, StateSpaceModel):
@@ -358,19 +356,6 @@ class ArmModel(ArmRow, StateSpaceModel):
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.state_dim - 2 * self.body.num_joints) if hinge and hinge.forgets else None
-
-    @torch.no_grad()
-    def settled(self, path: Tensor) -> Tensor:
-        """The path (..., T, D) with the gap's state as the joints' motion drives it.
-
-        All rows at once are sent one row on, until each has come from a contact: ``CROSSING`` rows.
-        """
-        if self.driven is None:
-            return path
-        path, rows = path.clone(), torch.arange(1, path.shape[-2])
-        for _ in range(CROSSING):
-            path[..., 1:, self.driven] = self.transition_mean(path[..., :-1, :], rows)[..., self.driven]
-        return path
 
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""

@@ -23,6 +23,9 @@ from torch.distributions import constraints
 
 from invdyn.models.missing import observe, observed_log_prob
 
+SETTLING = 40
+"""Rows, at most, after which driven states have forgotten where they were."""
+
 
 class StateSpaceModel(ABC):
     """A hidden Markov model with a Gaussian-noise or general transition.
@@ -70,10 +73,24 @@ class StateSpaceModel(ABC):
         return self
 
     driven: slice | None = None
-    """States that are no freedom of a path: Gauss–Newton leaves them where :meth:`settled` has them."""
+    """States that the others drive by jumps, which no slope foretells: Gauss–Newton leaves them as they are settled."""
 
+    @torch.no_grad()
     def settled(self, path: Tensor) -> Tensor:
-        """The path (..., T, D) with its ``driven`` states as the others make them."""
+        """The path (..., T, D) with its ``driven`` states as the others make them; itself where there are none.
+
+        All rows at once are sent one row on, again and again, until nothing changes: what is driven forgets what was
+        ``SETTLING`` rows before.
+        """
+        if self.driven is None:
+            return path
+        path, rows = path.clone(), torch.arange(1, path.shape[-2])
+        for _ in range(SETTLING):
+            moved = gaussian_mean(self.transition(path[..., :-1, :], rows))[..., self.driven]
+            done = torch.allclose(moved, path[..., 1:, self.driven], rtol=0.0, atol=1e-12)
+            path[..., 1:, self.driven] = moved
+            if done:
+                break
         return path
 
     # -- parameters ----------------------------------------------------------------------------

@@ -128,7 +128,9 @@ def _unlike_any_start(
         left = seen - started(tried)
         for number in sorted(going):
             rows = window == number
+            lost = np.isfinite(rest[rows]) & ~np.isfinite(left[rows])  # it whirls away where it did not before
             before, after = (float(np.nansum(each[rows] ** 2)) for each in (rest, left))
+            after = np.inf if lost.any() else after
             if number not in hoped or before - hoped[number] < 0.01 * before:
                 going.discard(number)  # nothing more to be had
                 continue

@@ -92,8 +92,8 @@ class Effect(ABC):
     abrupt: ClassVar[bool] = False
     """Whether its force jumps within a motion, as dry friction's where a joint turns around: see :data:`SHORT`."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}
-    """Values of parameters that a search starts from, one after the other: where joints stick or gears have play, the
-    change near its absence does not tell how large an effect is."""
+    """Values of parameters that a search starts from, one after the other: where joints stick, the change near its
+    absence does not tell how large an effect is."""
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""

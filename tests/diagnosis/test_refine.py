@@ -12,6 +12,7 @@ from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.findings import finding, tempered_covariance
+from invdyn.diagnosis.noise import log_spread
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.refine import key_of, refine, refine_searched
@@ -296,6 +297,19 @@ def test_intervals_are_those_of_the_tempered_likelihood():
     assert wide.mean == pytest.approx(narrow.mean, abs=3 * wide.sd / np.sqrt(4000))
 
 
+def test_intervals_of_what_was_searched_stay_within_the_prior():
+    here, _, cause = causes()
+    play = EFFECTS["backlash"]("pivot").bound(PENDULUM)
+    name = "backlash.pivot.width"
+    counted = replace(cause, noise={name: 0.02}, noise_sd={name: 0.002})
+    narrow, wide, widest = (finding(here, counted, play, 0, temper).parameters["width"] for temper in (1.0, 0.2, 1e-9))
+    assert narrow.mean == wide.mean == widest.mean == 0.02
+    assert np.diff(np.log(narrow.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1, rel=0.05)
+    assert np.diff(np.log(wide.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1 / np.sqrt(0.2), rel=0.1)
+    (width,) = play.parameters(here.model.scale)
+    assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)
+
+
 def test_play_is_searched_and_found():
     """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
@@ -395,6 +409,22 @@ def test_the_last_third_is_held_out():
     assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
     per_frame = result.per_frame
     assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
+
+
+def test_a_push_in_the_last_third_is_not_refuted_by_the_first_two():
+    push = EFFECTS["external_push"]("tip")
+    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    truth = {"force_x": 6.0, "force_y": 3.0, "start": 1.22, "stop": 1.34}
+    given = {f"effect.external_push.tip.{n}": torch.tensor([v], dtype=torch.float64) for n, v in truth.items()}
+    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
+    path = path_of(here)
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
+    assert cause.log_evidence > none.log_evidence + 20
+    result = closed(*held_out_scores(here, none, cause), here.model.time.numpy(), 0)
+    assert result.gap > 20
+    assert not result.refuted
+    assert result.share > 0.5
 
 
 def test_another_recording_is_held_out():

@@ -137,7 +137,7 @@ def test_a_refuted_cause_explains_a_part():
     weighed = Weighed(causes, {"a": 0.1, "": 0.0}, 0.1, {}, {})
     key = weighed.best.key
     weighed = replace(weighed, causes={key: causes["a"], "": causes[""]}, in_part={key: 0.1, "": 0.0})
-    less = doubted(weighed)
+    less = doubted(weighed, [key])
     assert less.causes[key][1] == 0.0
     assert less.best is weighed.best
     assert less.in_part[key] == less.outside == pytest.approx(0.8)
