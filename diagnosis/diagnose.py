@@ -19,13 +19,11 @@ from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
-from invdyn.diagnosis.weigh import certain, doubted, weigh
+from invdyn.diagnosis.weigh import certain, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import Recording, joined, write_text
 
-RIVAL = 0.05
-"""Probability from which on a cause is asked what it predicts once the best one is refuted."""
 Progress = Callable[[int, int, str], None]
 """Called with (stages done, stages, what comes next)."""
 
@@ -85,9 +83,6 @@ def diagnose(
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must predict what it has not seen.
         weighed = certain(none, weighed.log_evidence)
         shares = held(none)
-    elif bound.regime != "unknown_torque" and weighed.best.effects and shares.refuted:
-        rivals = [c for c, p in weighed.causes.values() if p > RIVAL and c.effects and c is not weighed.best]
-        weighed = doubted(weighed, [weighed.best.key, *(c.key for c in rivals if held(c).refuted)])
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None

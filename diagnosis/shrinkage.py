@@ -24,8 +24,6 @@ from invdyn.inference.gauss_newton import gauss_newton
 BLOCK = 0.4
 """s, length of the bootstrap's blocks."""
 DRAWS = 1000
-SHOWS, HALF = 20.0, 0.5
-"""Nats of a gap that is no accident, and the share of it that a cause must close."""
 LATER = 4.0
 """Factor by which a parameter's standard deviation grows where the rows that show it are missing; by 1.2 elsewhere."""
 SHARE = 2 / 3
@@ -34,20 +32,11 @@ SHARE = 2 / 3
 
 @dataclass(frozen=True)
 class Closed:
-    """Result: ``share`` and its central 90 % interval (None where there was no gap to close), and nats per frame.
-
-    ``gap`` is that of all frames together, nats.
-    """
+    """Result: ``share`` and its central 90 % interval (None where there was no gap to close), and nats per frame."""
 
     share: float | None
     interval: tuple[float, float] | None
     per_frame: dict[str, float]
-    gap: float = 0.0
-
-    @property
-    def refuted(self) -> bool:
-        """Whether half of a gap that shows is certain to stand."""
-        return self.interval is not None and self.gap > SHOWS and self.interval[1] < HALF
 
 
 def split(setting: Setting) -> tuple[Setting, np.ndarray]:
@@ -109,4 +98,4 @@ def closed(without: Scores, with_cause: Scores, rows: np.ndarray, time: np.ndarr
     total = gap[index].sum(1)
     shares = gain[index].sum(1)[total > 0] / total[total > 0]
     low, high = np.quantile(np.minimum(shares, 1.0), [0.05, 0.95]) if len(shares) else (np.nan, np.nan)
-    return Closed(float(min(gain.sum() / gap.sum(), 1.0)), (float(low), float(high)), per_frame, float(gap.sum()))
+    return Closed(float(min(gain.sum() / gap.sum(), 1.0)), (float(low), float(high)), per_frame)

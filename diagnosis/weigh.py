@@ -6,15 +6,13 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if half of a gap that
-shows on held-out rows is certain to stand (:attr:`.shrinkage.Closed.refuted`).
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row.
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
 the prediction of held-out rows is taken back.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
@@ -88,16 +86,6 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
-
-
-def doubted(weighed: Weighed, keys: Sequence[str]) -> Weighed:
-    """The same with some causes explaining a part only: held-out rows refute that they explain all."""
-    causes, in_part = dict(weighed.causes), dict(weighed.in_part)
-    for key in keys:
-        cause, probability = causes[key]
-        causes[key] = cause, 0.0
-        in_part[key] += probability
-    return replace(weighed, causes=causes, in_part=in_part, outside=min(sum(in_part.values()), 1.0))
 
 
 def certain(cause: Refined, log_evidence: dict[str, float]) -> Weighed:

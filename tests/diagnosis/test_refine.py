@@ -411,7 +411,7 @@ def test_the_last_third_is_held_out():
     assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
 
 
-def test_a_push_in_the_last_third_is_not_refuted_by_the_first_two():
+def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     push = EFFECTS["external_push"]("tip")
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     truth = {"force_x": 6.0, "force_y": 3.0, "start": 1.22, "stop": 1.34}
@@ -422,8 +422,7 @@ def test_a_push_in_the_last_third_is_not_refuted_by_the_first_two():
     cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
     assert cause.log_evidence > none.log_evidence + 20
     result = closed(*held_out_scores(here, none, cause), here.model.time.numpy(), 0)
-    assert result.gap > 20
-    assert not result.refuted
+    assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
     assert result.share > 0.5
 
 
@@ -476,17 +475,3 @@ def test_share_of_known_scores():
     assert more.share == 1.0  # not more than all
     nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
     assert (nothing.share, nothing.interval) == (None, None)
-    assert not nothing.refuted
-
-
-def test_a_cause_is_refuted_where_half_of_a_gap_that_shows_stands():
-    time, rows, zero = 0.1 * np.arange(100), np.ones(100, bool), np.zeros(100)
-    gap = np.full(100, 2.0)
-
-    def refuted(gain, gap):
-        return closed(Scores(zero, gap), Scores(gain, gap), rows, time, 0).refuted
-
-    assert refuted(0.3 * gap, gap)
-    assert refuted(-gap, gap)
-    assert not refuted(0.7 * gap, gap)
-    assert not refuted(0.3 * gap, 0.05 * gap)  # ten nats in all

@@ -20,7 +20,7 @@ from invdyn.diagnosis.search import _reduce, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.diagnosis.weigh import Weighed, _alone, doubted
+from invdyn.diagnosis.weigh import _alone
 from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -128,20 +128,6 @@ def test_three_at_once_may_imitate_what_is_lacking():
     assert believed(1) == believed(2) == 1.0
     assert believed(3) == pytest.approx(0.016 / 0.046)
     assert believed(4) < believed(3)
-
-
-def test_a_refuted_cause_explains_a_part():
-    bound = setting(recorded(), PENDULUM)
-    none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
-    causes = {"a": (replace(none, effects=(considered(bound)[0],)), 0.7), "": (none, 0.2)}
-    weighed = Weighed(causes, {"a": 0.1, "": 0.0}, 0.1, {}, {})
-    key = weighed.best.key
-    weighed = replace(weighed, causes={key: causes["a"], "": causes[""]}, in_part={key: 0.1, "": 0.0})
-    less = doubted(weighed, [key])
-    assert less.causes[key][1] == 0.0
-    assert less.best is weighed.best
-    assert less.in_part[key] == less.outside == pytest.approx(0.8)
-    assert less.causes[""][1] == 0.2
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
