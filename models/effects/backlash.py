@@ -23,7 +23,7 @@ from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
 
 ROTOR_SHARE = 0.5
-WIDTHS = tuple(0.003 * 1.6**n for n in range(8))
+WIDTHS = tuple(0.003 * 1.6**n for n in range(7))
 """rad."""
 SHORTEST = 40.0
 """Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
