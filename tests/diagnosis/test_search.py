@@ -13,6 +13,7 @@ from pyro.distributions import Normal
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, sizes
@@ -20,7 +21,7 @@ from invdyn.diagnosis.search import _reduce, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.diagnosis.weigh import _alone
+from invdyn.diagnosis.weigh import ALIKE, _alone
 from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -122,6 +123,19 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) > 0.99  # 2.4 % of the needed one
     assert share(4) < 0.01
     assert share(4, gain=5000.0) > share(4)
+
+
+def test_where_errors_are_alike_from_row_to_row_something_is_left():
+    """Without friction, and without a residual to make up for it; with it, errors are as good as independent."""
+    bound = setting(recorded(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
+    wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
+    pool = Search([], {"": none}, [], path, False)
+    assert correlation(bound, wrong) > max(ALIKE, 0.5)
+    assert _alone(bound, pool, wrong) == 0.0
+    assert abs(correlation(bound, right)) < 4 / np.sqrt(2 * 80)
+    assert _alone(bound, pool, right) > 0.9
 
 
 def test_three_at_once_may_imitate_what_is_lacking():
