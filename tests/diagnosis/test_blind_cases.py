@@ -142,10 +142,11 @@ def test_the_visibility_of_an_effect_is_that_of_its_change():
     assert effect["dprime"] > effect["visibility_rms"]
 
 
-def test_play_that_is_never_crossed_is_not_visible(monkeypatch):
+@pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
+def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch):
     """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
-    monkeypatch.setattr(cases, "TRIES", 1)
-    (effect,) = make_case(301, "commanded", "backlash").answer["effects"]
+    monkeypatch.setattr(cases, "TRIES", tries)
+    (effect,) = make_case(seed, "commanded", "backlash").answer["effects"]
     assert effect["parameters"]["width"]["value"] > 0.005
     assert effect["dprime"] < 1
 
