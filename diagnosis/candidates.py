@@ -78,8 +78,6 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
     with torch.no_grad():
         if with_effect.state_dim > model.state_dim:
             path = driven(with_effect, path, len(sets))
-        elif with_effect.driven is not None:
-            path = with_effect.settled(path.expand(len(sets), -1, -1))
         f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:]))
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)

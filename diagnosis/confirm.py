@@ -19,6 +19,7 @@ import arviz as az
 import numpy as np
 import torch
 from pyro.distributions import MultivariateStudentT
+from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
 from invdyn.diagnosis.refine import Refined
@@ -82,22 +83,36 @@ class _Each(Controlled):
 
 
 def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS) -> Confirmed:
-    """Run M = ``filters`` filters of ``PARTICLES`` particles each under the cause; same seed, same result."""
-    among = unknowns(setting, cause.effects)
+    """Run M = ``filters`` filters of ``PARTICLES`` particles each under the cause; same seed, same result.
+
+    Where a filter dies, because parameters that may be let the simulation run away, all run at the estimates and under
+    a larger residual: that gives paths, but no evidence (−∞, and NaN as its error).
+    """
     levels = sizes(setting.regime)
     top = int(cause.by_size.argmax())
     with seeded(seed):
         values, log_ratio = _draw(setting, cause, filters)
-        model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
-        model = scaled(setting, model, float(levels[top]), cause.kappa)
-        start = cause.path.expand(filters, *cause.path.shape)
-        smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
-        particle_filter = ParticleFilter(model, _Each(model, smoothers), PARTICLES, num_filters=filters)
-        result = particle_filter.run(setting.observations)
+        try:
+            result, model = _run(setting, cause, values, float(levels[top]))
+        except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            values = torch.as_tensor(np.broadcast_to(cause.mean, values.shape).copy())
+            result, model = _run(setting, cause, values, float(levels[min(top + 2, len(levels) - 1)]))
+            return Confirmed(-math.inf, math.nan, values.numpy(), outer_weights(result.log_evidence), result, model)
     result = replace(result, log_evidence=result.log_evidence + log_ratio)
     outer = outer_weights(result.log_evidence)
     rest = cause.log_evidence - cause.by_size[top] + log_prior(levels)[top] + cause.noise_log
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), outer, result, model)
+
+
+def _run(setting: Setting, cause: Refined, values: Tensor, size: float) -> tuple[FilterResult, ArmModel]:
+    """One filter for each set of parameters (M, p), under a residual of ``size``; and their models."""
+    among = unknowns(setting, cause.effects)
+    model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
+    model = scaled(setting, model, size, cause.kappa)
+    start = cause.path.expand(len(values), *cause.path.shape)
+    smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
+    filters = ParticleFilter(model, _Each(model, smoothers), PARTICLES, num_filters=len(values))
+    return filters.run(setting.observations), model
 
 
 def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmModel:

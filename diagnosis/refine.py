@@ -40,8 +40,10 @@ STEPS, CLOSE = 3, 0.3
 EARNED = 2.0
 """Nats that an effect whose parameters are searched must gain over its base on the grid, to be searched further."""
 
-SETTLED, UNSETTLED = 0.1, 5.0
-"""Change of a parameter, in its own standard deviations, under which it stays; nats that one that moves may cost."""
+LOST = 2.0
+"""κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
+SETTLED = 0.1
+"""Change of a parameter, in its own standard deviations, under which it stays."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ def refine(
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
         top = outcomes[int(by_size.argmax())]
-        target = among.step(point, point + top.mean[0])
+        target = _within(among, point, top.mean[0], top.covariance[0])
         evidence = float(logsumexp(by_size))
         cause = Refined(
             effects,
@@ -186,11 +188,12 @@ def refine(
             path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
-            # Evidence is that of a straight line from the point on: the farther it leads, the less it is worth.
-            true = cause.log_evidence - min(0.5 * float((off**2).sum()), UNSETTLED)
+            # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
+            true = cause.log_evidence - 0.5 * _distance(target - point, cause.covariance)
             if best is None or true > worth:
                 best, worth = replace(cause, about=point), true
-            if (off < SETTLED).all() or best.log_evidence < (enough if done else doubtful):
+            hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
+            if (off < SETTLED).all() or hopeless:
                 break
             point = target
 
@@ -207,6 +210,27 @@ def refine(
             firm = led(setting, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
+
+
+def _within(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Where a step of N(mean, covariance) leads from ``point`` within bounds: at a bound, the others given that."""
+    whole = target = point + mean
+    held = np.zeros(len(point), dtype=bool)
+    while True:
+        bounded = among.step(point, target)
+        over = ~held & (bounded != target)
+        if not over.any():
+            return bounded
+        held |= over
+        free = ~held
+        gain = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[np.ix_(held, free)], rcond=None)[0].T
+        target = bounded.copy()
+        target[free] = whole[free] + gain @ (bounded - whole)[held]
+
+
+def _distance(step: np.ndarray, covariance: np.ndarray) -> float:
+    """Squared length of a step in standard deviations of a Gaussian."""
+    return float(step @ np.linalg.lstsq(covariance, step, rcond=None)[0]) if len(step) else 0.0
 
 
 def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:

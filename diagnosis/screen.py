@@ -199,6 +199,7 @@ class Screened:
         values: estimates of all parameters there, by name.
         size: the residual's, at its best.
         dprime: how far an effect of typical size would move the whitened data, in their sds; infinite for none.
+        path: (T, D) along which.
     """
 
     effect: Effect | None
@@ -209,6 +210,7 @@ class Screened:
     values: dict[str, float]
     size: float
     dprime: float
+    path: Tensor
 
 
 def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
@@ -277,7 +279,8 @@ def screen(
                     values,
                     float(levels[size]),
                     _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
+                    path,
                 )
             )
-    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, 0.0, np.inf))
+    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)

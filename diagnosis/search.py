@@ -6,11 +6,13 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     1  "no effect" by itself
     2  where the best single effect leaves something: from several values those that no screen tells the size of
        (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
-    3  given the best set so far, screen every effect that could be added; refine the most promising ones
+    3  given the best set so far, screen every effect that could be added, those on what is seen also along the
+       simulation's own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come after each screen, but play by itself only, and where nothing else explains the gap
-    6  leave effects of the best set out, one by one, while that raises it
+    6  leave effects of the best set out, one by one, while that raises it; look for a better one in place of a single
+       one, along its path
 
 With unknown torque one effect is looked for, of the observation and visible: what changes the motion alone, a torque
 can imitate, and only the prior of the torque could speak against it.
@@ -34,7 +36,7 @@ from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_sear
 from invdyn.diagnosis.screen import Screened, screen, sizes
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.together import together
-from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.unknowns import Unknowns, unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
@@ -47,8 +49,8 @@ FORWARD = len(WIDTH)
 """Effects that are added one by one; more only as sets."""
 
 HOPELESS, SHARE = 60.0, 0.1
-"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them
-gain so large a share of what the best gains: where much is to be gained, it errs by much."""
+"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or, until one
+leaves nothing, has them gain so large a share of what the best gains: where much is to be gained, it errs by much."""
 
 KIN = (
     ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
@@ -107,6 +109,8 @@ def search(
                     found.add(base)
                     _extend(setting, found, base, SWAPS)
     _reduce(setting, found)
+    if len(found.ranked[0].effects) == 1 and setting.regime != "unknown_torque":
+        _exchange(setting, found)
     return found
 
 
@@ -137,7 +141,7 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     free = [e for e in found.candidates if e.key not in taken]
     busy = any(isinstance(effect, HiddenHinge) for effect in base.effects)
     straight = [e for e in free if not is_searched(e) and not (busy and isinstance(e, HiddenHinge))]
-    common = unknowns(setting, base.effects)
+    common, alone = unknowns(setting, base.effects), not base.effects and setting.regime != "unknown_torque"
     if base.effects:
         model, path, point = base.model, base.path, base.mean
     else:
@@ -145,15 +149,15 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
-    _refine_promising(setting, found, base, screened, path, width)
+    _refine_promising(setting, found, base, _seen_aside(setting, screened, common) if alone else screened, width)
     _refine_kin(setting, found, len(base.effects) + 1)
-    if not base.effects and setting.regime != "unknown_torque":
+    if alone:
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
             if (cause := _attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
-    play = not base.effects and setting.regime != "unknown_torque" and not found.ranked[0].complete
+    play = alone and not found.ranked[0].complete
     for effect in free:
         if (
             is_searched(effect)
@@ -165,9 +169,38 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     return screened
 
 
-def _refine_promising(
-    setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], path: Tensor, width: int
-) -> None:
+def _seen_aside(setting: Setting, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
+    """Effects on what is seen stand where they do best: along the data's path, or along that of the simulation alone.
+
+    Under a residual torque the arm follows the data; what the camera makes of them shows beside one that does not.
+    """
+    path = led(setting, setting.model, screened[0].path, FIRM)
+    effects = [s.effect for s in screened if s.effect is not None and s.effect.side == "observation"]
+    aside = {
+        s.effect.key: s
+        for s in screen(setting, setting.model, path, effects, common, common.mean)
+        if s.effect is not None
+    }
+    best = [max(s, aside.get(s.effect.key, s), key=lambda s: s.log_evidence) if s.effect else s for s in screened]
+    return sorted(best, key=lambda s: -s.log_evidence)
+
+
+def _exchange(setting: Setting, found: Search) -> None:
+    """Look for a better effect in place of a single one, along the path that it has found.
+
+    Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive.
+    """
+    (old,) = found.ranked[0].effects
+    base, path = found.pool[""], lifted(setting.model, found.ranked[0].path)
+    common = unknowns(setting, ())
+    free = [e for e in found.candidates if e.key != old.key and not is_searched(e)]
+    screened = screen(setting, setting.model, path, free, common, common.mean, quiet=True)
+    near = [s for s in screened if s.effect is None or s.log_evidence > found.top - HOPELESS]
+    _refine_promising(setting, found, base, near, SWAPS)
+    _refine_kin(setting, found, 1)
+
+
+def _refine_promising(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], width: int) -> None:
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
@@ -184,7 +217,9 @@ def _refine_promising(
         promising = [s for s in promising if s.dprime > FAINT and not imitable(s.effect)]
     for place, each in enumerate(promising[:width]):
         gained, top = each.log_evidence - nothing, found.top
-        if place >= 3 and gained < min(most - HOPELESS, SHARE * most):
+        # Along the path of one that leaves nothing, others get their chance (:func:`_exchange`).
+        least = most - HOPELESS if found.ranked[0].complete else min(most - HOPELESS, SHARE * most)
+        if place >= (1 if found.ranked[0].complete else 3) and gained < least:
             continue
         values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | _values(base)
         limits = {
@@ -192,7 +227,7 @@ def _refine_promising(
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         effects = (*base.effects, each.effect)
-        cause = _attempt(refine, setting, effects, values, path, each.size, **base.searched, **limits)
+        cause = _attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
         if cause is not None:
             found.add(cause)
 
@@ -226,7 +261,7 @@ def _refine_kin(setting: Setting, found: Search, number: int) -> None:
     A screen along the data's path cannot see them: the path itself is what they shift.
     """
     for cause in list(found.pool.values()):
-        if len(cause.effects) != number:
+        if len(cause.effects) != number or cause.log_evidence < found.top - HOPELESS:
             continue
         for mine in cause.effects:
             for name, other, parameter, factor in KIN:

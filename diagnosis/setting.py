@@ -104,12 +104,14 @@ class Setting:
         """The setting with a residual that is spread over the joints as it is along ``path`` (T, D).
 
         One number is the size of all joints' residuals. A joint that lacks little would hide, under the size that
-        another one needs, what a cause improves there.
+        another one needs, what a cause improves there. Effects are looked for where the joints turn along it.
         """
         joints = self.model.body.num_joints
         missing = path[:, :joints].square().mean(0).sqrt() / self.typical
         shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(LEAST)
-        return replace(self, shape=tuple(shape.tolist()))
+        _, angle, _ = self.model.split(path)
+        model = self.model.turning(angle.amin(0), angle.amax(0))
+        return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
 
     def observing(self, observations: Tensor) -> "Setting":
         """The same setting with other observations (T, O)."""

@@ -93,6 +93,7 @@ class ArmModel(ArmRow, StateSpaceModel):
         self._finer: Command | None = None
         self._anew: tuple[Tensor, Tensor] | None = None
         self._motion: Tensor | None = None
+        self._range: Tensor | None = None
         self.time = torch.as_tensor(np.asarray(time, dtype=np.float64))
         if self.time.ndim != 1 or len(self.time) < 2 or bool((self.time.diff() <= 0).any()):
             raise ValueError("expected at least two strictly increasing times, in seconds")
@@ -179,7 +180,7 @@ class ArmModel(ArmRow, StateSpaceModel):
     def scale(self) -> Scale:
         """What is large and small for this body, which effects' priors follow."""
         command = None if self.command is None else self.command.cpu()
-        return Scale(self.body.parameters(), self.time.cpu(), command, self._motion)
+        return Scale(self.body.parameters(), self.time.cpu(), command, self._motion, self._range)
 
     def with_effects(self, *effects: Effect) -> "ArmModel":
         """The model of an arm that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
@@ -243,6 +244,12 @@ class ArmModel(ArmRow, StateSpaceModel):
         """The model of an arm whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
         other = copy.copy(self)
         other._motion = speed.detach().cpu().double()
+        return other
+
+    def turning(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
+        """The model of an arm whose joints turn between two angles (K,) rad, where effects are looked for."""
+        other = copy.copy(self)
+        other._range = torch.stack([lowest, highest], -1).detach().cpu().double()
         return other
 
     def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":

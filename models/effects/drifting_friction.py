@@ -20,7 +20,7 @@ class DriftingFriction(Effect):
         damping = 0.2 * scale.torque[j] / scale.speed[j]
         return (
             Parameter("damping", "N·m·s/rad", HalfNormal(damping)),
-            Parameter("slope", "N·m/rad", Normal(0.0, damping / scale.duration)),
+            Parameter("slope", "N·m/rad", Normal(0.0, 2 * damping / scale.duration)),
         )
 
     def force(self, p: Values, now: Situation) -> Tensor:

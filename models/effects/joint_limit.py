@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import ClassVar, Self
 
+import numpy as np
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
@@ -12,6 +13,8 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 SIDES = {"upper": 1.0, "lower": -1.0}
+SHALLOW, POINTS = 0.01, 12
+"""Smallest depth, rad, that a joint is supposed to have been pressed into its stop, and how many depths are tried."""
 
 
 class JointLimit(Effect):
@@ -44,10 +47,19 @@ class JointLimit(Effect):
         j = self.place[0]
         angle = Normal(0.0, 1.8)
         return (
-            Parameter("angle", "rad", angle, None, quantiles(angle, 12)),
+            Parameter("angle", "rad", angle, None, self._angles(scale) or quantiles(angle, POINTS)),
             Parameter("stiffness", "N·m/rad", HalfNormal(12.0 * scale.torque[j])),
             Parameter("damping", "N·m·s/rad", HalfNormal(3.0 * scale.torque[j] / scale.speed[j])),
         )
+
+    def _angles(self, scale: Scale) -> tuple[float, ...]:
+        """Angles short of the farthest that has been seen, the closer to it the denser: a stop gives way a little."""
+        if scale.range is None:
+            return ()
+        lowest, highest = scale.range[self.place[0]].tolist()
+        farthest = highest if self.sign > 0 else lowest
+        depths = np.geomspace(SHALLOW, max(0.75 * (highest - lowest), 2 * SHALLOW), POINTS)
+        return tuple((farthest - self.sign * depths).tolist())
 
     def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
         """The parameters, and the side: 1 above the angle, −1 below it."""

@@ -46,12 +46,14 @@ class Scale:
         time: (T,) s.
         command: (T, K) N·m, or None.
         motion: (K,) rad/s, rms velocity of each joint where it has been seen, or None.
+        range: (K, 2) rad, between which each joint has been seen to turn, or None.
     """
 
     body: BodyParameters
     time: Tensor
     command: Tensor | None = None
     motion: Tensor | None = None
+    range: Tensor | None = None
 
     @cached_property
     def torque(self) -> list[float]:

@@ -8,6 +8,7 @@ import pytest
 import torch
 from oracles import Chain, kalman
 from scipy.integrate import quad
+from scipy.optimize import minimize
 from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm, posterior
@@ -15,7 +16,7 @@ from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.noise import log_spread
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
-from invdyn.diagnosis.refine import key_of, refine, refine_searched
+from invdyn.diagnosis.refine import _distance, _within, key_of, refine, refine_searched
 from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import DECAY, LOOSE, _calm, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
@@ -219,6 +220,51 @@ def test_a_positive_parameter_is_halved_at_most():
     assert among.step(point, point + 0.1 * among.sd) == pytest.approx(point + 0.1 * among.sd)
 
 
+def test_a_step_that_meets_a_bound_is_the_best_within_it():
+    """Against a quadratic programme by another solver."""
+    generator = np.random.default_rng(3)
+    here = setting(recorded(DAMPING), PENDULUM)
+    names = ("viscous_friction", "armature", "coulomb_friction")
+    among = unknowns(here, [EFFECTS[name]("pivot").bound(PENDULUM) for name in names])
+    met = 0
+    for _ in range(20):
+        root = generator.normal(size=(3, 3)) * among.sd[:, None]
+        covariance, mean = root @ root.T, generator.normal(size=3) * among.sd
+        point = among.lower + 0.3 * among.sd
+        found = _within(among, point, mean, covariance)
+
+        def cost(z, mean=mean, covariance=covariance, point=point):
+            return _distance(point + mean - z * among.sd, covariance)
+
+        best = minimize(cost, (found / among.sd), bounds=np.stack([among.lower, among.upper], -1) / among.sd[:, None])
+        assert (found >= among.lower).all()
+        assert (found <= among.upper).all()
+        met += (point + mean < among.lower).any()
+        # Coordinates that have met a bound stay there, though the others might let one go again.
+        assert cost(found / among.sd) <= 1.5 * best.fun + 1e-6
+        clipped = np.clip(point + mean, among.lower, among.upper)
+        assert cost(found / among.sd) <= cost(clipped / among.sd) + 1e-9
+    assert met > 5
+
+
+def test_a_stop_is_found_from_beside_it():
+    """From a tenth of a radian off, what steps promise and do not keep would be taken for better than the truth."""
+    body, stop = PENDULUM, EFFECTS["joint_limit"]("pivot", "upper").bound(PENDULUM)
+    arm = random_arm(body, duration=4, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=5)
+    truth = {"angle": -1.2, "stiffness": 10.0, "damping": 0.3}
+    values = {f"{stop.key}.{name}": value for name, value in truth.items()}
+    real = arm.with_effects(stop).replace(**{f"effect.{k}": torch.tensor([v]).double() for k, v in values.items()})
+    here = setting(record(real, 5)[0], body)
+    path = path_of(here)
+    right = refine(here, (stop,), values, path, FIRM)
+    for off in (-0.1, 0.05):
+        beside = {**values, f"{stop.key}.angle": truth["angle"] + off, f"{stop.key}.stiffness": 20.0}
+        found = refine(here, (stop,), beside, path, FIRM)
+        assert found.complete
+        assert abs(found.log_evidence - right.log_evidence) < 5
+        assert found.mean == pytest.approx(list(truth.values()), rel=0.15)
+
+
 def test_friction_that_is_not_there_costs_its_prior():
     """At an edge the half-normal keeps about half: less evidence than without, never a negative damping."""
     _, none, cause = causes(0.0)
@@ -247,6 +293,18 @@ def test_smc_agrees_with_the_linearised_evidence():
         confirmed = confirm(here, each)
         assert confirmed.log_evidence_sd < 0.3
         assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+def test_where_filters_die_there_are_paths_and_no_evidence():
+    """Drawn so widely that an arm without inertia runs away: the estimates still give a posterior."""
+    here = setting(recorded(DAMPING), PENDULUM)
+    cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
+    wild = replace(cause, covariance=1e12 * cause.covariance)
+    run = confirm(here, wild, seed=1)
+    assert run.log_evidence == -np.inf
+    assert np.isnan(run.log_evidence_sd)
+    assert (run.values == cause.mean).all()
+    assert np.isfinite(posterior(here, cause, run, 1)["posterior"]["torque"]).all()
 
 
 def test_same_seed_same_numbers_and_all_within_bounds():

@@ -11,13 +11,14 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
-from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, sizes
-from invdyn.diagnosis.search import _reduce, _scan, search
+from invdyn.diagnosis.search import _exchange, _reduce, _scan, _seen_aside, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -35,9 +36,9 @@ UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", 
 ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
 
 
-def recorded(effect=None, body=PENDULUM, rows=80, torque=0.5, seed=0, **values):
+def recorded(effect=None, body=PENDULUM, rows=80, effort=0.5, seed=0, **values):
     """A recording of a body with an effect at these values, under known commands, filmed with 2 mm of noise."""
-    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=torque, commanded=True, seed=seed)
+    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=effort, commanded=True, seed=seed)
     if effect is not None:
         named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
         arm = arm.with_effects(effect).replace(**named)
@@ -96,6 +97,38 @@ def test_a_set_loses_what_it_does_not_need():
     assert found.ranked[0].key == both.key
     _reduce(bound, found)
     assert found.ranked[0].key == "viscous_friction.pivot"
+
+
+def test_the_path_of_one_leads_to_another_that_is_like_it():
+    """Where only Stribeck's friction has arrived, dry friction is tried again."""
+    bound = setting(recorded(EFFECTS["coulomb_friction"]("pivot"), rows=120, torque=0.15), PENDULUM)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    stribeck = EFFECTS["stribeck_friction"]("pivot")
+    values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
+    none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
+    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
+    _exchange(bound, found)
+    assert found.ranked[0].key == "coulomb_friction.pivot"
+    assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
+    assert len(found.pool) < 6  # and no more than a few
+
+
+def test_what_the_camera_does_shows_beside_the_simulation_alone():
+    """Under a residual torque the arm follows what a shutter has bent, and the screen sees nothing."""
+    shutter = EFFECTS["rolling_shutter"]().bound(PENDULUM)
+    bound = setting(recorded(shutter, rows=150, readout=0.15, effort=0.8), PENDULUM)
+    path, _ = data_path(bound)
+    common = unknowns(bound, ())
+    along = screen(bound, bound.model, path, [e for e in considered(bound) if not is_searched(e)], common, common.mean)
+    aside = _seen_aside(bound, along, common)
+    before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
+    assert set(before) == set(after)
+    here = shutter.key
+    assert after[here].log_evidence > before[here].log_evidence + 5
+    assert abs(after[here].values["readout"] - 0.15) < abs(before[here].values["readout"] - 0.15)
+    assert all(after[key].log_evidence >= before[key].log_evidence for key in before)
+    assert [s.log_evidence for s in aside] == sorted((s.log_evidence for s in aside), reverse=True)
 
 
 def test_load_friction_is_found_from_afar():
@@ -260,7 +293,7 @@ def described(recording):
 
 def test_a_cubic_spring_is_put_into_a_formula():
     stiffness = 1.5
-    formula, _ = described(recorded(CubicSpring("elbow"), ARM, rows=100, torque=1.0, stiffness=stiffness))
+    formula, _ = described(recorded(CubicSpring("elbow"), ARM, rows=100, effort=1.0, stiffness=stiffness))
     assert formula.variables[0] == "position:elbow"
     first, (coefficient, sd, unit) = next(iter(formula.terms.items()))
     assert first.endswith(" on elbow")

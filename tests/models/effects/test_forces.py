@@ -203,6 +203,21 @@ def test_a_stop_pushes_and_never_pulls(side, sign, having):
         JointLimit("hinge", "left")
 
 
+@pytest.mark.parametrize(("side", "sign", "farthest"), [("upper", 1.0, 0.7), ("lower", -1.0, -1.3)])
+def test_a_stop_is_looked_for_short_of_the_farthest_angle(side, sign, farthest):
+    """And the closer to it the denser: no stop gives way much."""
+    ideal = rod()
+    stop = JointLimit("hinge", side).bound(ideal.body)
+    seen = ideal.turning(torch.tensor([-1.3], dtype=F64), torch.tensor([0.7], dtype=F64))
+    (angle,) = (p for p in stop.parameters(seen.scale) if p.name == "angle")
+    depth = sign * (farthest - np.array(angle.grid))
+    assert depth.min() == pytest.approx(0.01)
+    assert depth.max() == pytest.approx(1.5)
+    assert (np.diff(np.diff(np.sort(depth))) > 0).all()
+    (blind,) = (p for p in stop.parameters(ideal.scale) if p.name == "angle")
+    assert len(blind.grid) == len(angle.grid)
+
+
 def test_ripple_is_a_sine_of_the_angle(having, states, arm):
     ideal = arm(2)
     A, N, phase = 0.2, 8, 2.1
