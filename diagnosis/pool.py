@@ -22,6 +22,7 @@ class Search:
         pool: refined causes by key.
         first: the screen of every single effect.
         path: (T, D) that the data ask for, whatever the cause.
+        aside: (T, D) of the simulation alone; None where nobody knows its torques.
         stray: whether some detections are far from it.
     """
 
@@ -30,6 +31,7 @@ class Search:
     first: list[Screened]
     path: Tensor
     stray: bool
+    aside: Tensor | None = None
 
     @property
     def top(self) -> float:

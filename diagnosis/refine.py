@@ -185,7 +185,7 @@ def refine(
         nonlocal best, worth, step
         for done in range(most):
             cause, target = once(point, path, stiffness * size)
-            path, size, sd = cause.path, float(levels[cause.by_size.argmax()]), cause.sd
+            used, size, path, sd = size, float(levels[cause.by_size.argmax()]), cause.path, cause.sd
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
@@ -193,7 +193,8 @@ def refine(
             if best is None or true > worth:
                 best, worth = replace(cause, about=point), true
             hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
-            if (off < SETTLED).all() or hopeless:
+            # A path that was found under another residual is bent by it.
+            if ((off < SETTLED).all() and max(used, FIRM) == max(size, FIRM)) or hopeless:
                 break
             point = target
 

@@ -88,6 +88,10 @@ def search(
             "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
         )
     found = Search(candidates, {none.key: none}, [], path, stray)
+    if setting.regime != "unknown_torque":
+        found.aside = led(setting, setting.model, path, FIRM)
+        if (alone := _attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
+            found.add(alone)
     for number in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
         if not number <= len(best.effects) < MOST:
@@ -149,7 +153,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
-    _refine_promising(setting, found, base, _seen_aside(setting, screened, common) if alone else screened, width)
+    _refine_promising(
+        setting, found, base, _seen_aside(setting, found.aside, screened, common) if alone else screened, width
+    )
     _refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         for effect in (e for e in free if e.scan):
@@ -169,12 +175,11 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     return screened
 
 
-def _seen_aside(setting: Setting, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
-    """Effects on what is seen stand where they do best: along the data's path, or along that of the simulation alone.
+def _seen_aside(setting: Setting, path: Tensor, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
+    """Effects on what is seen stand where they do best: along the data's path, or along the simulation's own ``path``.
 
     Under a residual torque the arm follows the data; what the camera makes of them shows beside one that does not.
     """
-    path = led(setting, setting.model, screened[0].path, FIRM)
     effects = [s.effect for s in screened if s.effect is not None and s.effect.side == "observation"]
     aside = {
         s.effect.key: s

@@ -64,7 +64,9 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     levels = sizes(bound.regime)
     prior = log_prior(levels)
     weight = found.temper * (cause.by_size - prior) + prior
-    little = levels <= max(levels[0], LITTLE * best_size(bound, found.pool[""]))
+    # Thousandths of a typical torque are nothing to look for a cause of, though "no gap" is more than that.
+    least = levels[1] if cause.effects else levels[0]
+    little = levels <= max(least, LITTLE * best_size(bound, found.pool[""]))
     return believed(len(cause.effects)) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 

@@ -12,7 +12,7 @@ from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.paths import FIRM, data_path
+from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
@@ -121,7 +121,7 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
     path, _ = data_path(bound)
     common = unknowns(bound, ())
     along = screen(bound, bound.model, path, [e for e in considered(bound) if not is_searched(e)], common, common.mean)
-    aside = _seen_aside(bound, along, common)
+    aside = _seen_aside(bound, led(bound, bound.model, path, FIRM), along, common)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
     assert set(before) == set(after)
     here = shutter.key
@@ -156,6 +156,11 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) > 0.99  # 2.4 % of the needed one
     assert share(4) < 0.01
     assert share(4, gain=5000.0) > share(4)
+    needed = replace(needed, by_size=np.where(levels == levels[2], 0.0, -1e4))
+    assert share(1) > 0.99  # however little is needed
+    assert share(2) < 0.01
+    plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
+    assert _alone(bound, Search([], {"": plain}, [], none.path, False), plain) < 0.01  # but it is more than no gap
 
 
 def test_where_errors_are_alike_from_row_to_row_something_is_left():
