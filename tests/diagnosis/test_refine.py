@@ -1,4 +1,4 @@
-"""Refined causes against exact Kalman evidence, quadrature, SMC and the truth; what they predict."""
+"""Refined causes against exact Kalman evidence, quadrature and the truth."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,51 +6,23 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from oracles import Chain, kalman
+from oracles import kalman
+from pendulum import BRAKE, DAMPING, FRICTION, PENDULUM, ROD, at_best, causes, path_of, recorded, wheel, wheel_chain
 from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import halfnorm
 
-from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
-from invdyn.diagnosis.noise import log_spread
 from invdyn.diagnosis.paths import FIRM, led, lifted
-from invdyn.diagnosis.predict import Scores, replay, replay_rms, residual, scores, smoothed
-from invdyn.diagnosis.refine import _distance, _within, key_of, refine, refine_searched
-from invdyn.diagnosis.screen import log_prior, sizes
-from invdyn.diagnosis.setting import DECAY, LOOSE, _calm, setting
-from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
+from invdyn.diagnosis.predict import scores
+from invdyn.diagnosis.refine import _distance, _within, key_of, refine
+from invdyn.diagnosis.setting import LOOSE, _calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.inference.gauss_newton import gauss_newton
-from invdyn.models import Body, Link
+from invdyn.models import Body
 from invdyn.models.effects import EFFECTS
-from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
-
-ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
-PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
-FRICTION = EFFECTS["viscous_friction"]("pivot")
-DAMPING = 0.05
-
-
-def recorded(damping=0.0, seed=0, mass=1.0, rows=80):
-    """A pendulum under known commands, filmed with 2 mm of noise."""
-    body = PENDULUM.with_values(mass=[mass])
-    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=seed)
-    values = {"effect.viscous_friction.pivot.damping": torch.tensor([damping], dtype=torch.float64)}
-    return record(arm.with_effects(FRICTION).replace(**values), seed)[0]
-
-
-def path_of(here):
-    return gauss_newton(here.with_residual(LOOSE), here.observations).path
-
-
-@cache
-def causes(damping=DAMPING):
-    """The pendulum's setting, "no effect" and viscous friction."""
-    here = setting(recorded(damping), PENDULUM)
-    path = path_of(here)
-    return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
 
 
 def test_jumps_are_no_fast_arm():
@@ -69,63 +41,6 @@ def test_jumps_are_no_fast_arm():
     np.testing.assert_array_equal(calm[kept], seen[kept])
 
 
-# -- a chain whose answers are known -----------------------------------------------------------------------------
-WHEEL = Body("wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0))
-INERTIA = 0.03  # about the pivot
-BRAKE = 0.02
-
-
-@cache
-def wheel():
-    """A wheel that turns freely but for viscous friction, seen by an encoder: a linear-Gaussian chain."""
-    rng = np.random.default_rng(0)
-    time = 0.02 * np.arange(60)
-    angle = 0.3 + 2.0 * INERTIA / BRAKE * -np.expm1(-BRAKE / INERTIA * time) + 0.002 * rng.normal(size=60)
-    recording = Recording(time, np.zeros((60, 0, 2)), (), angles=angle[:, None], joint_names=("pivot",))
-    return setting(recording, WHEEL, passive=True)
-
-
-def wheel_chain(model, kappa=1.0, damping=0.0):
-    """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row."""
-    p = {name: value.numpy() for name, value in model.parameters.items()}
-    dt, steps = 0.02, model.substeps
-    keep = np.exp(-DECAY["passive"] * dt)
-
-    def rate(state, s, torque):
-        return np.array([state[1], (torque * (1 - s + s * keep) - damping * state[1]) / INERTIA])
-
-    columns = []
-    for torque, *state in np.eye(3):
-        state, h = np.array(state), dt / steps
-        for i in range(steps):
-            s = i / steps
-            k1 = rate(state, s, torque)
-            k2 = rate(state + h / 2 * k1, s + 0.5 / steps, torque)
-            k3 = rate(state + h / 2 * k2, s + 0.5 / steps, torque)
-            k4 = rate(state + h * k3, s + 1 / steps, torque)
-            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        columns.append([keep * torque, *state])
-    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY["passive"])
-    noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
-    first = [stationary, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
-    sd = p["emission.angle_scale"].item()
-    return Chain(
-        np.array(columns).T,
-        np.diag(np.square(noise)) * kappa**2,
-        np.array([[0.0, 1.0, 0.0]]),
-        np.array([[sd**2]]) * kappa**2,
-        np.array([0.0, p["initial.angle"].item(), p["initial.velocity"].item()]),
-        np.diag(np.square(first)) * kappa**2,
-    )
-
-
-def at_best(here, cause):
-    """A cause's log evidence at its best size, and that size."""
-    top = int(cause.by_size.argmax())
-    levels = sizes(here.regime)
-    return cause.by_size[top] - log_prior(levels)[top], levels[top]
-
-
 def test_evidence_of_a_linear_chain_is_exact():
     here = wheel()
     none = refine(here, (), {}, path_of(here), LOOSE)
@@ -133,17 +48,6 @@ def test_evidence_of_a_linear_chain_is_exact():
     exact, increments, _, _ = kalman(wheel_chain(here.with_residual(size), none.kappa), here.observations.numpy())
     assert evidence == pytest.approx(exact, abs=1e-5)
     np.testing.assert_allclose(scores(here, none).score, increments, atol=1e-5)
-
-
-def test_smc_evidence_of_a_linear_chain_is_exact():
-    """The twisted proposal is perfect there: every filter finds the same number."""
-    here = wheel()
-    none = refine(here, (), {}, path_of(here), LOOSE)
-    confirmed = confirm(here, none, filters=4)
-    exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
-    other_sizes = none.log_evidence - at_best(here, none)[0]
-    assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
-    assert confirmed.log_evidence_sd < 1e-4
 
 
 def test_a_parameter_is_integrated_out():
@@ -163,7 +67,6 @@ def test_a_parameter_is_integrated_out():
     assert np.log(integral) == pytest.approx(0.0, abs=0.1)
 
 
-# -- an arm ------------------------------------------------------------------------------------------------------
 def test_friction_is_found_and_believed():
     _, none, cause = causes()
     assert cause.key == "viscous_friction.pivot"
@@ -287,46 +190,6 @@ def test_an_uncertain_body_is_fitted_too():
     assert confirmed.log_evidence == pytest.approx(cause.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
 
 
-def test_smc_agrees_with_the_linearised_evidence():
-    here, none, cause = causes()
-    for each in (none, cause):
-        confirmed = confirm(here, each)
-        assert confirmed.log_evidence_sd < 0.3
-        assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
-
-
-def test_where_filters_die_there_are_paths_and_no_evidence():
-    """Drawn so widely that an arm without inertia runs away: the estimates still give a posterior."""
-    here = setting(recorded(DAMPING), PENDULUM)
-    cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
-    wild = replace(cause, covariance=1e12 * cause.covariance)
-    run = confirm(here, wild, seed=1)
-    assert run.log_evidence == -np.inf
-    assert np.isnan(run.log_evidence_sd)
-    assert (run.values == cause.mean).all()
-    assert np.isfinite(posterior(here, cause, run, 1)["posterior"]["torque"]).all()
-
-
-def test_same_seed_same_numbers_and_all_within_bounds():
-    here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
-    first, again, other = (confirm(here, cause, seed, filters=8) for seed in (1, 1, 2))
-    assert first.log_evidence == again.log_evidence
-    assert np.array_equal(first.values, again.values)
-    assert not np.array_equal(first.values, other.values)
-    for confirmed in (first, other):
-        assert (confirmed.values >= 0).all()
-        assert np.isfinite(confirmed.log_evidence)
-    assert abs(first.log_evidence - other.log_evidence) < 4 * (first.log_evidence_sd + other.log_evidence_sd)
-
-
-def test_posterior_has_the_parameters():
-    here, _, cause = causes()
-    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
-    drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
-    assert drawn.shape == idata["posterior"]["torque"].shape[:2]
-    assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]
-
-
 def test_a_path_gets_and_loses_a_hidden_hinge():
     here, none, _ = causes()
     hinge = here.model.with_effects(EFFECTS["link_flexibility"]("rod"))
@@ -338,7 +201,6 @@ def test_a_path_gets_and_loses_a_hidden_hinge():
     assert key_of((FRICTION, EFFECTS["camera_roll"]())) == "camera_roll+viscous_friction.pivot"
 
 
-# -- the scatter -------------------------------------------------------------------------------------------------
 def test_intervals_are_those_of_the_tempered_likelihood():
     here, _, cause = causes()
     among = unknowns(here, cause.effects)
@@ -353,183 +215,3 @@ def test_intervals_are_those_of_the_tempered_likelihood():
     narrow, wide = (finding(here, cause, cause.effects[0], 0, temper).parameters["damping"] for temper in (1.0, 0.1))
     assert wide.sd == pytest.approx(narrow.sd / np.sqrt(0.1), rel=0.1)
     assert wide.mean == pytest.approx(narrow.mean, abs=3 * wide.sd / np.sqrt(4000))
-
-
-def test_intervals_of_what_was_searched_stay_within_the_prior():
-    here, _, cause = causes()
-    play = EFFECTS["backlash"]("pivot").bound(PENDULUM)
-    name = "backlash.pivot.width"
-    counted = replace(cause, noise={name: 0.02}, noise_sd={name: 0.002})
-    narrow, wide, widest = (finding(here, counted, play, 0, temper).parameters["width"] for temper in (1.0, 0.2, 1e-9))
-    assert narrow.mean == wide.mean == widest.mean == 0.02
-    assert np.diff(np.log(narrow.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1, rel=0.05)
-    assert np.diff(np.log(wide.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1 / np.sqrt(0.2), rel=0.1)
-    (width,) = play.parameters(here.model.scale)
-    assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)
-
-
-def test_play_is_searched_and_found():
-    """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
-    body = replace(PENDULUM, gravity=(0.0, 0.0))
-    play = EFFECTS["backlash"]("pivot")
-    arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
-    width = torch.tensor([0.06], dtype=torch.float64)
-    recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
-    here = setting(recording, body)
-    none = refine(here, (), {}, path_of(here), LOOSE)
-    cause = refine_searched(here, none, play.bound(body))
-    assert cause.log_evidence > none.log_evidence + 20
-    assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.2)
-    assert cause.path.shape[-1] == none.path.shape[-1] + 2
-    assert refine_searched(here, none, play.bound(body), cause.log_evidence + 100) is None
-
-
-def test_stray_detections_are_counted():
-    recording = recorded(0.0, rows=100)
-    rng = np.random.default_rng(3)
-    stray = rng.random(100) < 0.08
-    stray[:3] = False  # the first frames place the arm
-    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.06, size=(100, 1, 2))
-    here = setting(replace(recording, keypoints=points), PENDULUM)
-    clean = setting(recording, PENDULUM)
-    path = path_of(clean)
-    outliers = EFFECTS["outliers"]().bound(PENDULUM)
-    cause = refine_searched(here, refine(here, (), {}, path, LOOSE), outliers)
-    assert cause.names == ()
-    assert abs(cause.noise["outliers.rate"] - stray.mean()) < 4 * cause.noise_sd["outliers.rate"] < 0.2
-    assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
-    assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
-    assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
-
-
-# -- predictions -------------------------------------------------------------------------------------------------
-def test_scores_sum_to_the_evidence():
-    """The chain rule: Σ log p(y_t | y_<t), at the best size; exact without parameters."""
-    here, none, _ = causes()
-    evidence, _ = at_best(here, none)
-    assert scores(here, none).score.sum() == pytest.approx(evidence, abs=1e-6)
-
-
-def test_the_floor_is_what_a_perfect_simulation_scores():
-    here, none, cause = causes()
-    for setting_, perfect in ((causes(0.0)[0], causes(0.0)[1]), (here, cause)):
-        both = scores(setting_, perfect)
-        # Squares of n = 160 unit innovations: their sum's sd is √320, of which half counts.
-        assert abs((both.floor - both.score).sum()) < 4 * np.sqrt(2 * 160) / 2
-    poor = scores(here, none)
-    assert (poor.floor - poor.score).sum() > 10
-
-
-def test_rows_that_were_not_seen_have_no_score():
-    here, none, _ = causes()
-    gaps = here.observations.clone()
-    gaps[[3, 40]] = torch.nan
-    both = scores(here.observing(gaps), none)
-    for values in (both.score, both.floor):
-        assert np.flatnonzero(np.isnan(values)).tolist() == [3, 40]
-
-
-def test_residual_torque_is_what_the_simulation_lacks():
-    here, none, cause = causes()
-    mean, sd = residual(here, none)
-    assert mean.shape == sd.shape == (80, 1)
-    missing = -DAMPING * none.path[:, 2].numpy()
-    # A Gaussian process through noise: its own spread says how far off it may be.
-    assert np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
-    assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
-    after, _ = residual(here, cause)
-    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())
-
-
-def test_replay_follows_once_the_cause_is_in():
-    here, none, cause = causes()
-    path = smoothed(here, cause).path
-    _, q, _ = here.model.split(path)
-    tips = here.model.dynamics.keypoints(q, here.model.body_parameters()).numpy()
-    with_cause, without = (replay_rms(replay(c.model, path), tips) for c in (cause, none))
-    assert with_cause < 0.001
-    assert without > 10 * with_cause
-    assert replay(cause.model, path).shape == (80, 1, 2)
-    np.testing.assert_allclose(replay(cause.model, path)[[0, 50]], tips[[0, 50]], atol=1e-9)  # set back every second
-    assert replay_rms(tips + 0.3, tips) == pytest.approx(0.3 * np.sqrt(2))
-
-
-def test_the_last_third_is_held_out():
-    here, none, cause = causes()
-    train, rows = split(here)
-    assert np.flatnonzero(rows).tolist() == list(range(53, 80))
-    assert torch.isnan(train.observations[53:]).all()
-    assert torch.equal(train.observations[:53], here.observations[:53])
-    without, with_cause, used = held_out_scores(here, none, cause)
-    assert np.array_equal(used, rows)
-    result = closed(without, with_cause, used, here.model.time.numpy(), 0)
-    assert 0.5 < result.share <= 1.0
-    assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
-    per_frame = result.per_frame
-    assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
-
-
-def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
-    push = EFFECTS["external_push"]("tip")
-    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
-    truth = {"force_x": 6.0, "force_y": 3.0, "start": 1.22, "stop": 1.34}
-    given = {f"effect.external_push.tip.{n}": torch.tensor([v], dtype=torch.float64) for n, v in truth.items()}
-    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
-    path = path_of(here)
-    none = refine(here, (), {}, path, LOOSE)
-    cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
-    assert cause.log_evidence > none.log_evidence + 20
-    result = closed(*held_out_scores(here, none, cause), here.model.time.numpy(), 0)
-    assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
-    assert result.share > 0.5
-
-
-def test_another_recording_is_held_out():
-    here, none, cause = causes()
-    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
-    without, with_cause, rows = held_out_scores(here, none, cause, other)
-    assert rows.all()
-    assert len(rows) == len(without.score) == 60
-    assert np.nansum(with_cause.score - without.score) > 5
-    # Parameters are those of the first recording, not fitted again.
-    carried = cause.carried_to(other).parameters["effect.viscous_friction.pivot.damping"].item()
-    assert carried == pytest.approx(cause.mean[0])
-
-
-# -- the share that is closed ------------------------------------------------------------------------------------
-def series(seed, rows=240, share=0.6):
-    """Scores whose gap and gain wander as neighbours do: autoregressive, 0.05 s long at 100 rows a second."""
-    rng = np.random.default_rng(seed)
-    wander = np.zeros((rows, 2))
-    for t in range(1, rows):
-        wander[t] = 0.8 * wander[t - 1] + 0.6 * rng.normal(size=2)
-    gap = 2.0 + wander[:, 0]
-    gain = share * gap + 0.5 * wander[:, 1]
-    zero = np.zeros(rows)
-    return Scores(zero, zero), Scores(gain, gap), 0.01 * np.arange(rows)
-
-
-def test_the_interval_covers():
-    everything, hits = np.ones(240, bool), 0
-    for seed in range(120):
-        without, with_cause, time = series(seed)
-        low, high = closed(without, with_cause, everything, time, seed).interval
-        hits += low <= 0.6 <= high
-    # 90 % by name; blocks of 40 rows in 240 are few, and such intervals too short by some per cent.
-    assert 0.9 - 0.1 - 4 * np.sqrt(0.09 / 120) < hits / 120 <= 1.0
-
-
-def test_share_of_known_scores():
-    time = 0.1 * np.arange(20)
-    rows = np.arange(20) >= 5
-    gain, gap = np.full(20, 0.5), np.full(20, 2.0)
-    gain[:5] = 100.0  # not held out
-    gain[7] = np.nan  # not seen
-    result = closed(Scores(np.zeros(20), gap), Scores(gain, gap), rows, time, 0)
-    assert result.share == pytest.approx(0.25)
-    np.testing.assert_allclose(result.interval, 0.25)
-    assert result.per_frame == pytest.approx({"nominal": 0.0, "corrected": 0.5, "noise_floor": 2.0})
-    more = closed(Scores(np.zeros(20), gap), Scores(5 * gain, gap), rows, time, 0)
-    assert more.share == 1.0  # not more than all
-    nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
-    assert (nothing.share, nothing.interval) == (None, None)

@@ -1,0 +1,63 @@
+"""SMC evidence of causes against exact Kalman evidence and the linearised one; posteriors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles import kalman
+from pendulum import DAMPING, FRICTION, PENDULUM, at_best, causes, path_of, recorded, wheel, wheel_chain
+
+from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+
+
+def test_smc_evidence_of_a_linear_chain_is_exact():
+    """The twisted proposal is perfect there: every filter finds the same number."""
+    here = wheel()
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    confirmed = confirm(here, none, filters=4)
+    exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
+    other_sizes = none.log_evidence - at_best(here, none)[0]
+    assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
+    assert confirmed.log_evidence_sd < 1e-4
+
+
+def test_smc_agrees_with_the_linearised_evidence():
+    here, none, cause = causes()
+    for each in (none, cause):
+        confirmed = confirm(here, each)
+        assert confirmed.log_evidence_sd < 0.3
+        assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+def test_where_filters_die_there_are_paths_and_no_evidence():
+    """Drawn so widely that an arm without inertia runs away: the estimates still give a posterior."""
+    here = setting(recorded(DAMPING), PENDULUM)
+    cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
+    wild = replace(cause, covariance=1e12 * cause.covariance)
+    run = confirm(here, wild, seed=1)
+    assert run.log_evidence == -np.inf
+    assert np.isnan(run.log_evidence_sd)
+    assert (run.values == cause.mean).all()
+    assert np.isfinite(posterior(here, cause, run, 1)["posterior"]["torque"]).all()
+
+
+def test_same_seed_same_numbers_and_all_within_bounds():
+    here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
+    first, again, other = (confirm(here, cause, seed, filters=8) for seed in (1, 1, 2))
+    assert first.log_evidence == again.log_evidence
+    assert np.array_equal(first.values, again.values)
+    assert not np.array_equal(first.values, other.values)
+    for confirmed in (first, other):
+        assert (confirmed.values >= 0).all()
+        assert np.isfinite(confirmed.log_evidence)
+    assert abs(first.log_evidence - other.log_evidence) < 4 * (first.log_evidence_sd + other.log_evidence_sd)
+
+
+def test_posterior_has_the_parameters():
+    here, _, cause = causes()
+    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
+    drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
+    assert drawn.shape == idata["posterior"]["torque"].shape[:2]
+    assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]

@@ -1,0 +1,59 @@
+"""What a cause predicts: scores of rows, residual torque, replay."""
+
+import numpy as np
+import pytest
+import torch
+from pendulum import DAMPING, at_best, causes
+
+from invdyn.diagnosis.predict import replay, replay_rms, residual, scores, smoothed
+
+
+def test_scores_sum_to_the_evidence():
+    """The chain rule: Σ log p(y_t | y_<t), at the best size; exact without parameters."""
+    here, none, _ = causes()
+    evidence, _ = at_best(here, none)
+    assert scores(here, none).score.sum() == pytest.approx(evidence, abs=1e-6)
+
+
+def test_the_floor_is_what_a_perfect_simulation_scores():
+    here, none, cause = causes()
+    for setting_, perfect in ((causes(0.0)[0], causes(0.0)[1]), (here, cause)):
+        both = scores(setting_, perfect)
+        # Squares of n = 160 unit innovations: their sum's sd is √320, of which half counts.
+        assert abs((both.floor - both.score).sum()) < 4 * np.sqrt(2 * 160) / 2
+    poor = scores(here, none)
+    assert (poor.floor - poor.score).sum() > 10
+
+
+def test_rows_that_were_not_seen_have_no_score():
+    here, none, _ = causes()
+    gaps = here.observations.clone()
+    gaps[[3, 40]] = torch.nan
+    both = scores(here.observing(gaps), none)
+    for values in (both.score, both.floor):
+        assert np.flatnonzero(np.isnan(values)).tolist() == [3, 40]
+
+
+def test_residual_torque_is_what_the_simulation_lacks():
+    here, none, cause = causes()
+    mean, sd = residual(here, none)
+    assert mean.shape == sd.shape == (80, 1)
+    missing = -DAMPING * none.path[:, 2].numpy()
+    # A Gaussian process through noise: its own spread says how far off it may be.
+    assert np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
+    assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
+    after, _ = residual(here, cause)
+    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())
+
+
+def test_replay_follows_once_the_cause_is_in():
+    here, none, cause = causes()
+    path = smoothed(here, cause).path
+    _, q, _ = here.model.split(path)
+    tips = here.model.dynamics.keypoints(q, here.model.body_parameters()).numpy()
+    with_cause, without = (replay_rms(replay(c.model, path), tips) for c in (cause, none))
+    assert with_cause < 0.001
+    assert without > 10 * with_cause
+    assert replay(cause.model, path).shape == (80, 1, 2)
+    np.testing.assert_allclose(replay(cause.model, path)[[0, 50]], tips[[0, 50]], atol=1e-9)  # set back every second
+    assert replay_rms(tips + 0.3, tips) == pytest.approx(0.3 * np.sqrt(2))

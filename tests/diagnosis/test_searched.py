@@ -1,0 +1,62 @@
+"""Effects whose parameters are searched: play, and those on the scatter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pendulum import PENDULUM, causes, path_of, recorded
+
+from invdyn.diagnosis.findings import finding
+from invdyn.diagnosis.noise import log_spread
+from invdyn.diagnosis.refine import refine, refine_searched
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
+
+
+def test_play_is_searched_and_found():
+    """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
+    body = replace(PENDULUM, gravity=(0.0, 0.0))
+    play = EFFECTS["backlash"]("pivot")
+    arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
+    width = torch.tensor([0.06], dtype=torch.float64)
+    recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
+    here = setting(recording, body)
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    cause = refine_searched(here, none, play.bound(body))
+    assert cause.log_evidence > none.log_evidence + 20
+    assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.2)
+    assert cause.path.shape[-1] == none.path.shape[-1] + 2
+    assert refine_searched(here, none, play.bound(body), cause.log_evidence + 100) is None
+
+
+def test_stray_detections_are_counted():
+    recording = recorded(0.0, rows=100)
+    rng = np.random.default_rng(3)
+    stray = rng.random(100) < 0.08
+    stray[:3] = False  # the first frames place the arm
+    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.06, size=(100, 1, 2))
+    here = setting(replace(recording, keypoints=points), PENDULUM)
+    clean = setting(recording, PENDULUM)
+    path = path_of(clean)
+    outliers = EFFECTS["outliers"]().bound(PENDULUM)
+    cause = refine_searched(here, refine(here, (), {}, path, LOOSE), outliers)
+    assert cause.names == ()
+    assert abs(cause.noise["outliers.rate"] - stray.mean()) < 4 * cause.noise_sd["outliers.rate"] < 0.2
+    assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
+    assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
+    assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+
+
+def test_intervals_of_what_was_searched_stay_within_the_prior():
+    here, _, cause = causes()
+    play = EFFECTS["backlash"]("pivot").bound(PENDULUM)
+    name = "backlash.pivot.width"
+    counted = replace(cause, noise={name: 0.02}, noise_sd={name: 0.002})
+    narrow, wide, widest = (finding(here, counted, play, 0, temper).parameters["width"] for temper in (1.0, 0.2, 1e-9))
+    assert narrow.mean == wide.mean == widest.mean == 0.02
+    assert np.diff(np.log(narrow.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1, rel=0.05)
+    assert np.diff(np.log(wide.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1 / np.sqrt(0.2), rel=0.1)
+    (width,) = play.parameters(here.model.scale)
+    assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)

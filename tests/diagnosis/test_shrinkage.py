@@ -1,0 +1,93 @@
+"""How far the gap closes on held-out rows, with an interval that respects serial correlation."""
+
+import numpy as np
+import pytest
+import torch
+from pendulum import DAMPING, PENDULUM, causes, path_of, recorded
+
+from invdyn.diagnosis.predict import Scores
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
+from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
+
+
+def test_the_last_third_is_held_out():
+    here, none, cause = causes()
+    train, rows = split(here)
+    assert np.flatnonzero(rows).tolist() == list(range(53, 80))
+    assert torch.isnan(train.observations[53:]).all()
+    assert torch.equal(train.observations[:53], here.observations[:53])
+    without, with_cause, used = held_out_scores(here, none, cause)
+    assert np.array_equal(used, rows)
+    result = closed(without, with_cause, used, here.model.time.numpy(), 0)
+    assert 0.5 < result.share <= 1.0
+    assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
+    per_frame = result.per_frame
+    assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
+
+
+def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
+    push = EFFECTS["external_push"]("tip")
+    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    truth = {"force_x": 6.0, "force_y": 3.0, "start": 1.22, "stop": 1.34}
+    given = {f"effect.external_push.tip.{n}": torch.tensor([v], dtype=torch.float64) for n, v in truth.items()}
+    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
+    path = path_of(here)
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
+    assert cause.log_evidence > none.log_evidence + 20
+    result = closed(*held_out_scores(here, none, cause), here.model.time.numpy(), 0)
+    assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
+    assert result.share > 0.5
+
+
+def test_another_recording_is_held_out():
+    here, none, cause = causes()
+    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    without, with_cause, rows = held_out_scores(here, none, cause, other)
+    assert rows.all()
+    assert len(rows) == len(without.score) == 60
+    assert np.nansum(with_cause.score - without.score) > 5
+    # Parameters are those of the first recording, not fitted again.
+    carried = cause.carried_to(other).parameters["effect.viscous_friction.pivot.damping"].item()
+    assert carried == pytest.approx(cause.mean[0])
+
+
+def series(seed, rows=240, share=0.6):
+    """Scores whose gap and gain wander as neighbours do: autoregressive, 0.05 s long at 100 rows a second."""
+    rng = np.random.default_rng(seed)
+    wander = np.zeros((rows, 2))
+    for t in range(1, rows):
+        wander[t] = 0.8 * wander[t - 1] + 0.6 * rng.normal(size=2)
+    gap = 2.0 + wander[:, 0]
+    gain = share * gap + 0.5 * wander[:, 1]
+    zero = np.zeros(rows)
+    return Scores(zero, zero), Scores(gain, gap), 0.01 * np.arange(rows)
+
+
+def test_the_interval_covers():
+    everything, hits = np.ones(240, bool), 0
+    for seed in range(120):
+        without, with_cause, time = series(seed)
+        low, high = closed(without, with_cause, everything, time, seed).interval
+        hits += low <= 0.6 <= high
+    # 90 % by name; blocks of 40 rows in 240 are few, and such intervals too short by some per cent.
+    assert 0.9 - 0.1 - 4 * np.sqrt(0.09 / 120) < hits / 120 <= 1.0
+
+
+def test_share_of_known_scores():
+    time = 0.1 * np.arange(20)
+    rows = np.arange(20) >= 5
+    gain, gap = np.full(20, 0.5), np.full(20, 2.0)
+    gain[:5] = 100.0  # not held out
+    gain[7] = np.nan  # not seen
+    result = closed(Scores(np.zeros(20), gap), Scores(gain, gap), rows, time, 0)
+    assert result.share == pytest.approx(0.25)
+    np.testing.assert_allclose(result.interval, 0.25)
+    assert result.per_frame == pytest.approx({"nominal": 0.0, "corrected": 0.5, "noise_floor": 2.0})
+    more = closed(Scores(np.zeros(20), gap), Scores(5 * gain, gap), rows, time, 0)
+    assert more.share == 1.0  # not more than all
+    nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
+    assert (nothing.share, nothing.interval) == (None, None)

@@ -1,0 +1,95 @@
+"""A pendulum under friction, and a wheel: a linear-Gaussian chain whose answers are exact."""
+
+from functools import cache
+
+import numpy as np
+import torch
+from oracles import Chain
+
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.screen import log_prior, sizes
+from invdyn.diagnosis.setting import DECAY, LOOSE, setting
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
+from invdyn.simulate import random_arm, record
+
+ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
+PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+FRICTION = EFFECTS["viscous_friction"]("pivot")
+DAMPING = 0.05
+WHEEL = Body("wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0))
+INERTIA = 0.03  # about the pivot
+BRAKE = 0.02
+
+
+def recorded(damping=0.0, seed=0, mass=1.0, rows=80):
+    """A pendulum under known commands, filmed with 2 mm of noise."""
+    body = PENDULUM.with_values(mass=[mass])
+    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=seed)
+    values = {"effect.viscous_friction.pivot.damping": torch.tensor([damping], dtype=torch.float64)}
+    return record(arm.with_effects(FRICTION).replace(**values), seed)[0]
+
+
+def path_of(here):
+    return gauss_newton(here.with_residual(LOOSE), here.observations).path
+
+
+@cache
+def causes(damping=DAMPING):
+    """The pendulum's setting, "no effect" and viscous friction."""
+    here = setting(recorded(damping), PENDULUM)
+    path = path_of(here)
+    return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
+
+
+@cache
+def wheel():
+    """A wheel that turns freely but for viscous friction, seen by an encoder: a linear-Gaussian chain."""
+    rng = np.random.default_rng(0)
+    time = 0.02 * np.arange(60)
+    angle = 0.3 + 2.0 * INERTIA / BRAKE * -np.expm1(-BRAKE / INERTIA * time) + 0.002 * rng.normal(size=60)
+    recording = Recording(time, np.zeros((60, 0, 2)), (), angles=angle[:, None], joint_names=("pivot",))
+    return setting(recording, WHEEL, passive=True)
+
+
+def wheel_chain(model, kappa=1.0, damping=0.0):
+    """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row."""
+    p = {name: value.numpy() for name, value in model.parameters.items()}
+    dt, steps = 0.02, model.substeps
+    keep = np.exp(-DECAY["passive"] * dt)
+
+    def rate(state, s, torque):
+        return np.array([state[1], (torque * (1 - s + s * keep) - damping * state[1]) / INERTIA])
+
+    columns = []
+    for torque, *state in np.eye(3):
+        state, h = np.array(state), dt / steps
+        for i in range(steps):
+            s = i / steps
+            k1 = rate(state, s, torque)
+            k2 = rate(state + h / 2 * k1, s + 0.5 / steps, torque)
+            k3 = rate(state + h / 2 * k2, s + 0.5 / steps, torque)
+            k4 = rate(state + h * k3, s + 1 / steps, torque)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        columns.append([keep * torque, *state])
+    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY["passive"])
+    noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
+    first = [stationary, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
+    sd = p["emission.angle_scale"].item()
+    return Chain(
+        np.array(columns).T,
+        np.diag(np.square(noise)) * kappa**2,
+        np.array([[0.0, 1.0, 0.0]]),
+        np.array([[sd**2]]) * kappa**2,
+        np.array([0.0, p["initial.angle"].item(), p["initial.velocity"].item()]),
+        np.diag(np.square(first)) * kappa**2,
+    )
+
+
+def at_best(here, cause):
+    """A cause's log evidence at its best size, and that size."""
+    top = int(cause.by_size.argmax())
+    levels = sizes(here.regime)
+    return cause.by_size[top] - log_prior(levels)[top], levels[top]
