@@ -84,4 +84,5 @@ def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
 
 def imitable(effect: Effect) -> bool:
     """Whether an unknown torque could do what the effect does."""
-    return effect.side == "dynamics" or effect.name in ("clock_rate", "camera_latency")
+    seen = type(effect).points is not Effect.points  # a base that shakes takes all points along
+    return (effect.side == "dynamics" and not seen) or effect.name in ("clock_rate", "camera_latency")

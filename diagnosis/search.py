@@ -14,8 +14,9 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     6  leave effects of the best set out, one by one, while that raises it; look for a better one in place of a single
        one, along its path
 
-With unknown torque one effect is looked for, of the observation and visible: what changes the motion alone, a torque
-can imitate, and only the prior of the torque could speak against it.
+With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
+and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
+nothing, as no limb obeys it; one of the observation has to gain more.
 
 Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
@@ -164,12 +165,13 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             if (cause := _attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     play = alone and not found.ranked[0].complete
+    idle = _idle(screened) if setting.regime == "unknown_torque" else -np.inf
     for effect in free:
         if (
             is_searched(effect)
             and (found.stray or effect.name not in MISTAKES)
             and (play or not isinstance(effect, HiddenHinge))
-            and (cause := _attempt(refine_searched, setting, base, effect, found.top - HOPELESS)) is not None
+            and (cause := _attempt(refine_searched, setting, base, effect, max(found.top - HOPELESS, idle))) is not None
         ):
             found.add(cause)
     return screened
@@ -219,7 +221,7 @@ def _refine_promising(setting: Setting, found: Search, base: Refined, screened: 
     ]
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":
-        promising = [s for s in promising if s.dprime > FAINT and not imitable(s.effect)]
+        promising = [s for s in promising if s.log_evidence > _idle(screened) and s.dprime > FAINT]
     for place, each in enumerate(promising[:width]):
         gained, top = each.log_evidence - nothing, found.top
         # Along the path of one that leaves nothing, others get their chance (:func:`_exchange`).
@@ -235,6 +237,11 @@ def _refine_promising(setting: Setting, found: Search, base: Refined, screened: 
         cause = _attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
         if cause is not None:
             found.add(cause)
+
+
+def _idle(screened: Sequence[Screened]) -> float:
+    """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
+    return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
 
 
 def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
