@@ -18,7 +18,7 @@ from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, sizes
-from invdyn.diagnosis.search import _exchange, _reduce, _scan, _seen_aside, search
+from invdyn.diagnosis.search import _exchange, _reduce, _refine_promising, _scan, _seen_aside, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -85,6 +85,24 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
         assert ("backlash" in tried) is looked
         if torques is None:
             assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
+
+
+def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
+    """Only the torque's prior speaks for friction; what gains less than that on the camera's side says no more."""
+    bound = setting(replace(recorded(), torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    gains = {"coulomb_friction": 30.0, "camera_roll": 25.0, "lens_distortion": 40.0, "base_motion": 35.0}
+    some = [e for e in considered(bound) if e.name in gains]
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, some, common, common.mean)
+    nothing = next(s.log_evidence for s in screened if s.effect is None)
+    screened = [replace(s, log_evidence=nothing + gains[s.effect.name]) if s.effect else s for s in screened]
+    screened = sorted((replace(s, dprime=50.0) for s in screened), key=lambda s: -s.log_evidence)
+    tried = []
+    monkeypatch.setattr(sys.modules[search.__module__], "refine", lambda *given, **more: tried.append(given[1][0].name))
+    none = refine(bound, (), {}, path, LOOSE)
+    _refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
 
 
 def test_a_set_loses_what_it_does_not_need():
