@@ -12,9 +12,9 @@ from invdyn.diagnosis.findings import finding, key
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips, smoothed
+from invdyn.diagnosis.promising import FAINT
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Shrinkage, Tracks, Visibility, Where
-from invdyn.diagnosis.search import FAINT
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import Closed

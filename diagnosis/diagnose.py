@@ -79,8 +79,10 @@ def diagnose(
         return closed(*held_out_scores(bound, none, cause, other), time, seed)
 
     shares = held(weighed.best)
-    if bound.regime == "unknown_torque" and shares.per_frame["corrected"] < shares.per_frame["nominal"]:
-        # Evidence there rests on the torque's prior, which no limb obeys: a cause must predict what it has not seen.
+    worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
+    unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
+    if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
+        # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
         weighed = certain(none, weighed.log_evidence)
         shares = held(none)
     best = weighed.best

@@ -11,8 +11,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come after each screen, but play by itself only, and where nothing else explains the gap
-    6  leave effects of the best set out, one by one, while that raises it; look for a better one in place of a single
-       one, along its path
+    6  leave effects of the best set out, one by one, while that raises it
+    7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
 
 With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
 and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
@@ -22,19 +22,21 @@ Everything that was refined stays in the pool, so that what the data cannot tell
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
-from invdyn.diagnosis.pool import Search, considered, imitable
-from invdyn.diagnosis.prior import MOST, log_prior_of
+from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.prior import MOST
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_searched
-from invdyn.diagnosis.screen import Screened, screen, sizes
+from invdyn.diagnosis.screen import Screened, screen
 from invdyn.diagnosis.setting import LOOSE, Setting
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import Unknowns, unknowns
@@ -42,33 +44,14 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
 
-WIDTH, SWAPS, SETS = (10, 3, 2), 1, 2
-"""Candidates refined when the first, second, … effect is sought, when one is to take another's place, and sets
-of several that are refined as a whole."""
+WIDTH, SETS = (10, 3, 2), 2
+"""Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
 
 FORWARD = len(WIDTH)
 """Effects that are added one by one; more only as sets."""
 
-HOPELESS, SHARE = 60.0, 0.1
-"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or, until one
-leaves nothing, has them gain so large a share of what the best gains: where much is to be gained, it errs by much."""
-
-KIN = (
-    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
-    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
-    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
-    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
-)
-"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
-
 MISTAKES = ("outliers", "label_swap")
 """Effects that leave stray detections, and are not looked for where there are none."""
-
-DOUBT = 5.0
-"""Nats by which the screen may err: less promising ones are not refined."""
-
-FAINT = 3.0
-"""d′ of an effect of typical size under which the recording could not have shown it."""
 
 
 def search(
@@ -82,7 +65,7 @@ def search(
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
     candidates = considered(setting, without)
-    none = _attempt(refine, setting, (), {}, path, LOOSE)
+    none = attempt(refine, setting, (), {}, path, LOOSE)
     if none is None:
         raise InputError(
             f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
@@ -91,7 +74,7 @@ def search(
     found = Search(candidates, {none.key: none}, [], path, stray)
     if setting.regime != "unknown_torque":
         found.aside = led(setting, setting.model, path, FIRM)
-        if (alone := _attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
+        if (alone := attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
             found.add(alone)
     for number in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
@@ -102,50 +85,34 @@ def search(
             found.first = screened
             if setting.regime != "unknown_torque" and not found.ranked[0].complete:
                 _several(setting, found)
-                _reduce(setting, found)
+                reduce(setting, found)
         grown = found.ranked[0]
         if len(grown.effects) == 2 and len(best.effects) == 1:
             for old in best.effects:
                 rest = tuple(effect for effect in grown.effects if effect.key != old.key)
-                base = found.pool.get(key_of(rest)) or _attempt(
-                    refine, setting, rest, _values(grown), grown.path, LOOSE
+                base = found.pool.get(key_of(rest)) or attempt(
+                    refine, setting, rest, values_of(grown), grown.path, LOOSE
                 )
                 if base is not None:
                     found.add(base)
                     _extend(setting, found, base, SWAPS)
-    _reduce(setting, found)
-    if len(found.ranked[0].effects) == 1 and setting.regime != "unknown_torque":
-        _exchange(setting, found)
-    return found
-
-
-def _reduce(setting: Setting, found: Search) -> None:
-    """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
-
-    A set may be what it took to get near the parameters of one of its members.
-    """
-    best = found.ranked[0]
-    tried = set()
-    while len(best.effects) > 1:
-        for effect in best.effects:
-            rest = tuple(e for e in best.effects if e is not effect)
-            if key_of(rest) not in tried and not all(is_searched(e) for e in rest):
-                kept = best.searched if any(is_searched(e) for e in rest) else {}
-                cause = _attempt(refine, setting, rest, _values(best), best.path, FIRM, **kept)
-                if cause is not None:
-                    found.add(cause)
-            tried.add(key_of(rest))
-        if found.ranked[0] is best:
-            return
+    reduce(setting, found)
+    while setting.regime != "unknown_torque" and found.ranked[0].effects:
         best = found.ranked[0]
+        exchange(setting, found)
+        if found.ranked[0].key == best.key:
+            break
+        if not found.ranked[0].complete and len(found.ranked[0].effects) < MOST:
+            _extend(setting, found, found.ranked[0], SWAPS)
+        reduce(setting, found)
+    return found
 
 
 def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
     """Screen every effect that may join ``base``, refine the best ``width``, and keep them."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
-    busy = any(isinstance(effect, HiddenHinge) for effect in base.effects)
-    straight = [e for e in free if not is_searched(e) and not (busy and isinstance(e, HiddenHinge))]
+    straight = free_beside(found, base.effects)
     common, alone = unknowns(setting, base.effects), not base.effects and setting.regime != "unknown_torque"
     if base.effects:
         model, path, point = base.model, base.path, base.mean
@@ -154,24 +121,24 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
-    _refine_promising(
+    refine_promising(
         setting, found, base, _seen_aside(setting, found.aside, screened, common) if alone else screened, width
     )
-    _refine_kin(setting, found, len(base.effects) + 1)
+    refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
-            if (cause := _attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
+            if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     play = alone and not found.ranked[0].complete
-    idle = _idle(screened) if setting.regime == "unknown_torque" else -np.inf
+    least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
     for effect in free:
         if (
             is_searched(effect)
             and (found.stray or effect.name not in MISTAKES)
             and (play or not isinstance(effect, HiddenHinge))
-            and (cause := _attempt(refine_searched, setting, base, effect, max(found.top - HOPELESS, idle))) is not None
+            and (cause := attempt(refine_searched, setting, base, effect, max(found.top - HOPELESS, least))) is not None
         ):
             found.add(cause)
     return screened
@@ -192,66 +159,6 @@ def _seen_aside(setting: Setting, path: Tensor, screened: Sequence[Screened], co
     return sorted(best, key=lambda s: -s.log_evidence)
 
 
-def _exchange(setting: Setting, found: Search) -> None:
-    """Look for a better effect in place of a single one, along the path that it has found.
-
-    Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive.
-    """
-    (old,) = found.ranked[0].effects
-    base, path = found.pool[""], lifted(setting.model, found.ranked[0].path)
-    common = unknowns(setting, ())
-    free = [e for e in found.candidates if e.key != old.key and not is_searched(e)]
-    screened = screen(setting, setting.model, path, free, common, common.mean, quiet=True)
-    near = [s for s in screened if s.effect is None or s.log_evidence > found.top - HOPELESS]
-    _refine_promising(setting, found, base, near, SWAPS)
-    _refine_kin(setting, found, 1)
-
-
-def _refine_promising(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], width: int) -> None:
-    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
-    # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
-    nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
-    alone = log_prior_of(base.effects, found.candidates)
-    promising = [
-        s
-        for s in screened
-        if s.effect is not None
-        and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
-        > alone - DOUBT
-    ]
-    most = screened[0].log_evidence - nothing
-    if setting.regime == "unknown_torque":
-        promising = [s for s in promising if s.log_evidence > _idle(screened) and s.dprime > FAINT]
-    for place, each in enumerate(promising[:width]):
-        gained, top = each.log_evidence - nothing, found.top
-        # Along the path of one that leaves nothing, others get their chance (:func:`_exchange`).
-        least = most - HOPELESS if found.ranked[0].complete else min(most - HOPELESS, SHARE * most)
-        if place >= (1 if found.ranked[0].complete else 3) and gained < least:
-            continue
-        values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | _values(base)
-        limits = {
-            "enough": top - HOPELESS,
-            "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
-        }
-        effects = (*base.effects, each.effect)
-        cause = _attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
-        if cause is not None:
-            found.add(cause)
-
-
-def _idle(screened: Sequence[Screened]) -> float:
-    """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
-    return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
-
-
-def _attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
-    """A refinement; None where it leads to parameters with which the simulation does not run at all."""
-    try:
-        return work(*arguments, **options)
-    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-        return None
-
-
 def _several(setting: Setting, found: Search) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     common, none = unknowns(setting, ()), found.pool[""].log_evidence
@@ -259,37 +166,12 @@ def _several(setting: Setting, found: Search) -> None:
         for each in sets:
             top = found.top
             limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
-            cause = _attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
+            cause = attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:
                 found.add(cause)
-        _refine_kin(setting, found, len(sets[0].effects))
+        refine_kin(setting, found, len(sets[0].effects))
         if found.ranked[0].complete:
             break
-
-
-def _refine_kin(setting: Setting, found: Search, number: int) -> None:
-    """Refine the exact or near equivalents of what was found, of causes with so many effects, from values that follow.
-
-    A screen along the data's path cannot see them: the path itself is what they shift.
-    """
-    for cause in list(found.pool.values()):
-        if len(cause.effects) != number or cause.log_evidence < found.top - HOPELESS:
-            continue
-        for mine in cause.effects:
-            for name, other, parameter, factor in KIN:
-                twin = next((e for e in found.candidates if e.key == other), None)
-                if mine.key != name or twin is None or any(e.key == other for e in cause.effects):
-                    continue
-                if setting.regime == "unknown_torque" and imitable(twin):
-                    continue
-                rest = tuple(e for e in cause.effects if e is not mine)
-                known = _values(cause)
-                value = known.pop(f"{mine.key}.{parameter[0]}")
-                values = known | {f"{other}.{parameter[1]}": factor * value}
-                size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
-                other_one = _attempt(refine, setting, (*rest, twin), values, found.path, size, **cause.searched)
-                if other_one is not None:
-                    found.add(other_one)
 
 
 def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Refined:
@@ -305,13 +187,8 @@ def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Ref
 
     tried = []
     for point in product(*effect.scan.values()):
-        values = _values(base) | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
+        values = values_of(base) | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
         tried.append(refined(values, base.path, 1))
     best = max(tried, key=lambda cause: cause.log_evidence)
     most = max(base.log_evidence, base.log_evidence + (1 - SHARE) * (enough - base.log_evidence))
-    return best if best.log_evidence < most else refined(_values(best), best.path, ROUNDS)
-
-
-def _values(cause: Refined) -> dict[str, float]:
-    noise = {name: float(value) for name, value in cause.noise.items()}
-    return dict(zip(cause.names, cause.mean.tolist(), strict=True)) | noise
+    return best if best.log_evidence < most else refined(values_of(best), best.path, ROUNDS)

@@ -11,14 +11,16 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.exchange import exchange, reduce
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
+from invdyn.diagnosis.promising import refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, sizes
-from invdyn.diagnosis.search import _exchange, _reduce, _refine_promising, _scan, _seen_aside, search
+from invdyn.diagnosis.search import _scan, _seen_aside, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -99,9 +101,11 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     screened = [replace(s, log_evidence=nothing + gains[s.effect.name]) if s.effect else s for s in screened]
     screened = sorted((replace(s, dprime=50.0) for s in screened), key=lambda s: -s.log_evidence)
     tried = []
-    monkeypatch.setattr(sys.modules[search.__module__], "refine", lambda *given, **more: tried.append(given[1][0].name))
+    monkeypatch.setattr(
+        sys.modules[refine_promising.__module__], "refine", lambda *given, **more: tried.append(given[1][0].name)
+    )
     none = refine(bound, (), {}, path, LOOSE)
-    _refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
 
 
@@ -113,7 +117,7 @@ def test_a_set_loses_what_it_does_not_need():
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
     found = Search(considered(bound), {"": none, both.key: both}, [], path, stray)
     assert found.ranked[0].key == both.key
-    _reduce(bound, found)
+    reduce(bound, found)
     assert found.ranked[0].key == "viscous_friction.pivot"
 
 
@@ -126,7 +130,7 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
     values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
     none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
     found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
-    _exchange(bound, found)
+    exchange(bound, found)
     assert found.ranked[0].key == "coulomb_friction.pivot"
     assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
     assert len(found.pool) < 6  # and no more than a few

@@ -1,0 +1,79 @@
+"""Sets of causes with one effect less, or another in the place of one.
+
+Forward selection goes astray where effects are alike or imitate others together; backward steps and exchanges mend it
+(sequential replacement: Miller 2002, "Subset
+selection in regression", ch. 3).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.paths import FIRM, lifted
+from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.promising import HOPELESS, attempt, refine_kin, refine_promising, values_of
+from invdyn.diagnosis.refine import key_of, refine
+from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import HiddenHinge
+
+SWAPS = 1
+"""Candidates that are refined when one is to take another's place."""
+
+
+def reduce(setting: Setting, found: Search) -> None:
+    """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
+
+    A set may be what it took to get near the parameters of one of its members.
+    """
+    best = found.ranked[0]
+    tried = set()
+    while len(best.effects) > 1:
+        for effect in best.effects:
+            rest = tuple(e for e in best.effects if e is not effect)
+            if key_of(rest) not in tried and not all(is_searched(e) for e in rest):
+                kept = best.searched if any(is_searched(e) for e in rest) else {}
+                cause = attempt(refine, setting, rest, values_of(best), best.path, FIRM, **kept)
+                if cause is not None:
+                    found.add(cause)
+            tried.add(key_of(rest))
+        if found.ranked[0] is best:
+            return
+        best = found.ranked[0]
+
+
+def exchange(setting: Setting, found: Search) -> None:
+    """Look for a better effect in place of each of the best set's, along the path that it has found.
+
+    Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
+    that imitate others together, none gives way while the rest stay.
+    """
+    best = found.ranked[0]
+    for old in best.effects:
+        rest = tuple(effect for effect in best.effects if effect is not old)
+        if is_searched(old) or any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+            continue
+        common, model = unknowns(setting, rest), setting.model
+        point = common.mean
+        if rest:
+            known = dict(zip(best.names, best.mean.tolist(), strict=True))
+            point = np.array([known[name] for name in common.names])
+            model = model.with_effects(*rest)
+            model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
+        free = free_beside(found, rest, old)
+        screened = screen(setting, model, lifted(model, best.path), free, common, point, quiet=best.complete)
+        near = [s for s in screened if s.effect is None or s.log_evidence > found.top - HOPELESS]
+        refine_promising(setting, found, replace(best, effects=rest), near, SWAPS)
+    refine_kin(setting, found, len(best.effects))
+
+
+def free_beside(found: Search, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
+    """Effects with columns that may join those that are ``taken``, but for ``others``."""
+    keys = {effect.key for effect in (*taken, *others)}
+    busy = any(isinstance(effect, HiddenHinge) for effect in taken)
+    free = [e for e in found.candidates if e.key not in keys and not is_searched(e)]
+    return [e for e in free if not (busy and isinstance(e, HiddenHinge))]

@@ -1,0 +1,110 @@
+"""Screened effects that are worth refining, and their exact twins.
+
+A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
+screen says, which errs; until one effect leaves nothing, also if it gains a fair share of what the best gains.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.pool import Search, imitable
+from invdyn.diagnosis.prior import log_prior_of
+from invdyn.diagnosis.refine import Refined, refine
+from invdyn.diagnosis.screen import Screened, sizes
+from invdyn.diagnosis.setting import Setting
+
+HOPELESS, SHARE = 60.0, 0.1
+"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or, until one
+leaves nothing, has them gain so large a share of what the best gains: where much is to be gained, it errs by much."""
+
+KIN = (
+    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
+    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
+    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
+    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
+)
+"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
+
+DOUBT = 5.0
+"""Nats by which the screen may err: less promising ones are not refined."""
+
+FAINT = 3.0
+"""d′ of an effect of typical size under which the recording could not have shown it."""
+
+
+def refine_promising(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], width: int) -> None:
+    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
+    # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
+    nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
+    alone = log_prior_of(base.effects, found.candidates)
+    promising = [
+        s
+        for s in screened
+        if s.effect is not None
+        and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
+        > alone - DOUBT
+    ]
+    most = screened[0].log_evidence - nothing
+    if setting.regime == "unknown_torque":
+        promising = [s for s in promising if s.log_evidence > idle(screened) and s.dprime > FAINT]
+    for place, each in enumerate(promising[:width]):
+        gained, top = each.log_evidence - nothing, found.top
+        # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
+        least = most - HOPELESS if found.ranked[0].complete else min(most - HOPELESS, SHARE * most)
+        if place >= (1 if found.ranked[0].complete else 3) and gained < least:
+            continue
+        values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | values_of(base)
+        limits = {
+            "enough": top - HOPELESS,
+            "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
+        }
+        effects = (*base.effects, each.effect)
+        cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+        if cause is not None:
+            found.add(cause)
+
+
+def idle(screened: Sequence[Screened]) -> float:
+    """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
+    return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
+
+
+def refine_kin(setting: Setting, found: Search, number: int) -> None:
+    """Refine the exact or near equivalents of what was found, of causes with so many effects, from values that follow.
+
+    A screen along the data's path cannot see them: the path itself is what they shift.
+    """
+    for cause in list(found.pool.values()):
+        if len(cause.effects) != number or cause.log_evidence < found.top - HOPELESS:
+            continue
+        for mine in cause.effects:
+            for name, other, parameter, factor in KIN:
+                twin = next((e for e in found.candidates if e.key == other), None)
+                if mine.key != name or twin is None or any(e.key == other for e in cause.effects):
+                    continue
+                if setting.regime == "unknown_torque" and imitable(twin):
+                    continue
+                rest = tuple(e for e in cause.effects if e is not mine)
+                known = values_of(cause)
+                value = known.pop(f"{mine.key}.{parameter[0]}")
+                values = known | {f"{other}.{parameter[1]}": factor * value}
+                size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
+                other_one = attempt(refine, setting, (*rest, twin), values, found.path, size, **cause.searched)
+                if other_one is not None:
+                    found.add(other_one)
+
+
+def attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
+    """A refinement; None where it leads to parameters with which the simulation does not run at all."""
+    try:
+        return work(*arguments, **options)
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return None
+
+
+def values_of(cause: Refined) -> dict[str, float]:
+    """Parameters of a cause by name, those that were searched too."""
+    noise = {name: float(value) for name, value in cause.noise.items()}
+    return dict(zip(cause.names, cause.mean.tolist(), strict=True)) | noise
