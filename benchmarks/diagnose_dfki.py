@@ -77,12 +77,11 @@ def model_error(model: ArmModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
     return (inertia @ missing.unsqueeze(-1))[..., 0].numpy()
 
 
-def published_error(rigid: ArmModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """e (T, K) of the rigid body with the lab's own friction and rotors."""
+def published(qd: np.ndarray, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The torques (T, K) of the lab's own friction, and of its rotors."""
     viscous, coulomb = (np.array(FRICTION[k]) for k in ("viscous", "coulomb"))
-    friction = viscous * qd + coulomb * np.arctan(100 * qd)
     rotors = qdd @ (ROTOR * np.array([[GEAR**2 + 1, -GEAR], [-GEAR, GEAR**2]])).T
-    return model_error(rigid, q, qd, qdd) + friction + rotors
+    return viscous * qd + coulomb * np.arctan(100 * qd), rotors
 
 
 def rms(error: np.ndarray) -> list[float]:
@@ -134,9 +133,11 @@ def main() -> None:
         effects = result["causes"][0]["effects"]
         friction = [each for each in effects if "friction" in each["effect"]]
         rigid, found, rubbed = (arm_on(times, u, body, some) for some in ([], effects, friction))
+        missing, (friction_torque, rotors) = model_error(rigid, q, qd, qdd), published(qd, qdd)
         errors = {
-            "rigid": model_error(rigid, q, qd, qdd),
-            "lab's friction and rotors": published_error(rigid, q, qd, qdd),
+            "rigid": missing,
+            "lab's friction": missing + friction_torque,
+            "lab's friction and rotors": missing + friction_torque + rotors,
             "found": model_error(found, q, qd, qdd),
             "found, friction alone": model_error(rubbed, q, qd, qdd),
         }

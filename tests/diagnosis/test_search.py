@@ -11,7 +11,6 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.describe import describe
-from invdyn.diagnosis.exchange import exchange, reduce
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import Search, considered
@@ -107,33 +106,6 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE)
     refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
-
-
-def test_a_set_loses_what_it_does_not_need():
-    """From friction and a spring that is not there, friction alone."""
-    bound = setting(recorded(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
-    path, stray = data_path(bound)
-    effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
-    none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
-    found = Search(considered(bound), {"": none, both.key: both}, [], path, stray)
-    assert found.ranked[0].key == both.key
-    reduce(bound, found)
-    assert found.ranked[0].key == "viscous_friction.pivot"
-
-
-def test_the_path_of_one_leads_to_another_that_is_like_it():
-    """Where only Stribeck's friction has arrived, dry friction is tried again."""
-    bound = setting(recorded(EFFECTS["coulomb_friction"]("pivot"), rows=120, torque=0.15), PENDULUM)
-    path, stray = data_path(bound)
-    bound = bound.shaped(path)
-    stribeck = EFFECTS["stribeck_friction"]("pivot")
-    values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
-    none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
-    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
-    exchange(bound, found)
-    assert found.ranked[0].key == "coulomb_friction.pivot"
-    assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
-    assert len(found.pool) < 6  # and no more than a few
 
 
 def test_what_the_camera_does_shows_beside_the_simulation_alone():

@@ -1,0 +1,71 @@
+"""One effect less, or another in the place of one."""
+
+import pytest
+import torch
+
+from invdyn.diagnosis.exchange import exchange, reduce
+from invdyn.diagnosis.paths import FIRM, data_path
+from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
+
+ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
+PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+
+
+def recorded(*effects, rows=80, **values):
+    """A pendulum with effects at values "<effect>_<parameter>", under known commands, filmed with 2 mm of noise."""
+    arm = random_arm(PENDULUM, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    parts = [EFFECTS[name]("pivot") for name in effects]
+    given = {n: v for part in parts for n, v in values.items() if n.startswith(part.name)}
+    named = {f"effect.{n.rpartition('_')[0]}.pivot.{n.rpartition('_')[2]}": v for n, v in given.items()}
+    arm = arm.with_effects(*parts).replace(**{n: torch.tensor([v], dtype=torch.float64) for n, v in named.items()})
+    return record(arm, 0)[0]
+
+
+def test_a_set_loses_what_it_does_not_need():
+    """From friction and a spring that is not there, friction alone."""
+    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
+    none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
+    found = Search(considered(bound), {"": none, both.key: both}, [], path, stray)
+    assert found.ranked[0].key == both.key
+    reduce(bound, found)
+    assert found.ranked[0].key == "viscous_friction.pivot"
+
+
+def test_the_path_of_one_leads_to_another_that_is_like_it():
+    """Where only Stribeck's friction has arrived, dry friction is tried again."""
+    bound = setting(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    stribeck = EFFECTS["stribeck_friction"]("pivot")
+    values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
+    none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
+    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
+    exchange(bound, found)
+    assert found.ranked[0].key == "coulomb_friction.pivot"
+    assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
+    assert len(found.pool) < 6  # and no more than a few
+
+
+def test_in_a_set_too_one_gives_way_while_the_other_stays():
+    """Where drag has arrived beside an added rotor, friction takes its place, and the rotor stays."""
+    true = {"viscous_friction_damping": 0.05, "armature_inertia": 0.02}
+    bound = setting(recorded("viscous_friction", "armature", rows=120, **true), PENDULUM)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    none = refine(bound, (), {}, path, LOOSE)
+    pair = tuple(EFFECTS[name]("pivot").bound(PENDULUM) for name in ("quadratic_drag", "armature"))
+    other = refine(bound, pair, {}, path, LOOSE)
+    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
+    exchange(bound, found)
+    best = found.ranked[0]
+    assert best.key == "armature.pivot+viscous_friction.pivot"
+    values = dict(zip((name.rpartition(".")[2] for name in best.names), best.mean, strict=True))
+    assert values["damping"] == pytest.approx(0.05, rel=0.15)
+    assert values["inertia"] == pytest.approx(0.02, rel=0.15)
