@@ -21,7 +21,7 @@ from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-SWAPS = 1
+SWAPS = 2
 """Candidates that are refined when one is to take another's place."""
 
 
@@ -35,7 +35,7 @@ def reduce(setting: Setting, found: Search) -> None:
     while len(best.effects) > 1:
         for effect in best.effects:
             rest = tuple(e for e in best.effects if e is not effect)
-            if key_of(rest) not in tried and not all(is_searched(e) for e in rest):
+            if key_of(rest) not in tried:
                 kept = best.searched if any(is_searched(e) for e in rest) else {}
                 cause = attempt(refine, setting, rest, values_of(best), best.path, FIRM, **kept)
                 if cause is not None:
