@@ -1,5 +1,8 @@
 """One effect less, or another in the place of one."""
 
+import sys
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -36,6 +39,23 @@ def test_a_set_loses_what_it_does_not_need():
     assert found.ranked[0].key == both.key
     reduce(bound, found)
     assert found.ranked[0].key == "viscous_friction.pivot"
+
+
+def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
+    """Beside outliers a coupling of no stiffness may have been what their parameters needed to be searched on."""
+    bound = setting(recorded(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    pair = tuple(e for e in considered(bound) if e.name in ("outliers", "viscous_friction"))
+    both = replace(none, effects=pair, log_evidence=none.log_evidence + 100, noise_log=-3.0, noise_sd={"rate": 0.1})
+    tried = {}
+
+    def refined(setting, effects, values, path, size, **kept):
+        tried[tuple(e.name for e in effects)] = kept
+
+    monkeypatch.setattr(sys.modules[reduce.__module__], "refine", refined)
+    reduce(bound, Search(considered(bound), {"": none, both.key: both}, [], path, stray))
+    assert tried == {("outliers",): both.searched, ("viscous_friction",): {}}
 
 
 def test_the_path_of_one_leads_to_another_that_is_like_it():
