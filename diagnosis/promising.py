@@ -48,7 +48,8 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     ]
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":
-        promising = [s for s in promising if s.log_evidence > idle(screened) and s.dprime > FAINT]
+        bar = idle(screened)
+        promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
     for place, each in enumerate(promising[:width]):
         gained, top = each.log_evidence - nothing, found.top
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).

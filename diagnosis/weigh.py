@@ -8,8 +8,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
 A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row.
 
-With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not improve
-the prediction of held-out rows is taken back.
+With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not surely
+improve the prediction of held-out rows is taken back.
 """
 
 from dataclasses import dataclass

@@ -5,18 +5,15 @@ from dataclasses import replace
 
 import pytest
 import torch
+from pendulum import PENDULUM
 
 from invdyn.diagnosis.exchange import exchange, reduce
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
-
-ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
-PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
 
 
 def recorded(*effects, rows=80, **values):
