@@ -7,8 +7,8 @@ step      The paper's planar arm (200 rows, 16 × 100 particles, controlled guid
           masses learned): seconds of one SVI step, the median of 5.
 memory    The same arm, longer: peak memory of a process that makes the guide and one SVI step, with the whole graph
           and with 50 rows of it at a time; 20 rows give what imports alone need.
-learn     The same arm: lengths from (1.20, .70) and masses from (.30, .40), truth (1, 1) and (.5, .3), in
-          rounds (4 × 50 particles), each with the smoother's path at the parameters so far; beside it the maximum
+learn     The same arm: lengths from (1.20, .70) and masses from (.30, .40), truth (1, 1) and (.5, .3), 156 steps
+          (4 × 50 particles), the guide made anew at the parameters so far every four; beside it the maximum
           of the linearised evidence and its posterior sd, which is what this much data can tell.
 coverage  The same arm and the same wrong start, by the method "vsmc" (50 steps; 128 filters of 50 particles, each with
           its own lengths and masses, prior e^(±2) round the start): on --sets simulated recordings of --frames rows,
@@ -33,7 +33,7 @@ import pyro
 import torch
 from planar_paper import paper_problem
 from pyro.infer import SVI
-from pyro.optim import Adam
+from pyro.optim import Adam, ClippedAdam
 from scipy.stats import binom
 
 from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, SMCOptions, fit, gauss_newton
@@ -44,7 +44,10 @@ from invdyn.models import LinearGaussian, StateSpaceModel
 
 LEARNED = ("body.length", "body.mass")
 WRONG = {"body.length": (1.20, 0.70), "body.mass": (0.30, 0.40)}
-ROUNDS = (*[0.05] * 6, *[0.02] * 3, *[0.005] * 4)  # learning rates; 12 steps each
+STEPS, FRESH = 156, 4
+"""Steps of learning, and after how many of them the guide is made anew: it holds the model where it was made."""
+RATE, SLOWER = 0.05, 0.1
+"""Learning rate at first, and its factor over all steps."""
 
 
 def published() -> tuple[LinearGaussian, torch.Tensor]:
@@ -126,11 +129,11 @@ def train(model: StateSpaceModel, y: torch.Tensor) -> StateSpaceModel:
     """The model with the learned parameters that VSMC ends at."""
     pyro.clear_param_store()
     learned = model.learn(LEARNED)
-    for number, rate in enumerate(ROUNDS):
-        # One rate for all: a guide that learns more slowly than the model holds it where the round began.
-        guide = Corrected(model, y, name=f"guide {number}")
-        svi = SVI(learned.sequence, guide, Adam({"lr": rate}), loss=VSMC_ELBO(50, 4))
-        for _ in range(12):
+    # One rate for all: a guide that learns more slowly than the model holds it where it was made.
+    optimiser = ClippedAdam({"lr": RATE, "lrd": SLOWER ** (1 / STEPS), "clip_norm": 100.0})
+    for number in range(STEPS // FRESH):
+        svi = SVI(learned.sequence, Corrected(model, y, name=f"guide {number}"), optimiser, loss=VSMC_ELBO(50, 4))
+        for _ in range(FRESH):
             svi.step(y)
         model = model.replace(**{name: pyro.param(name).detach().clone() for name in LEARNED})
     return model

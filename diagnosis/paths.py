@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.driven import driven
-from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.setting import LOOSE, Setting, calm
 from invdyn.inference.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
 
@@ -20,8 +20,8 @@ FIRM = 1e-3
 """Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
 SLACK = (1000.0, 100.0, 10.0, 1.0)
 """Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
-ITERATIONS, CLOSE = 6, 0.3
-"""Gauss–Newton steps at each of them, at most, and the gain in nats under which they end."""
+ITERATIONS, PATIENT, CLOSE = 6, 20, 0.3
+"""Gauss–Newton steps at each of them, at most, or all at once; and the gain in nats under which they end."""
 
 
 def data_path(setting: Setting) -> tuple[Tensor, bool]:
@@ -37,7 +37,9 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
         far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
     if not bool(far.any()):
         return path, False
-    return gauss_newton(_heavy_tailed(loose), setting.observations).path, True
+    # What jumps has led the first path to where it is: it must not be what the second one starts from.
+    start = gauss_newton(loose, calm(setting.observations)).path
+    return gauss_newton(_heavy_tailed(loose), setting.observations, start=start).path, True
 
 
 def _heavy_tailed(model: ArmModel) -> ArmModel:
@@ -61,6 +63,22 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
         quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
         path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
     return path
+
+
+def firmed(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+    """A path (T, D) under ``model`` and a smaller residual, of ``size``, than it was found with.
+
+    Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need to be led,
+    and the better of both paths is taken.
+    """
+    quiet = setting.with_residual(max(size, FIRM), model)
+    own = gauss_newton_path(quiet, setting.observations, path, PATIENT, CLOSE)
+    if not model.effects.abrupt:
+        return own
+    other = led(setting, model, path, size)
+    with torch.no_grad():
+        better = quiet.log_joint(own, setting.observations) >= quiet.log_joint(other, setting.observations)
+    return own if better else other
 
 
 def lifted(model: ArmModel, path: Tensor) -> Tensor:

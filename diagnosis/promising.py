@@ -27,8 +27,8 @@ KIN = (
 )
 """Effects that stand in for one another exactly: names, parameters, and the factor between them."""
 
-DOUBT = 5.0
-"""Nats by which the screen may err: less promising ones are not refined."""
+DOUBT, SURE = 5.0, 2.0
+"""Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
 
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
@@ -39,12 +39,13 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
     alone = log_prior_of(base.effects, found.candidates)
+    doubt = SURE if base.effects and base.complete else DOUBT
     promising = [
         s
         for s in screened
         if s.effect is not None
         and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
-        > alone - DOUBT
+        > alone - doubt
     ]
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":
@@ -56,15 +57,20 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
         least = most - HOPELESS if found.ranked[0].complete else min(most - HOPELESS, SHARE * most)
         if place >= (1 if found.ranked[0].complete else 3) and gained < least:
             continue
-        values = {f"{each.effect.key}.{name}": value for name, value in each.values.items()} | values_of(base)
         limits = {
             "enough": top - HOPELESS,
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         effects = (*base.effects, each.effect)
-        cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
-        if cause is not None:
-            found.add(cause)
+        for start in (each.values, each.elsewhere):
+            if start is None:
+                break
+            values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | values_of(base)
+            cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+            if cause is not None:
+                found.add(cause)
+                if cause.complete:
+                    break
 
 
 def idle(screened: Sequence[Screened]) -> float:

@@ -24,7 +24,7 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.noise import climb, grid, is_searched, log_prior_of
-from invdyn.diagnosis.paths import FIRM, led, lifted
+from invdyn.diagnosis.paths import FIRM, firmed, led, lifted
 from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
@@ -44,6 +44,8 @@ LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
 SETTLED = 0.1
 """Change of a parameter, in its own standard deviations, under which it stays."""
+UNKEPT = 0.5
+"""Nats that a last step may promise and nobody has seen."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Refined:
         noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
-        about: (p,) where it was expanded; ``mean`` is a step from there, straight where parameters are not.
+        about: (p,) where it was expanded; ``mean`` is at most a short step from there, straight where parameters are not.
     """
 
     effects: tuple[Effect, ...]
@@ -208,8 +210,13 @@ def refine(
     for stiffness in (0.1, 0.0):
         if patient and not best.complete and best.log_evidence >= enough:
             size = float(levels[best.by_size.argmax()])
-            firm = led(setting, among.set_in(model, best.mean), best.path, stiffness * size)
+            firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
+    if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
+        descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds)
+    if patient and (lost := best.log_evidence - worth) > UNKEPT:
+        # It never came to rest: what it is known to be worth is where it was expanded.
+        best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 

@@ -14,7 +14,7 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.candidates import Columns, Hypothesis, bursts, hypotheses, slopes
+from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.innovations import Innovations, innovations
 from invdyn.diagnosis.setting import Setting
@@ -23,7 +23,6 @@ from invdyn.inference.gauss_newton import linearise
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.missing import gaussian_rows
-from invdyn.models.state_space import gaussian_moments
 
 SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
@@ -73,12 +72,9 @@ def sizes(regime: str) -> np.ndarray:
 def whiten(setting: Setting, model: ArmModel, path: Tensor, columns: Columns, levels: np.ndarray) -> Whitened:
     """Whiten the data and ``columns`` about ``path`` under ``model``."""
     linear = linearise(setting.with_residual(1.0, model), path, setting.observations)
-    rows = torch.arange(len(path))
-    loud = setting.with_residual(1.0, model)
+    first, noise = linear.L[0], linear.L[1:]
     with torch.no_grad():
-        first = gaussian_moments(loud.initial())[1].numpy()
-        noise = gaussian_moments(loud.transition(path[:-1], rows[1:]))[1].numpy()
-        whitening, normaliser = gaussian_rows(model.emission(path, rows), setting.observations)
+        whitening, normaliser = gaussian_rows(model.emission(path, torch.arange(len(path))), setting.observations)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
@@ -197,6 +193,7 @@ class Screened:
         best: its best grid point; None for "no effect".
         columns: of that point: what is added as it is, if anything, then those of ``best.free``.
         values: estimates of all parameters there, by name.
+        elsewhere: those at the best other time, of an effect that acts for a while.
         size: the residual's, at its best.
         dprime: how far an effect of typical size would move the whitened data, in their sds; infinite for none.
         path: (T, D) along which.
@@ -208,6 +205,7 @@ class Screened:
     best: Hypothesis | None
     columns: Columns | None
     values: dict[str, float]
+    elsewhere: dict[str, float] | None
     size: float
     dprime: float
     path: Tensor
@@ -225,6 +223,15 @@ def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], firs
             norm = gram[1 + start + column, 1 + start + column]
             largest = max(largest, float(0.67 * sd * np.sqrt(norm)))
     return largest / kappa
+
+
+def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[str, float]:
+    """All parameters at a grid point, those that are free moved to where the regression has them, within bounds."""
+    values = dict(hypothesis.point)
+    for i, name in enumerate(hypothesis.free):
+        change = np.clip(result.mean[number, i], hypothesis.lower[i], hypothesis.upper[i])
+        values[name] = hypothesis.point[name] + float(change)
+    return values
 
 
 def screen(
@@ -262,10 +269,9 @@ def screen(
             part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
             size, place = np.unravel_index(part.argmax(), part.shape)
             best = found[mine[place]]
-            values = dict(best.point)
-            for i, name in enumerate(best.free):
-                change = np.clip(results[size].mean[mine[place], i], best.lower[i], best.upper[i])
-                values[name] = best.point[name] + float(change)
+            apart = [abs(found[i].point.get("start", 0.0) - best.point.get("start", 0.0)) > WINDOW for i in mine]
+            next_best = np.where(apart, part, -np.inf)
+            other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
             by_size = logsumexp(part, axis=1)
             own = [] if best.offset is None else [best.offset]
             own = first[mine[place]] + np.array([*own, *best.columns])
@@ -276,11 +282,12 @@ def screen(
                     by_size,
                     best,
                     Columns(columns.g[..., own], columns.d[..., own]),
-                    values,
+                    _estimates(best, results[size], mine[place]),
+                    None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
                     float(levels[size]),
                     _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
                     path,
                 )
             )
-    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, 0.0, np.inf, path))
+    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, None, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)

@@ -37,7 +37,7 @@ from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_searched
 from invdyn.diagnosis.screen import Screened, screen
-from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.setting import LOOSE, Setting, calm
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import Unknowns, unknowns
 from invdyn.models.effects.base import Effect
@@ -73,17 +73,22 @@ def search(
         )
     found = Search(candidates, {none.key: none}, [], path, stray)
     if setting.regime != "unknown_torque":
-        found.aside = led(setting, setting.model, path, FIRM)
+        usual = setting.observing(calm(setting.observations)) if stray else setting
+        found.aside = led(usual, setting.model, path, FIRM)
         if (alone := attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
             found.add(alone)
-    for number in range(1 if setting.regime == "unknown_torque" else FORWARD):
+    if stray:
+        _mistaken(setting, found)
+    extended: set[str] = set()
+    for _ in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
-        if not number <= len(best.effects) < MOST:
+        if best.key in extended or len(best.effects) >= MOST:
             break
-        screened = _extend(setting, found, best, WIDTH[number])
+        extended.add(best.key)
+        screened = _extend(setting, found, best, WIDTH[min(len(best.effects), FORWARD - 1)])
         if not found.first:
             found.first = screened
-            if setting.regime != "unknown_torque" and not found.ranked[0].complete:
+            if setting.regime != "unknown_torque" and not best.effects and not found.ranked[0].complete:
                 _several(setting, found)
                 reduce(setting, found)
         grown = found.ranked[0]
@@ -106,6 +111,21 @@ def search(
             _extend(setting, found, found.ranked[0], SWAPS)
         reduce(setting, found)
     return found
+
+
+def _mistaken(setting: Setting, found: Search) -> None:
+    """Refine what leaves stray detections by itself, along the path that does not follow them and the simulation's own.
+
+    Beside it other effects are looked for, and not instead of it: little else shows until that is said.
+    """
+    none = found.pool[""]
+    for path in [found.path] if found.aside is None else [found.aside, found.path]:
+        for effect in (e for e in found.candidates if e.name in MISTAKES):
+            base = none.moved_to(none.model, path)
+            if (cause := attempt(refine_searched, setting, base, effect)) is not None:
+                found.add(cause)
+        if found.ranked[0].complete:
+            return
 
 
 def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:

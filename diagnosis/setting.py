@@ -148,17 +148,17 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         model = model.driven_by(whole.model.time, whole.model.command)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
-    calm = _calm(problem.observations)
-    paths = model.initial_paths(calm)
+    usual = calm(problem.observations)
+    paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    model.substeps = sufficient_substeps(model, calm)
+    model.substeps = sufficient_substeps(model, usual)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
-def _calm(observations: Tensor) -> Tensor:
+def calm(observations: Tensor) -> Tensor:
     """Observations (T, O) without those that jump out of their neighbours' median: exchanged labels are no fast arm."""
     values = observations.numpy()
     padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")

@@ -57,7 +57,7 @@ class Affine(Proposal):
         start = gaussian_mean(model.initial()).detach()
         path = start.expand(model.num_steps, -1) if path is None else path.to(start)
         after = torch.arange(1, model.num_steps, device=model.device)
-        mean, slope = jacobian(lambda x: gaussian_mean(model.transition(x, after)), path[:-1])
+        mean, slope = jacobian(lambda x: gaussian_mean(model.transition(x, after)), path[:-1], path.shape[-1])
         sds = _noise_roots(model, path).detach().norm(dim=-1)
         offset = torch.cat([start[None], mean - (slope @ path[:-1, :, None]).squeeze(-1)])
         self._use(torch.cat([torch.zeros_like(slope[:1]), slope]), offset, sds)

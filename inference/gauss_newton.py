@@ -7,7 +7,8 @@ transition and the emission are linearised,
 
     x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
 
-and the linear problem is solved exactly by the recursions of :mod:`.square_root`. A step that
+and the linear problem is solved exactly, by one band Cholesky factor (:mod:`.banded`) where the mean is all that is
+asked for, by the recursions of :mod:`.square_root` where factors are, or many chains at once. A step that
 does not raise log p(x, y) is repeated with damping rows √μ (x_t − x̄_t)/s.
 
 With the last linearisation come the Laplace-type evidence (exact for linear-Gaussian models) and the
@@ -17,18 +18,15 @@ Shapes: observations (T, O), path (…, T, D); the leading dimensions are many p
 one model, each with its own path and damping. All in float64.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.square_root import (
-    BackwardFactors,
-    backward,
-    forward_covariance,
-    forward_mean,
-)
+from invdyn.inference.banded import Singular, chain_mean
+from invdyn.inference.square_root import BackwardFactors, backward, forward_covariance, forward_mean, log_abs_det
 from invdyn.models.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
@@ -72,10 +70,9 @@ class GaussianSmoother:
         return torch.as_tensor(forward_covariance(self.factors))
 
 
-def jacobian(function, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P), by one backward pass."""
+def jacobian(function, x: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P = ``size``), by one backward pass."""
     with torch.enable_grad():
-        size = function(x).shape[-1]
         copies = x.detach().expand(size, *x.shape).clone().requires_grad_()
         value = function(copies)
         # Copy i contributes output i only, so one gradient holds all rows.
@@ -90,13 +87,17 @@ def emission_mean(model: StateSpaceModel, state: Tensor, rows: Tensor) -> Tensor
     return getattr(emission, "base_dist", emission).loc
 
 
-def prior_chain(model: StateSpaceModel, path: Tensor) -> tuple[Tensor, Tensor]:
-    """Noise roots L (…, T, D, D) and prior mean m_0 − x̄_0 (…, D) of a model along ``path``."""
+def prior_chain(model: StateSpaceModel, path: Tensor, root: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Noise roots L (…, T, D, D) and prior mean m_0 − x̄_0 (…, D) of a model along ``path``.
+
+    ``root`` (…, T−1, D, D) are the transitions', if the caller has them.
+    """
     rows = torch.arange(path.shape[-2])
     batch, dim = path.shape[:-2], path.shape[-1]
     with torch.no_grad():
         mean, first = gaussian_moments(model.initial())
-        _, root = gaussian_moments(model.transition(path[..., :-1, :], rows[1:]))
+        if root is None:
+            _, root = gaussian_moments(model.transition(path[..., :-1, :], rows[1:]))
     # Parameter sets carry a row axis of length one; a single set carries none.
     mean = mean.reshape(*mean.shape[:-1], 1, dim) if mean.ndim == 1 else mean
     first = first.reshape(1, dim, dim) if first.ndim == 2 else first
@@ -107,12 +108,19 @@ def prior_chain(model: StateSpaceModel, path: Tensor) -> tuple[Tensor, Tensor]:
 
 def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Linearisation:
     """Linearise ``model`` along ``path`` (…, T, D) by tangents."""
-    rows = torch.arange(path.shape[-2])
-    predicted, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :])
-    h, H = jacobian(lambda x: emission_mean(model, x, rows), path)
+    rows, dim = torch.arange(path.shape[-2]), path.shape[-1]
+    roots = []
+
+    def moved(x: Tensor) -> Tensor:
+        transition = model.transition(x, rows[1:])
+        roots.append(gaussian_moments(transition)[1].expand(*x.shape, dim)[0].detach())
+        return gaussian_mean(transition)
+
+    predicted, F = jacobian(moved, path[..., :-1, :], dim)
+    h, H = jacobian(lambda x: emission_mean(model, x, rows), path, observations.shape[-1])
     if model.driven is not None:
         F[..., model.driven, :] = 0.0
-    L, m0 = prior_chain(model, path)
+    L, m0 = prior_chain(model, path, roots[0])
     with torch.no_grad():
         emission = model.emission(path, rows)
         whitening, constant = gaussian_rows(emission, observations)
@@ -128,14 +136,19 @@ def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Lin
 
 def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
     """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) is given."""
-    E, e = linear.E, linear.e
-    if damping is not None and np.any(damping > 0):
-        dim = E.shape[-1]
-        rows = np.sqrt(damping)[..., None, None, None] * np.diag(1 / scale)
-        rows = np.broadcast_to(rows, (*E.shape[:-2], dim, dim))
-        E = np.concatenate([E, rows], -2)
-        e = np.concatenate([e, np.zeros((*e.shape[:-1], dim))], -1)
-    return backward(linear.F, linear.a, linear.L, E, e, linear.m0, linear.V)
+    if damping is not None:
+        linear = _damped(linear, damping, scale)
+    return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
+
+
+def _damped(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> Linearisation:
+    if not np.any(damping > 0):
+        return linear
+    dim = linear.E.shape[-1]
+    rows = np.sqrt(damping)[..., None, None, None] * np.diag(1 / scale)
+    E = np.concatenate([linear.E, np.broadcast_to(rows, (*linear.E.shape[:-2], dim, dim))], -2)
+    e = np.concatenate([linear.e, np.zeros((*linear.e.shape[:-1], dim))], -1)
+    return replace(linear, E=E, e=e)
 
 
 def gauss_newton(
@@ -167,7 +180,6 @@ def gauss_newton(
     if start is None:
         start = _by_homotopy(model, observations)
     path, merit, done, linear = _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)
-    linear = linear or linearise(model, path, observations)
     factors = solve(linear)
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
     return GaussianSmoother(path, factors, linear, evidence, merit, done)
@@ -196,34 +208,62 @@ def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
 
 def _ascend(
     model: StateSpaceModel, observations: Tensor, path: Tensor, max_iterations: int, tolerance: float
-) -> tuple[Tensor, Tensor, Tensor, Linearisation | None]:
-    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation, if known."""
+) -> tuple[Tensor, Tensor, Tensor, Linearisation]:
+    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation there."""
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
     scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
     path = model.settled(path)
-    with torch.no_grad():
-        merit = model.log_joint(path, observations)
-    if not bool(torch.isfinite(merit).any()):
+    linear = linearise(model, path, observations)
+    merit = log_joint(linear)
+    if not np.isfinite(merit).any():
         raise ValueError("the starting path has no finite density: check noise scales and units")
-    damping = np.zeros(batch)
-    done = torch.zeros(batch, dtype=torch.bool)
-    linear = None
+    damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
-        linear = linear or linearise(model, path, observations)
-        factors = solve(linear, damping, scale)
-        candidate = model.settled(path + torch.as_tensor(forward_mean(factors, linear.m0)))
-        with torch.no_grad():
-            reached = model.log_joint(candidate, observations).nan_to_num(-torch.inf)
+        candidate = model.settled(path + torch.as_tensor(mean_step(linear, damping, scale)))
+        there = linearise(model, candidate, observations)
+        reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
         gain = reached - merit
         better = (gain >= 0) & ~done
-        if bool(better.any()):
-            path, linear = torch.where(better[..., None, None], candidate, path), None
-        merit = torch.where(better, reached, merit)
-        damping = np.where(better.numpy(), damping / 10, np.maximum(damping, 1e-5) * 10)
+        if better.any():
+            path = torch.where(torch.as_tensor(better)[..., None, None], candidate, path)
+            linear = there if better.all() else _where(better, there, linear)
+        merit = np.where(better, reached, merit)
+        damping = np.where(better, damping / 10, np.maximum(damping, 1e-5) * 10)
         damping = np.where(damping < 1e-4, 0.0, damping)
         # A step that gains nothing, or none that can, ends the search.
-        done = done | (better & (gain < tolerance)) | (gain.abs() < 1e-9) | torch.as_tensor(damping > 1e12)
-        if bool(done.all()):
+        done = done | (better & (gain < tolerance)) | (np.abs(gain) < 1e-9) | (damping > 1e12)
+        if done.all():
             break
-    return path, merit, done, linear
+    return path, torch.as_tensor(merit), torch.as_tensor(done), linear
+
+
+def _where(chosen: np.ndarray, one: Linearisation, other: Linearisation) -> Linearisation:
+    """One linearisation where ``chosen`` (…), another elsewhere."""
+
+    def pick(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.where(chosen.reshape(chosen.shape + (1,) * (a.ndim - chosen.ndim)), a, b)
+
+    names = ("F", "a", "L", "E", "e", "m0", "log_constant")
+    return Linearisation(**{name: pick(getattr(one, name), getattr(other, name)) for name in names})
+
+
+def log_joint(linear: Linearisation) -> np.ndarray:
+    """Log p(x̄, y) (…) of the path that a model was linearised along by tangents: exact, whatever lies beside it."""
+    driven = np.concatenate([linear.m0[..., None, :], linear.a], -2)
+    with np.errstate(all="ignore"):  # a path may have run away
+        own = np.linalg.solve(linear.L, driven[..., None])[..., 0]
+        squares = (own**2).sum((-2, -1)) + (linear.e**2).sum((-2, -1))
+        volume = log_abs_det(linear.L).sum(-1) + 0.5 * math.log(2 * math.pi) * driven.shape[-2] * driven.shape[-1]
+        return linear.log_constant - volume - 0.5 * squares
+
+
+def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Posterior mean (…, T, D) of a linearised model, damped as in :func:`solve`."""
+    if linear.F.ndim == 3 and linear.V is None:
+        damped = _damped(linear, damping, scale)
+        try:
+            return chain_mean(damped.F, damped.a, damped.L, damped.E, damped.e, damped.m0)
+        except Singular:
+            pass  # the recursions take chains without noise in some state
+    return forward_mean(solve(linear, damping, scale), linear.m0)

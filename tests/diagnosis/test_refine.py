@@ -17,7 +17,7 @@ from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import _distance, _within, key_of, refine
-from invdyn.diagnosis.setting import LOOSE, _calm, setting
+from invdyn.diagnosis.setting import LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body
@@ -33,12 +33,12 @@ def test_jumps_are_no_fast_arm():
     seen = arm.copy()
     seen[[20, 90, 91, 150]] = arm[[20, 90, 91, 150], ::-1]
     seen[120] = np.nan
-    calm = _calm(torch.as_tensor(seen)).numpy()
+    kept_only = calm(torch.as_tensor(seen)).numpy()
     jumped = np.abs(seen - arm) > 0.3
-    assert np.isnan(calm[jumped]).all()
-    kept = np.isfinite(calm)
+    assert np.isnan(kept_only[jumped]).all()
+    kept = np.isfinite(kept_only)
     assert kept[~jumped & np.isfinite(seen)].mean() > 0.97
-    np.testing.assert_array_equal(calm[kept], seen[kept])
+    np.testing.assert_array_equal(kept_only[kept], seen[kept])
 
 
 def test_evidence_of_a_linear_chain_is_exact():

@@ -75,7 +75,7 @@ def test_jacobian():
         return torch.sin(matrix @ x.unsqueeze(-1)).squeeze(-1)
 
     x = torch.randn(3, 4, 5, dtype=F64)
-    value, slope = jacobian(function, x)
+    value, slope = jacobian(function, x, 2)
     torch.testing.assert_close(value, function(x))
     expected = torch.cos(matrix @ x.unsqueeze(-1)) * matrix
     torch.testing.assert_close(slope, expected)
