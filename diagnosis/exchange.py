@@ -23,6 +23,8 @@ from invdyn.models.effects.hidden import HiddenHinge
 
 SWAPS = 2
 """Candidates that are refined when one is to take another's place."""
+HALF = 0.5
+"""Share of an effect's gain that another must have by the screen, to be tried in its place."""
 
 
 def reduce(setting: Setting, found: Search) -> None:
@@ -66,8 +68,11 @@ def exchange(setting: Setting, found: Search) -> None:
             model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
         free = free_beside(found, rest, old)
         screened = screen(setting, model, lifted(model, best.path), free, common, point, quiet=best.complete)
-        near = [s for s in screened if s.effect is None or s.log_evidence > found.top - HOPELESS]
-        refine_promising(setting, found, replace(best, effects=rest), near, SWAPS)
+        nothing = next(s.log_evidence for s in screened if s.effect is None)
+        # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
+        least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))
+        near = [s for s in screened if s.effect is None or s.log_evidence > least]
+        refine_promising(setting, found, replace(best, effects=rest, log_evidence=nothing), near, SWAPS)
     refine_kin(setting, found, len(best.effects))
 
 

@@ -6,8 +6,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     1  "no effect" by itself
     2  where the best single effect leaves something: from several values those that no screen tells the size of
        (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
-    3  given the best set so far, screen every effect that could be added, those on what is seen also along the
-       simulation's own path; refine the most promising ones
+    3  given the best set so far, screen every effect that could be added, the first one also along the simulation's
+       own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come after each screen, but play by itself only, and where nothing else explains the gap
@@ -141,9 +141,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     screened = screen(setting, model, path, straight, common, point, few)
-    refine_promising(
-        setting, found, base, _seen_aside(setting, found.aside, screened, common) if alone else screened, width
-    )
+    if alone:
+        screened = _aside(setting, found.aside, screened, common)
+    refine_promising(setting, found, base, screened, width)
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         for effect in (e for e in free if e.scan):
@@ -164,18 +164,15 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     return screened
 
 
-def _seen_aside(setting: Setting, path: Tensor, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
-    """Effects on what is seen stand where they do best: along the data's path, or along the simulation's own ``path``.
+def _aside(setting: Setting, path: Tensor, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
+    """Effects stand where they do best: along the data's path, or along the simulation's own ``path``.
 
-    Under a residual torque the arm follows the data; what the camera makes of them shows beside one that does not.
+    A large residual lets the arm follow the data, noise and all: what the camera makes of them shows beside a path
+    that does not, and so does a small inertia, which acceleration brings out.
     """
-    effects = [s.effect for s in screened if s.effect is not None and s.effect.side == "observation"]
-    aside = {
-        s.effect.key: s
-        for s in screen(setting, setting.model, path, effects, common, common.mean)
-        if s.effect is not None
-    }
-    best = [max(s, aside.get(s.effect.key, s), key=lambda s: s.log_evidence) if s.effect else s for s in screened]
+    effects = [s.effect for s in screened if s.effect is not None]
+    aside = {s.effect.key: s for s in screen(setting, setting.model, path, effects, common, common.mean) if s.effect}
+    best = [max(s, aside[s.effect.key], key=lambda s: s.log_evidence) if s.effect else s for s in screened]
     return sorted(best, key=lambda s: -s.log_evidence)
 
 
