@@ -84,10 +84,24 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)
 
 
+def unchanged(model: ArmModel, path: Tensor) -> tuple[Tensor, Tensor]:
+    """F (T−1, D) and h (T, O) of ``model`` along ``path`` (T, D)."""
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        return gaussian_mean(model.transition(path[:-1], rows[1:])), emission_mean(model, path, rows)
+
+
 def hypotheses(
-    model: ArmModel, effect: Effect, path: Tensor, windows: Sequence[tuple[float, float]] = ()
+    model: ArmModel,
+    effect: Effect,
+    path: Tensor,
+    plain: tuple[Tensor, Tensor],
+    windows: Sequence[tuple[float, float]] = (),
 ) -> tuple[list[Hypothesis], Columns]:
-    """All grid points of an effect and their columns; ``windows`` are times at which a push may have come."""
+    """All grid points of an effect and their columns.
+
+    ``plain`` is what :func:`unchanged` gives; ``windows`` are times at which a push may have come.
+    """
     effect = effect.bound(model.body)
     parameters = effect.parameters(model.scale)
     straight = [p for p in parameters if not p.grid]
@@ -137,10 +151,7 @@ def hypotheses(
                 offset,
             )
         )
-    f, h = changes(model, effect, sets, path)
-    rows = torch.arange(len(path))
-    with torch.no_grad():
-        f0, h0 = gaussian_mean(model.transition(path[:-1], rows[1:])), emission_mean(model, path, rows)
+    (f, h), (f0, h0) = changes(model, effect, sets, path), plain
 
     def column(values: Tensor, plain: Tensor, which: tuple) -> Tensor:
         here, other, step = which

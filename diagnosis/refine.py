@@ -64,7 +64,7 @@ class Refined:
         noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
-        about: (p,) where it was expanded; ``mean`` is at most a short step from there, straight where parameters are not.
+        about: (p,) where it was expanded; ``mean`` is at most a short step from there.
     """
 
     effects: tuple[Effect, ...]

@@ -14,12 +14,12 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes
+from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes, unchanged
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.innovations import Innovations, innovations
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns
-from invdyn.inference.gauss_newton import linearise
+from invdyn.inference.gauss_newton import Linearisation, linearise
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.missing import gaussian_rows
@@ -69,9 +69,21 @@ def sizes(regime: str) -> np.ndarray:
     return np.array(SLAB if regime == "unknown_torque" else (SPIKE, *SLAB))
 
 
-def whiten(setting: Setting, model: ArmModel, path: Tensor, columns: Columns, levels: np.ndarray) -> Whitened:
-    """Whiten the data and ``columns`` about ``path`` under ``model``."""
-    linear = linearise(setting.with_residual(1.0, model), path, setting.observations)
+def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:
+    """``model`` linearised about ``path``, with a residual of size one."""
+    return linearise(setting.with_residual(1.0, model), path, setting.observations)
+
+
+def whiten(
+    setting: Setting,
+    model: ArmModel,
+    path: Tensor,
+    columns: Columns,
+    levels: np.ndarray,
+    linear: Linearisation | None = None,
+) -> Whitened:
+    """Whiten the data and ``columns`` about ``path`` under ``model``; ``linear`` is what :func:`linear_of` gives."""
+    linear = linear or linear_of(setting, model, path)
     first, noise = linear.L[0], linear.L[1:]
     with torch.no_grad():
         whitening, normaliser = gaussian_rows(model.emission(path, torch.arange(len(path))), setting.observations)
@@ -103,13 +115,13 @@ def _square(root: np.ndarray) -> np.ndarray:
     return root @ np.swapaxes(root, -1, -2)
 
 
-def windows(setting: Setting, model: ArmModel, path: Tensor) -> list[tuple[float, float]]:
+def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
     """The ``PEAKS`` stretches of time in which a burst of torque on the joints would explain most."""
     K = model.body.num_joints
-    response = linearise(setting.with_residual(1.0, model), path, setting.observations).F[:, :, :K].copy()
+    response = linear.F[:, :, :K].copy()
     response[:, :K] = 0.0
     times, columns = bursts(model, response)
-    whitened = whiten(setting, model, path, columns, np.array([SPIKE, SLAB[0], SLAB[2]]))
+    whitened = whiten(setting, model, path, columns, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
     gains = np.zeros((3, len(times)))
     for g, gram in enumerate(whitened.gram):
         index = 1 + np.arange(len(times) * K).reshape(-1, K)
@@ -129,9 +141,10 @@ def blocks(
     model: ArmModel, effects: Sequence[Effect], path: Tensor, times: Sequence[tuple[float, float]] = ()
 ) -> Iterator[tuple[list[Hypothesis], Columns, list[int]]]:
     """Effects' hypotheses and columns side by side, in blocks that memory holds; and each hypothesis' first column."""
+    plain = unchanged(model, path)
     found, pieces, first, count = [], [], [], 0
     for effect in effects:
-        mine, columns = hypotheses(model, effect, path, times)
+        mine, columns = hypotheses(model, effect, path, plain, times)
         if count and count + columns.g.shape[-1] > BLOCK:
             yield found, beside(pieces), first
             found, pieces, first, count = [], [], [], 0
@@ -253,9 +266,10 @@ def screen(
     rest = slopes(model, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened = []
-    times = windows(setting, model, path) if any("start" in effect.located for effect in effects) else ()
+    linear = linear_of(setting, model, path)
+    times = windows(setting, model, path, linear) if any("start" in effect.located for effect in effects) else ()
     for found, columns, first in blocks(model, effects, path, times):
-        whitened = whiten(setting, model, path, beside([columns, rest]), levels)
+        whitened = whiten(setting, model, path, beside([columns, rest]), levels, linear)
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights

@@ -8,7 +8,7 @@ import torch
 from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 
-from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing
+from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, unchanged
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
@@ -69,7 +69,7 @@ def test_columns_of_every_effect(regime, name):
     for effect in considered(here):
         if effect.name != name:
             continue
-        found, columns = hypotheses(here.model, effect, path, ((0.1, 0.2),))
+        found, columns = hypotheses(here.model, effect, path, unchanged(here.model, path), ((0.1, 0.2),))
         J = columns.g.shape[-1]
         assert columns.g.shape == (T - 1, D, J)
         assert columns.d.shape == (T, O, J)
@@ -99,7 +99,7 @@ def test_columns_are_differences_of_the_model(name):
     model, path = bound().model, followed()
     effect = next(e for e in considered(bound()) if e.name == name)
     parameters = {p.name: p for p in effect.parameters(model.scale)}
-    found, columns = hypotheses(model, effect, path)
+    found, columns = hypotheses(model, effect, path, unchanged(model, path))
     ideal = means(model, path)
     for hypothesis in (found[0], found[-1]):
         point = hypothesis.point
@@ -120,7 +120,8 @@ def test_columns_are_differences_of_the_model(name):
 def test_a_push_may_come_in_any_window():
     effect = next(e for e in considered(bound()) if e.name == "external_push")
     windows = ((0.1, 0.2), (0.4, 0.5))
-    found, columns = hypotheses(bound().model, effect, followed(), windows)
+    model, path = bound().model, followed()
+    found, columns = hypotheses(model, effect, path, unchanged(model, path), windows)
     assert [(h.point["start"], h.point["stop"]) for h in found] == list(windows)
     time = bound().model.time.numpy()
     for hypothesis, (start, stop) in zip(found, windows, strict=True):
