@@ -14,7 +14,8 @@ Shapes: as in :mod:`.square_root`, without batch. L must be regular.
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-REFINEMENTS = 2
+REFINEMENTS, SETTLED = 2, 1e-7
+"""Steps of refinement, and the relative size of the last one from which on there are no digits to trust."""
 
 
 class Singular(ArithmeticError):
@@ -51,7 +52,10 @@ def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np
     x = solved(chain, e)
     for _ in range(REFINEMENTS):
         own, seen = rows(x)
-        x = x + solved(chain - own, e - seen)
+        step = solved(chain - own, e - seen)
+        x = x + step
+    if not np.linalg.norm(step / unit) <= SETTLED * np.linalg.norm(x / unit):
+        raise Singular("refinement does not settle")
     return x
 
 

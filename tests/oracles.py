@@ -154,3 +154,18 @@ def dense_log_evidence(chain, y):
     S = joint.reshape(steps * size, -1)[np.ix_(seen, seen)]
     surprise = flat[seen] - np.concatenate([chain.C @ m for m in mean])[seen]
     return -0.5 * (surprise @ np.linalg.solve(S, surprise) + np.linalg.slogdet(2 * np.pi * S)[1])
+
+
+CHAIN_DIM = 3
+
+
+def chain_numbers(seed=0, *, rows=2, extra=0, steps=6, batch=()):
+    """Random time-varying F, a, L, E, e, m0, V of :mod:`invdyn.inference.square_root`."""
+    rng = np.random.default_rng(seed)
+    F = 0.7 * rng.normal(size=(*batch, steps - 1, CHAIN_DIM, CHAIN_DIM))
+    a = rng.normal(size=(*batch, steps - 1, CHAIN_DIM))
+    L = np.tril(rng.normal(size=(*batch, steps, CHAIN_DIM, CHAIN_DIM)))
+    E, e = rng.normal(size=(*batch, steps, rows, CHAIN_DIM)), rng.normal(size=(*batch, steps, rows))
+    m0 = rng.normal(size=(*batch, CHAIN_DIM))
+    V = 0.5 * rng.normal(size=(*batch, steps - 1, CHAIN_DIM, extra)) if extra else None
+    return [F, a, L, E, e, m0, V]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.gauss_newton import jacobian
+from invdyn.inference.gauss_newton import jacobian, linearise, log_joint
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 
@@ -66,6 +66,20 @@ def test_many_parameter_sets_of_a_linear_model_are_a_loop():
         torch.testing.assert_close(found.path[i], alone.path, rtol=1e-8, atol=1e-8)
         torch.testing.assert_close(found.log_evidence[i], alone.log_evidence)
         torch.testing.assert_close(found.covariance()[i], alone.covariance(), rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("family", ["gaussian", "student_t"])
+@pytest.mark.parametrize("torque", [None, Matern32])
+def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
+    """Also where the emission's Gaussian is a fit only, rows are missing, and for many paths at once."""
+    options = {} if torque is None else {"torque": torque(2)}
+    model = arm(40, 0.01, emission=Emission([0, 1], family=family), **options)
+    torch.manual_seed(0)
+    paths, observations = model.simulate((3,))
+    observations = observations[0].clone()
+    observations[5:9, :2] = torch.nan
+    found = log_joint(linearise(model, paths, observations))
+    np.testing.assert_allclose(found, model.log_joint(paths, observations).numpy(), rtol=1e-10)
 
 
 def test_jacobian():

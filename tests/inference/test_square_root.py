@@ -3,22 +3,10 @@
 import numpy as np
 import oracles
 import pytest
+from oracles import CHAIN_DIM as DIM
+from oracles import chain_numbers
 
 from invdyn.inference.square_root import backward, forward_covariance, forward_mean
-
-STEPS, DIM, ROWS = 6, 3, 2
-
-
-def problem(seed=0, *, rows=ROWS, extra=0, steps=STEPS, batch=()):
-    """Random time-varying F, a, L, E, e, m0, V."""
-    rng = np.random.default_rng(seed)
-    F = 0.7 * rng.normal(size=(*batch, steps - 1, DIM, DIM))
-    a = rng.normal(size=(*batch, steps - 1, DIM))
-    L = np.tril(rng.normal(size=(*batch, steps, DIM, DIM)))
-    E, e = rng.normal(size=(*batch, steps, rows, DIM)), rng.normal(size=(*batch, steps, rows))
-    m0 = rng.normal(size=(*batch, DIM))
-    V = 0.5 * rng.normal(size=(*batch, steps - 1, DIM, extra)) if extra else None
-    return [F, a, L, E, e, m0, V]
 
 
 def assert_agrees(numbers, rtol=1e-9):
@@ -34,22 +22,22 @@ def assert_agrees(numbers, rtol=1e-9):
 @pytest.mark.parametrize("extra", [0, 1, 4])
 @pytest.mark.parametrize("rows", [1, 2, 5])
 def test_mean_covariance_and_evidence(rows, extra):
-    assert_agrees(problem(1, rows=rows, extra=extra))
+    assert_agrees(chain_numbers(1, rows=rows, extra=extra))
 
 
 def test_two_rows_of_time():
-    assert_agrees(problem(2, steps=2, extra=2))
+    assert_agrees(chain_numbers(2, steps=2, extra=2))
 
 
 def test_nothing_seen_is_the_prior():
-    numbers = problem(3, extra=2)
+    numbers = chain_numbers(3, extra=2)
     numbers[3][:], numbers[4][:] = 0.0, 0.0
     factors = assert_agrees(numbers)
     assert factors.log_evidence == pytest.approx(0.0, abs=1e-12)
 
 
 def test_rows_seen_only_here_and_there():
-    numbers = problem(4)
+    numbers = chain_numbers(4)
     numbers[3][[0, 2, 3]], numbers[4][[0, 2, 3]] = 0.0, 0.0
     numbers[3][4, 0], numbers[4][4, 0] = 0.0, 0.0
     assert_agrees(numbers)
@@ -57,7 +45,7 @@ def test_rows_seen_only_here_and_there():
 
 @pytest.mark.parametrize("extra", [0, 2])
 def test_singular_noise(extra):
-    numbers = problem(5, extra=extra)
+    numbers = chain_numbers(5, extra=extra)
     numbers[2][:, 1] = 0.0  # one coordinate moves without noise
     numbers[2][3] = 0.0  # and one step is wholly deterministic
     assert_agrees(numbers)
@@ -65,8 +53,8 @@ def test_singular_noise(extra):
 
 def test_sharp_observations_keep_their_digits():
     """Noise from 1e-9 to 1 side by side: nothing is squared, so half the digits stay."""
-    numbers = problem(6)
-    sharpness = 10.0 ** np.arange(0, 3 * STEPS, 3).clip(0, 9)
+    numbers = chain_numbers(6)
+    sharpness = 10.0 ** np.arange(0, 3 * len(numbers[2]), 3).clip(0, 9)
     numbers[3] *= sharpness[:, None, None]
     numbers[4] *= sharpness[:, None]
     factors = backward(*numbers)
@@ -100,7 +88,7 @@ def test_evidence_against_the_kalman_filter_with_its_normalisers():
 
 @pytest.mark.parametrize("extra", [0, 2])
 def test_a_batch_is_a_loop(extra):
-    numbers = problem(8, extra=extra, batch=(2, 4))
+    numbers = chain_numbers(8, extra=extra, batch=(2, 4))
     together = backward(*numbers)
     means, covs = forward_mean(together, numbers[5]), forward_covariance(together)
     assert together.log_evidence.shape == (2, 4)
@@ -114,10 +102,10 @@ def test_a_batch_is_a_loop(extra):
 @pytest.mark.parametrize("extra", [0, 2])
 def test_psi_is_the_likelihood_of_all_that_is_still_to_be_seen(extra):
     """ψ_t(x), and its integral over the step before, against the brute-force integral from x_t on."""
-    F, a, L, E, e, m0, V = problem(9, extra=extra)
+    F, a, L, E, e, m0, V = chain_numbers(9, extra=extra)
     factors = backward(F, a, L, E, e, m0, V)
     rng = np.random.default_rng(0)
-    for t in range(STEPS - 1):
+    for t in range(len(L) - 1):
         x = rng.normal(size=DIM)
         # x_t known: a chain that starts there with noise zero
         start = np.concatenate([np.zeros((1, DIM, DIM)), L[t + 1 :]])
