@@ -27,6 +27,8 @@ from invdyn.models.missing import gaussian_rows
 SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
 """Sizes of the residual torque, in typical torques."""
+LIMB = tuple(np.geomspace(2e-3, 30.0, 8))
+"""Those of a limb's own torque, which in fast motions is far above what holds the limb up."""
 
 PEAKS = 2
 """Stretches of time that are kept, for each size that they are sought under."""
@@ -66,7 +68,7 @@ class Whitened:
 
 def sizes(regime: str) -> np.ndarray:
     """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
-    return np.array(SLAB if regime == "unknown_torque" else (SPIKE, *SLAB))
+    return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
 
 
 def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:

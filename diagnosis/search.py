@@ -77,7 +77,7 @@ def search(
         found.aside = led(usual, setting.model, path, FIRM)
         if (alone := attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
             found.add(alone)
-    if stray:
+    if stray and setting.regime != "unknown_torque":
         _mistaken(setting, found)
     extended: set[str] = set()
     for _ in range(1 if setting.regime == "unknown_torque" else FORWARD):
@@ -119,7 +119,7 @@ def _mistaken(setting: Setting, found: Search) -> None:
     Beside it other effects are looked for, and not instead of it: little else shows until that is said.
     """
     none = found.pool[""]
-    for path in [found.path] if found.aside is None else [found.aside, found.path]:
+    for path in (found.aside, found.path):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
             base = none.moved_to(none.model, path)
             if (cause := attempt(refine_searched, setting, base, effect)) is not None:
