@@ -44,6 +44,8 @@ LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
 SETTLED = 0.1
 """Change of a parameter, in its own standard deviations, under which it stays."""
+SCALES = ("emission.keypoint_scale", "emission.angle_scale")
+"""Of the noise of what is seen."""
 UNKEPT = 0.5
 """Nats that a last step may promise and nobody has seen."""
 
@@ -107,11 +109,14 @@ class Refined:
         return replace(self, model=model, path=path)
 
     def carried_to(self, other: Setting) -> ArmModel:
-        """The model of another recording with this cause's effects and parameters."""
-        values = {name: value for name, value in self.model.parameters.items() if name.startswith(PREFIX)}
-        values |= {
-            name: self.model.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")
-        }
+        """The model of another recording with this cause's effects and parameters, and with the noise that they know.
+
+        What is said of the noise is said of its scale: another recording's own jitter is no part of it.
+        """
+        mine, names = self.model.parameters, ("body.mass", "body.com", "body.inertia", "body.length")
+        values = {name: value for name, value in mine.items() if name.startswith(PREFIX)}
+        values |= {name: mine[name] for name in names}
+        values |= {name: value for name, value in mine.items() if name in SCALES and name in other.model.parameters}
         return other.model.with_effects(*self.effects).replace(**values)
 
 
