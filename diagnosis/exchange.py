@@ -13,7 +13,7 @@ import numpy as np
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.promising import HOPELESS, attempt, refine_kin, refine_promising, values_of
+from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import key_of, refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import Setting
@@ -23,8 +23,6 @@ from invdyn.models.effects.hidden import HiddenHinge
 
 SWAPS = 2
 """Candidates that are refined when one is to take another's place."""
-HALF = 0.5
-"""Share of an effect's gain that another must have by the screen, to be tried in its place."""
 
 
 def reduce(setting: Setting, found: Search) -> None:

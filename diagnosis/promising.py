@@ -15,9 +15,9 @@ from invdyn.diagnosis.refine import Refined, refine
 from invdyn.diagnosis.screen import Screened, sizes
 from invdyn.diagnosis.setting import Setting
 
-HOPELESS, SHARE = 60.0, 0.1
-"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or, until one
-leaves nothing, has them gain so large a share of what the best gains: where much is to be gained, it errs by much."""
+HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
+"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them gain
+a share of what the best gains, where one leaves nothing half of it: where much is to be gained, it errs by much."""
 
 KIN = (
     ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
@@ -54,7 +54,7 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     for place, each in enumerate(promising[:width]):
         gained, top = each.log_evidence - nothing, found.top
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
-        least = most - HOPELESS if found.ranked[0].complete else min(most - HOPELESS, SHARE * most)
+        least = min(most - HOPELESS, (HALF if found.ranked[0].complete else SHARE) * most)
         if place >= (1 if found.ranked[0].complete else 3) and gained < least:
             continue
         limits = {

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from pendulum import PENDULUM
@@ -11,7 +12,9 @@ from invdyn.diagnosis.exchange import exchange, reduce
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -86,3 +89,29 @@ def test_in_a_set_too_one_gives_way_while_the_other_stays():
     values = dict(zip((name.rpartition(".")[2] for name in best.names), best.mean, strict=True))
     assert values["damping"] == pytest.approx(0.05, rel=0.15)
     assert values["inertia"] == pytest.approx(0.02, rel=0.15)
+
+
+def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
+    """A payload as heavy as its link moves what is seen on no straight line: the screen has half of it at most."""
+    bound = setting(recorded(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    old, *others = (EFFECTS[name]().bound(PENDULUM) for name in ("payload", "gravity_tilt", "camera_roll"))
+    best = replace(none, effects=(old,), log_evidence=none.log_evidence + 1000)
+    found = Search(considered(bound), {"": none, best.key: best}, [], path, stray)
+    module, gains = sys.modules[exchange.__module__], {"gravity_tilt": 510.0, "camera_roll": 490.0}
+
+    def screened(*_, **__):
+        first = screen(bound, bound.model, path, others, unknowns(bound, ()), np.zeros(0))
+        alone = next(s for s in first if s.effect is None)
+        nothing = replace(alone, log_evidence=none.log_evidence)
+        return [replace(s, log_evidence=none.log_evidence + gains[s.effect.name]) for s in first if s.effect] + [
+            nothing
+        ]
+
+    tried = []
+    monkeypatch.setattr(module, "screen", screened)
+    monkeypatch.setattr(module, "refine_promising", lambda *a: tried.extend(s.effect.name for s in a[3] if s.effect))
+    monkeypatch.setattr(module, "refine_kin", lambda *_: None)
+    exchange(bound, found)
+    assert tried == ["gravity_tilt"]

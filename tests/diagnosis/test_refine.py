@@ -1,5 +1,6 @@
 """Refined causes against exact Kalman evidence, quadrature and the truth."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -10,17 +11,19 @@ from oracles import kalman
 from pendulum import BRAKE, DAMPING, FRICTION, PENDULUM, ROD, at_best, causes, path_of, recorded, wheel, wheel_chain
 from scipy.integrate import quad
 from scipy.optimize import minimize
+from scipy.special import logsumexp
 from scipy.stats import halfnorm
 
 from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
-from invdyn.diagnosis.paths import FIRM, led, lifted
+from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import _distance, _within, key_of, refine
+from invdyn.diagnosis.screen import sizes
 from invdyn.diagnosis.setting import LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.inference.gauss_newton import gauss_newton
-from invdyn.models import Body
+from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -100,6 +103,71 @@ def test_a_path_is_led_through_what_sticks():
     quiet = gauss_newton(here.with_residual(FIRM, model), here.observations, start=path, max_iterations=1)
     assert quiet.log_joint > by_itself.log_joint + 1e4
     assert 3 < (path[1:, -1].abs() < 1e-3).sum() < len(path) / 2
+
+
+def test_a_path_is_kept_where_leading_it_would_do_worse(monkeypatch):
+    """The better of both paths under the smaller residual; where nothing sticks, none is led."""
+    here, effect, values = rubbed(0.3, 1.0)
+    model = here.model.with_effects(effect).replace(**values)
+    right = led(here, model, path_of(here), FIRM)
+    quiet = here.with_residual(FIRM, model)
+    paths = sys.modules[led.__module__]
+    monkeypatch.setattr(paths, "led", lambda *_: path_of(here))
+    kept = firmed(here, model, right, FIRM)
+    assert quiet.log_joint(kept, here.observations) >= quiet.log_joint(right, here.observations) - 1e-6
+    monkeypatch.setattr(paths, "led", lambda *_: right)
+    assert firmed(here, model, path_of(here), FIRM) is right  # Gauss–Newton by itself goes astray from there
+
+    def never(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(paths, "led", never)
+    smooth = firmed(here, here.model, path_of(here), FIRM)
+    assert here.with_residual(FIRM).log_joint(smooth, here.observations).isfinite()
+
+
+def test_what_never_rests_is_worth_what_was_seen(monkeypatch):
+    """Where every step promises more than the next one keeps, the cause stands where it was expanded."""
+    here, _, cause = causes()
+    monkeypatch.setattr(
+        sys.modules[refine.__module__],
+        "_within",
+        lambda among, point, mean, covariance: point + 3 * np.sqrt(np.diag(covariance)) * (-1) ** (point > DAMPING),
+    )
+    restless = refine(here, cause.effects, {}, path_of(here), LOOSE)
+    assert np.array_equal(restless.mean, restless.about)
+    assert restless.log_evidence == pytest.approx(logsumexp(restless.by_size))
+    assert restless.log_evidence < cause.log_evidence - 1
+    assert cause.log_evidence == pytest.approx(logsumexp(cause.by_size))
+
+
+def test_a_limbs_torque_may_be_far_above_what_holds_it_up():
+    """Torques of many times the load of gravity leave the noise what it is, and the body's numbers alone."""
+    weak = replace(PENDULUM, gravity=(0.0, -0.3))
+    arm = random_arm(weak, duration=2.0, fps=100, noise=0.002, torque_scale=1.0, commanded=False, seed=3)
+    here = setting(record(arm, 3)[0], weak)
+    assert here.regime == "unknown_torque"
+    cause = refine(here, (), {}, path_of(here), LOOSE)
+    assert sizes(here.regime)[cause.by_size.argmax()] > 1.0
+    assert cause.kappa < 1.1  # 1.5 under a typical torque
+
+
+def test_swapped_labels_do_not_bend_the_first_path():
+    """Runs of exchanged keypoints, too, which a smoothed start follows."""
+    links = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
+    body = Body("arm", links, gravity=(0.0, -9.81))
+    arm = random_arm(body, duration=4.0, fps=100, noise=0.001, torque_scale=0.5, commanded=True, seed=1)
+    recording = record(arm, 1)[0]
+    points, rng = recording.keypoints.copy(), np.random.default_rng(0)
+    swapped = rng.random(len(points)) < 0.05
+    points[swapped] = points[swapped][:, ::-1]
+    here, clean = (setting(replace(recording, keypoints=k), body) for k in (points, recording.keypoints))
+    path, stray = data_path(here)
+    assert stray
+    (_, found, _), (_, true, _) = here.model.split(path), clean.model.split(data_path(clean)[0])
+    assert (
+        torch.remainder(found - true + np.pi, 2 * np.pi).sub(np.pi).abs().max() < 0.6
+    )  # about the wrong way round it is π
 
 
 def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():

@@ -10,6 +10,7 @@ import pytest
 import torch
 from pyro.distributions import Normal
 
+from invdyn.diagnosis.candidates import WINDOW
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
@@ -19,7 +20,7 @@ from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, temper
 from invdyn.diagnosis.promising import refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, sizes
-from invdyn.diagnosis.search import _scan, _seen_aside, search
+from invdyn.diagnosis.search import _aside, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -115,13 +116,13 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
     path, _ = data_path(bound)
     common = unknowns(bound, ())
     along = screen(bound, bound.model, path, [e for e in considered(bound) if not is_searched(e)], common, common.mean)
-    aside = _seen_aside(bound, led(bound, bound.model, path, FIRM), along, common)
+    aside = _aside(bound, led(bound, bound.model, path, FIRM), along, common)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
     assert set(before) == set(after)
     here = shutter.key
     assert after[here].log_evidence > before[here].log_evidence + 5
     assert abs(after[here].values["readout"] - 0.15) < abs(before[here].values["readout"] - 0.15)
-    assert all(after[key].log_evidence >= before[key].log_evidence for key in before)
+    assert all(after[key].log_evidence >= before[key].log_evidence for key in before)  # those of the motion, too
     assert [s.log_evidence for s in aside] == sorted((s.log_evidence for s in aside), reverse=True)
 
 
@@ -220,6 +221,40 @@ def test_screen_is_a_ranking_of_all_and_none():
         assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
         for name, value in each.values.items():
             assert np.isfinite(value), (each.effect.key, name)
+
+
+def test_a_push_is_also_looked_for_at_another_time():
+    push = EFFECTS["external_push"]("tip").bound(PENDULUM)
+    here = setting(recorded(push, rows=120, force_x=5.0, force_y=2.0, start=0.7, stop=0.8), PENDULUM)
+    path, common = data_path(here)[0], unknowns(here, ())
+    effects = [push, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)]
+    screened = {s.effect.name: s for s in screen(here, here.model, path, effects, common, common.mean) if s.effect}
+    found = screened["external_push"]
+    assert abs(found.values["start"] - 0.7) < WINDOW
+    assert abs(found.elsewhere["start"] - found.values["start"]) > WINDOW
+    assert set(found.elsewhere) == set(found.values)
+    assert screened["viscous_friction"].elsewhere is None
+
+
+def test_stray_detections_are_explained_before_anything_else(monkeypatch):
+    """Under them nothing else can be told; what is refined is what may stand beside them."""
+    arm = random_arm(ARM, duration=3.0, fps=50, noise=0.001, torque_scale=1.0, commanded=True, seed=4)
+    recording = record(arm, 4)[0]
+    points = recording.keypoints.copy()
+    swapped = np.random.default_rng(1).random(len(points)) < 0.06
+    points[swapped] = points[swapped][:, ::-1]
+    bound = setting(replace(recording, keypoints=points), ARM)
+    path, stray = data_path(bound)
+    bases = []
+    searching = sys.modules[search.__module__]
+    plain = searching.refine_promising
+    monkeypatch.setattr(
+        searching, "refine_promising", lambda s, f, base, *rest: bases.append(base.key) or plain(s, f, base, *rest)
+    )
+    found = search(bound, path, stray)
+    assert found.ranked[0].key == "label_swap.elbow.wrist"
+    assert found.ranked[0].complete
+    assert bases[0] == "label_swap.elbow.wrist"
 
 
 # -- Occam's window and the prior -------------------------------------------------------------------------------

@@ -55,6 +55,16 @@ def test_another_recording_is_held_out():
     assert carried == pytest.approx(cause.mean[0])
 
 
+def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
+    """Its own jitter would be scaled by a factor that belongs to the first recording's."""
+    here, none, cause = causes()
+    quieter = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    name = "emission.keypoint_scale"
+    assert not torch.equal(here.model.parameters[name], quieter.model.parameters[name])
+    for each in (none, cause):
+        assert torch.equal(each.carried_to(quieter).parameters[name], here.model.parameters[name])
+
+
 def series(seed, rows=240, share=0.6):
     """Scores whose gap and gain wander as neighbours do: autoregressive, 0.05 s long at 100 rows a second."""
     rng = np.random.default_rng(seed)
