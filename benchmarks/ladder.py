@@ -87,7 +87,7 @@ def measure(guide: str, count: int, model: LinearGaussian, y: torch.Tensor, smoo
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recordings", type=int, default=3)
+    parser.add_argument("--recordings", type=int, default=3, help="two or more")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -100,7 +100,9 @@ def main() -> None:
         for guide in ("bootstrap", "bootstrap, adaptive", "controlled"):
             runs = [measure(guide, count, model, *pair) for pair in zip(recordings, smoothers, strict=True)]
             mean = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
-            cells = [f"{mean['x']:.4f}", f"{x:g}", f"{mean['y']:.4f}" if "y" in mean else "", f"{y:g}"]
+            error = {name: float(np.std([run[name] for run in runs], ddof=1) / len(runs) ** 0.5) for name in runs[0]}
+            cells = [f"{mean['x']:.4f} ± {error['x']:.4f}", f"{x:g}"]
+            cells += [f"{mean['y']:.4f} ± {error['y']:.4f}" if "y" in mean else "", f"{y:g}"]
             cells += [f"{mean['Z']:.2g}", f"{mean['smoothed']:.4f} ({mean['iid']:.4f})" if "iid" in mean else ""]
             print(f"| {count:,} | {guide} | " + " | ".join(cells) + f" | {mean['s']:.1f} |", flush=True)
 

@@ -165,9 +165,8 @@ def test_swapped_labels_do_not_bend_the_first_path():
     path, stray = data_path(here)
     assert stray
     (_, found, _), (_, true, _) = here.model.split(path), clean.model.split(data_path(clean)[0])
-    assert (
-        torch.remainder(found - true + np.pi, 2 * np.pi).sub(np.pi).abs().max() < 0.6
-    )  # about the wrong way round it is π
+    off = torch.remainder(found - true + np.pi, 2 * np.pi) - np.pi
+    assert off.abs().max() < 0.6  # 2.9 from a start that follows the labels
 
 
 def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():
