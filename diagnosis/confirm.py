@@ -23,9 +23,9 @@ from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
 from invdyn.diagnosis.refine import Refined
-from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.controlled import Controlled, _triangular
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.nested import OuterWeights, outer_weights

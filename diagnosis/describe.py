@@ -16,9 +16,9 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.refine import Refined
-from invdyn.diagnosis.screen import SLAB, whiten
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import SHARE
+from invdyn.diagnosis.whiten import SLAB, whiten
 from invdyn.inference.gauss_newton import linearise
 
 MOST = 3

@@ -1,7 +1,7 @@
 """Effects that no column describes, so that their few parameters are searched: those on the scatter, and play.
 
 Stray detections, exchanged labels, mistimed frames and noise that grows with speed change what an observation may
-be, not where it is expected. Their evidence is that of the data under the changed emission (:func:`.screen.whiten`
+be, not where it is expected. Their evidence is that of the data under the changed emission (:func:`.whiten.whiten`
 without any column), on a grid of their parameters first, and then by a simplex search of the logarithms from the
 best one on. The posterior's spread comes from the curvature there.
 

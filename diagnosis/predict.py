@@ -17,8 +17,8 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.refine import Refined
-from invdyn.diagnosis.screen import SPIKE, Whitened, sizes, whiten
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import SPIKE, Whitened, sizes, whiten
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
 

@@ -6,7 +6,7 @@ The number of effects at work comes first, then which ones, then where each acts
     P(place | effect) = 1/places.
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
-believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.screen`).
+believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.whiten`).
 
 Three effects at once are rarer than one that the catalogue lacks, which several together imitate well: of k ≥ 3 that
 are found, a share P(k)/(P(k) + P(lacking)), P(lacking) = .03, is believed; the rest is "outside the catalogue".

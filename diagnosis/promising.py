@@ -12,8 +12,9 @@ import torch
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import Refined, refine
-from invdyn.diagnosis.screen import Screened, sizes
+from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import sizes
 
 HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
 """Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them gain

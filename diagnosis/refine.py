@@ -23,11 +23,11 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import Regression, regression
-from invdyn.diagnosis.noise import climb, grid, is_searched, log_prior_of
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, firmed, led, lifted
-from invdyn.diagnosis.screen import Whitened, log_prior, sizes, whiten
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound
+from invdyn.diagnosis.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.whiten import Whitened, log_prior, sizes, whiten
 from invdyn.inference.gauss_newton import gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -36,9 +36,6 @@ from invdyn.models.effects.composition import PREFIX
 ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
-
-EARNED = 2.0
-"""Nats that an effect whose parameters are searched must gain over its base on the grid, to be searched further."""
 
 LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
@@ -254,52 +251,3 @@ def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[R
         regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
         for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
     ]
-
-
-def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
-    """``base`` and an effect whose parameters are searched: on the scatter (:mod:`.noise`), or play.
-
-    None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
-    """
-    parameters, points = grid(effect, setting.model.scale)
-    names = [f"{effect.key}.{p.name}" for p in parameters]
-    known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
-    model = base.model.with_effects(effect)
-    levels = sizes(setting.regime)
-    common = unknowns(setting, base.effects)
-    columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
-    path, some = base.path, _telling(base, levels)
-
-    most = np.array([upper_bound(p) for p in parameters])
-
-    def score(log_values: np.ndarray) -> float:
-        values = np.minimum(np.exp(log_values), most)
-        given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
-        here, there, those = model.replace(**given), path, columns
-        if model.driven is not None:
-            there = lifted(here, path)
-            those = slopes(here, common, base.mean, 0.05 * base.sd, there)
-        whitened = whiten(setting, here, there, those, levels[some])
-        by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
-        return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
-
-    tried = [score(np.log(point)) - log_prior_of(parameters, np.array(point)) for point in points]
-    if max(tried) + base.noise_log < max(base.log_evidence + EARNED, enough):
-        return None
-    start = np.log(points[int(np.argmax(tried))])
-    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, FIRM, rounds=2)
-    path, some = cause.path, _telling(cause, levels)
-    start, covariance, integral = climb(score, start)
-    start = np.minimum(start, np.log(most))
-    volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
-    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, FIRM, noise_log=base.noise_log + volume, rounds=3)
-    spreads = np.exp(start) * np.sqrt(np.diag(covariance))
-    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
-
-
-def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:
-    """Numbers of the sizes that matter to a cause: its best and their neighbours, and the spike."""
-    best = int(cause.by_size.argmax())
-    return np.unique(np.clip([0, best - 1, best, best + 1], 0, len(levels) - 1))

@@ -3,7 +3,7 @@
 Forward selection with replacement over sets of at most four effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
 set scored by its tempered evidence and its prior (:mod:`.prior`):
 
-    1  "no effect" by itself
+    1  "no effect" by itself; where detections are stray, what leaves them, before anything else
     2  where the best single effect leaves something: from several values those that no screen tells the size of
        (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added, the first one also along the simulation's
@@ -35,8 +35,9 @@ from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_kin, refine_promising, values_of
-from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine, refine_searched
+from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine
 from invdyn.diagnosis.screen import Screened, screen
+from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, Setting, calm
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import Unknowns, unknowns

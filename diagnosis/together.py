@@ -18,9 +18,10 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
-from invdyn.diagnosis.screen import Screened, beside, log_prior, sizes, whiten
+from invdyn.diagnosis.screen import Screened, beside
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns
+from invdyn.diagnosis.whiten import log_prior, sizes, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge

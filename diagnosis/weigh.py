@@ -22,8 +22,8 @@ from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size, correlation
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.refine import Refined
-from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import log_prior, sizes
 
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""

@@ -7,8 +7,8 @@ import torch
 from oracles import Chain
 
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.screen import log_prior, sizes
 from invdyn.diagnosis.setting import DECAY, LOOSE, setting
+from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS

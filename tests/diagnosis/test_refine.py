@@ -19,9 +19,9 @@ from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import _distance, _within, key_of, refine
-from invdyn.diagnosis.screen import sizes
 from invdyn.diagnosis.setting import LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.whiten import sizes
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS

@@ -19,13 +19,14 @@ from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
 from invdyn.diagnosis.promising import refine_promising
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.screen import screen, sizes
+from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.search import _aside, _scan, search
 from invdyn.diagnosis.separate import SHOWN_BY, separating_experiment
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.weigh import ALIKE, _alone
 from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
+from invdyn.diagnosis.whiten import sizes
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS

@@ -9,7 +9,8 @@ from pendulum import PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis.findings import finding
 from invdyn.diagnosis.noise import log_spread
-from invdyn.diagnosis.refine import refine, refine_searched
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record

@@ -7,10 +7,11 @@ import torch
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.screen import screen, sizes
+from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import setting
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.whiten import sizes
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.backlash import Backlash

@@ -1,0 +1,72 @@
+"""Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and play.
+
+Their evidence is looked at on a grid, with what the base has left free integrated out at each point; from the best
+point on it is climbed, and its curvature at the top is their integral's width (Laplace).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+
+from invdyn.diagnosis.candidates import slopes
+from invdyn.diagnosis.noise import climb, grid, log_prior_of
+from invdyn.diagnosis.paths import FIRM, lifted
+from invdyn.diagnosis.refine import Refined, expansions, refine
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.whiten import log_prior, sizes, whiten
+from invdyn.models.effects.base import Effect
+
+EARNED = 2.0
+"""Nats that an effect whose parameters are searched must gain over its base on the grid, to be searched further."""
+
+
+def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+    """``base`` and an effect whose parameters are searched: on the scatter (:mod:`.noise`), or play.
+
+    None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
+    """
+    parameters, points = grid(effect, setting.model.scale)
+    names = [f"{effect.key}.{p.name}" for p in parameters]
+    known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
+    model = base.model.with_effects(effect)
+    levels = sizes(setting.regime)
+    common = unknowns(setting, base.effects)
+    columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
+    path, some = base.path, _telling(base, levels)
+
+    most = np.array([upper_bound(p) for p in parameters])
+
+    def score(log_values: np.ndarray) -> float:
+        values = np.minimum(np.exp(log_values), most)
+        given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
+        here, there, those = model.replace(**given), path, columns
+        if model.driven is not None:
+            there = lifted(here, path)
+            those = slopes(here, common, base.mean, 0.05 * base.sd, there)
+        whitened = whiten(setting, here, there, those, levels[some])
+        by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
+        return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
+
+    tried = [score(np.log(point)) - log_prior_of(parameters, np.array(point)) for point in points]
+    if max(tried) + base.noise_log < max(base.log_evidence + EARNED, enough):
+        return None
+    start = np.log(points[int(np.argmax(tried))])
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, FIRM, rounds=2)
+    path, some = cause.path, _telling(cause, levels)
+    start, covariance, integral = climb(score, start)
+    start = np.minimum(start, np.log(most))
+    volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, FIRM, noise_log=base.noise_log + volume, rounds=3)
+    spreads = np.exp(start) * np.sqrt(np.diag(covariance))
+    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
+
+
+def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:
+    """Numbers of the sizes that matter to a cause: its best and their neighbours, and the spike."""
+    best = int(cause.by_size.argmax())
+    return np.unique(np.clip([0, best - 1, best, best + 1], 0, len(levels) - 1))

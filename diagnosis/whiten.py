@@ -1,0 +1,115 @@
+"""Data and columns, whitened about a path for every size of the residual torque.
+
+One Kalman pass (:mod:`.innovations`) under the model linearised about the path. Sizes: the *spike*, a residual far too
+small to matter, says "this cause explains all there is"; the *slab*, sizes spread evenly over the powers of ten up to a
+typical torque, says "something is left that the residual must imitate". A limb's own torque has no spike, and sizes up
+to thirty typical torques.
+
+Shapes: T rows, D states, O observations, J columns, G sizes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.innovations import Innovations, innovations
+from invdyn.diagnosis.setting import Setting
+from invdyn.inference.gauss_newton import Linearisation, linearise
+from invdyn.models import ArmModel
+from invdyn.models.missing import gaussian_rows
+
+SPIKE = 1e-4
+SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
+"""Sizes of the residual torque, in typical torques."""
+LIMB = tuple(np.geomspace(2e-3, 30.0, 8))
+"""Those of a limb's own torque, which in fast motions is far above what holds the limb up."""
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Data and columns, whitened for every size.
+
+    Attributes:
+        sizes: (G,) of the residual.
+        gram: (G, 1 + J, 1 + J).
+        row_log_det: (G, T) ½ log |S_t|, less the observations' own normaliser.
+        seen: (T,) observations seen in each row.
+        columns: (G, rows that were seen · O, 1 + J).
+    """
+
+    sizes: np.ndarray
+    gram: np.ndarray
+    row_log_det: np.ndarray
+    seen: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def log_det(self) -> np.ndarray:
+        """(G,): with it the regression's evidence is that of the data, not of whitened rows."""
+        return self.row_log_det.sum(-1)
+
+    @property
+    def count(self) -> int:
+        """Observations seen."""
+        return int(self.seen.sum())
+
+
+def sizes(regime: str) -> np.ndarray:
+    """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
+    return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
+
+
+def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:
+    """``model`` linearised about ``path``, with a residual of size one."""
+    return linearise(setting.with_residual(1.0, model), path, setting.observations)
+
+
+def whiten(
+    setting: Setting,
+    model: ArmModel,
+    path: Tensor,
+    columns: Columns,
+    levels: np.ndarray,
+    linear: Linearisation | None = None,
+) -> Whitened:
+    """Whiten the data and ``columns`` about ``path`` under ``model``; ``linear`` is what :func:`linear_of` gives."""
+    linear = linear or linear_of(setting, model, path)
+    first, noise = linear.L[0], linear.L[1:]
+    with torch.no_grad():
+        whitening, normaliser = gaussian_rows(model.emission(path, torch.arange(len(path))), setting.observations)
+    joints = model.body.num_joints
+    scale = np.ones((len(levels), model.state_dim))
+    scale[:, :joints] = levels[:, None]
+    Q = _square(scale[:, None, :, None] * noise)
+    P0 = _square(scale[:, :, None] * first)
+    result: Innovations = innovations(
+        linear.F,
+        linear.a,
+        Q,
+        linear.E,
+        linear.e,
+        linear.m0,
+        P0,
+        columns.g,
+        whitening.numpy()[..., None] * columns.d,
+    )
+    rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
+    w = result.columns[:, rows_seen]
+    # The regression counts −½ log 2π for each observation, as the normaliser does.
+    seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
+    row_log_det = result.log_det - normaliser.numpy() - 0.5 * np.log(2 * np.pi) * seen
+    return Whitened(levels, np.swapaxes(w, -1, -2) @ w, row_log_det, seen, w)
+
+
+def _square(root: np.ndarray) -> np.ndarray:
+    return root @ np.swapaxes(root, -1, -2)
+
+
+def log_prior(levels: np.ndarray) -> np.ndarray:
+    """Log prior weight of each size: half for the spike, where there is one."""
+    if levels[0] == SPIKE:
+        return np.log(np.r_[0.5, np.full(len(levels) - 1, 0.5 / (len(levels) - 1))])
+    return np.full(len(levels), -np.log(len(levels)))
