@@ -12,6 +12,8 @@ this model. That guide sees all of y: its filter's ε_x is its mean without the 
 squared distance of its own (twisted) mean from Kalman's smoother, which for N independent exact draws is
 trace(P_t)/N, in brackets. What has no Monte Carlo error at all is log Ẑ.
 
+± is the standard error over recordings.
+
     python benchmarks/ladder.py [--recordings 3]
 """
 
@@ -89,6 +91,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recordings", type=int, default=3, help="two or more")
     arguments = parser.parse_args()
+    if arguments.recordings < 2:
+        parser.error(f"expected two or more recordings, for a standard error, got {arguments.recordings}")
     torch.set_num_threads(1)
     torch.manual_seed(0)
     model = published()

@@ -47,7 +47,7 @@ WRONG = {"body.length": (1.20, 0.70), "body.mass": (0.30, 0.40)}
 STEPS, FRESH = 156, 4
 """Steps of learning, and after how many of them the guide is made anew: it holds the model where it was made."""
 RATE, SLOWER = 0.05, 0.1
-"""Learning rate at first, and its factor over all steps."""
+"""Learning rate at first, of each guide anew, and the factor by which that of the model falls over all steps."""
 
 
 def published() -> tuple[LinearGaussian, torch.Tensor]:
@@ -129,7 +129,7 @@ def train(model: StateSpaceModel, y: torch.Tensor) -> StateSpaceModel:
     """The model with the learned parameters that VSMC ends at."""
     pyro.clear_param_store()
     learned = model.learn(LEARNED)
-    # One rate for all: a guide that learns more slowly than the model holds it where it was made.
+    # A guide that learns more slowly than the model holds it where it was made: each begins with the first rate.
     optimiser = ClippedAdam({"lr": RATE, "lrd": SLOWER ** (1 / STEPS), "clip_norm": 100.0})
     for number in range(STEPS // FRESH):
         svi = SVI(learned.sequence, Corrected(model, y, name=f"guide {number}"), optimiser, loss=VSMC_ELBO(50, 4))

@@ -18,8 +18,7 @@ from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import SHARE
-from invdyn.diagnosis.whiten import SLAB, whiten
-from invdyn.inference.gauss_newton import linearise
+from invdyn.diagnosis.whiten import SLAB, linear_of, whiten
 
 MOST = 3
 """Terms in a formula."""
@@ -74,7 +73,7 @@ LIBRARY: dict[str, tuple[str, str, Feature]] = {
 def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     """Formula of what is left under ``cause``; None where no term earns its place."""
     terms, features = _library(setting, cause, path)
-    linear = linearise(setting.with_residual(1.0, cause.model), path, setting.observations)
+    linear = linear_of(setting, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
     response = linear.F[:, :, :K].copy()  # a torque on joint j, from row to row
     response[:, :K] = 0.0
@@ -84,7 +83,7 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     )
     d = np.zeros((len(path), setting.observations.shape[-1], len(terms)))
     levels = np.array([1e-3, *SLAB[:-1]])
-    whitened = whiten(setting, cause.model, path, Columns(g.reshape(len(path) - 1, D, -1), d), levels)
+    whitened = whiten(setting, cause.model, path, Columns(g.reshape(len(path) - 1, D, -1), d), levels, linear)
     typical = setting.typical.numpy()
     sd = np.array(
         [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]

@@ -8,6 +8,7 @@ explains, :mod:`.where` says where it lies, :mod:`.assemble` puts all together.
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
@@ -22,7 +23,7 @@ from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
 from invdyn.diagnosis.weigh import certain, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
-from invdyn.recordings import Recording, joined, write_text
+from invdyn.recordings import InputError, Recording, joined, write_text
 
 Progress = Callable[[int, int, str], None]
 """Called with (stages done, stages, what comes next)."""
@@ -51,8 +52,8 @@ def diagnose(
         seed: same seed, same result.
         progress: called with (done, total, what).
 
-    Raises InputError when the recording does not fit the body. Too few frames are no error but an answer:
-    :attr:`.Diagnosis.not_enough_data`.
+    Raises InputError when the recording does not fit the body, or the held-out one the recording. Too few frames are
+    no error but an answer: :attr:`.Diagnosis.not_enough_data`.
     """
 
     def report(stage: int, what: str) -> None:
@@ -66,9 +67,16 @@ def diagnose(
     except NotEnoughData as error:
         whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
         return nothing_to_say(whole, body, seed, passive, str(error))
+    if other is not None and other.regime != bound.regime:
+        raise InputError(
+            f"{other.problem.recording.name}: expected a held-out recording with torques "
+            f"{'that are unknown' if bound.regime == 'unknown_torque' else 'in it'}, as {bound.problem.recording.name} "
+            f"has, got {other.regime.replace('_', ' ')}: give both with torques, or hide those of both: --hide-torque"
+        )
     report(1, "screen and refine")
     path, stray = data_path(bound)
     bound = bound.shaped(path)
+    other = None if other is None else replace(other, shape=bound.shape)
     found = search(bound, path, stray, without)
     report(2, "confirm")
     weighed = weigh(bound, found, seed)

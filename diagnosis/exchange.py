@@ -70,7 +70,8 @@ def exchange(setting: Setting, found: Search) -> None:
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
         least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
-        refine_promising(setting, found, replace(best, effects=rest, log_evidence=nothing), near, SWAPS)
+        bared = replace(best, effects=rest, log_evidence=nothing, by_size=np.r_[-np.inf, best.by_size[1:]])
+        refine_promising(setting, found, bared, near, SWAPS)
     refine_kin(setting, found, len(best.effects))
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.driven import driven
-from invdyn.diagnosis.setting import LOOSE, Setting, calm
+from invdyn.diagnosis.setting import Setting, calm
 from invdyn.inference.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
 
@@ -29,7 +29,7 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
 
     And whether there are any.
     """
-    loose = setting.with_residual(LOOSE)
+    loose = setting.with_residual(setting.loose)
     path = gauss_newton(loose, setting.observations).path
     rows = torch.arange(len(path))
     with torch.no_grad():
@@ -60,7 +60,7 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
     names = [name for name in ("noise.angle", "noise.velocity", "noise.hidden") if name in model.parameters]
     for slack in SLACK:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = setting.with_residual(min(LOOSE, max(size, FIRM) * slack ** (2 / 3)), loose)
+        quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
         path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
     return path
 

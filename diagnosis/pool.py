@@ -20,7 +20,7 @@ class Search:
     Attributes:
         candidates: all effects at all places that were considered.
         pool: refined causes by key.
-        first: the screen of every single effect.
+        first: the screen of every single effect, beside stray detections if there are any.
         path: (T, D) that the data ask for, whatever the cause.
         aside: (T, D) of the simulation alone; None where nobody knows its torques.
         stray: whether some detections are far from it.

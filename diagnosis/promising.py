@@ -1,7 +1,7 @@
 """Screened effects that are worth refining, and their exact twins.
 
 A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
-screen says, which errs; until one effect leaves nothing, also if it gains a fair share of what the best gains.
+screen says, which errs, and if it gains a fair share of what the best one gains.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,8 +17,9 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
 
 HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
-"""Candidates beyond the third are refined where the screen has them within so many nats of the best, or has them gain
-a share of what the best gains, where one leaves nothing half of it: where much is to be gained, it errs by much."""
+"""Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
+many nats of the best, or gain a share of what the best gains (half, where one leaves nothing): of much it errs by
+much."""
 
 KIN = (
     ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),

@@ -6,8 +6,8 @@ parameters that it has reached; the regression on its columns then moves them, u
 on path and parameters in turns, and its evidence is that of the model linearised about both: a Laplace
 approximation.
 
-Where joints stick or strike, the first path is led to a stiff chain's by a homotopy (:mod:`.paths`), as are the paths
-of the last, stiffer rounds.
+Where joints stick or strike, the first path is led to a stiff chain's by a homotopy (:mod:`.paths`); in the last,
+stiffer rounds that one or what Gauss–Newton finds by itself, whichever is better.
 
 Nothing is assumed of the effects but that the model's three distributions follow their parameters smoothly enough for
 differences of a twentieth of their uncertainty. Parameters of all effects in the model are free.
@@ -41,8 +41,6 @@ LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
 SETTLED = 0.1
 """Change of a parameter, in its own standard deviations, under which it stays."""
-SCALES = ("emission.keypoint_scale", "emission.angle_scale")
-"""Of the noise of what is seen."""
 UNKEPT = 0.5
 """Nats that a last step may promise and nobody has seen."""
 
@@ -63,7 +61,7 @@ class Refined:
         noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
-        about: (p,) where it was expanded; ``mean`` is at most a short step from there.
+        about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
     """
 
     effects: tuple[Effect, ...]
@@ -108,13 +106,20 @@ class Refined:
     def carried_to(self, other: Setting) -> ArmModel:
         """The model of another recording with this cause's effects and parameters, and with the noise that they know.
 
-        What is said of the noise is said of its scale: another recording's own jitter is no part of it.
+        What is said of the noise is said of its scale: another recording's own jitter is no part of it, but at a
+        keypoint that this one did not track.
         """
-        mine, names = self.model.parameters, ("body.mass", "body.com", "body.inertia", "body.length")
-        values = {name: value for name, value in mine.items() if name.startswith(PREFIX)}
-        values |= {name: mine[name] for name in names}
-        values |= {name: value for name, value in mine.items() if name in SCALES and name in other.model.parameters}
-        return other.model.with_effects(*self.effects).replace(**values)
+        mine, theirs = self.model, other.model
+        values = {name: value for name, value in mine.parameters.items() if name.startswith(PREFIX)}
+        values |= {name: mine.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")}
+        keypoint, angle = "emission.keypoint_scale", "emission.angle_scale"
+        if keypoint in theirs.parameters:
+            known = dict(zip(mine.emission_model.tips, mine.parameters.get(keypoint, ()), strict=True))
+            own = zip(theirs.emission_model.tips, theirs.parameters[keypoint], strict=True)
+            values[keypoint] = torch.stack([known.get(tip, scale) for tip, scale in own])
+        if angle in theirs.parameters and angle in mine.parameters:
+            values[angle] = mine.parameters[angle]
+        return theirs.with_effects(*self.effects).replace(**values)
 
 
 def key_of(effects: Sequence[Effect]) -> str:
@@ -216,7 +221,7 @@ def refine(
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds)
-    if patient and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

@@ -10,7 +10,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
        own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
-       (:mod:`.noise`) come after each screen, but play by itself only, and where nothing else explains the gap
+       (:mod:`.noise`) come after each screen, but play alone or beside stray detections only, where nothing else
+       explains the gap
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
 
@@ -38,9 +39,9 @@ from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_ki
 from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine
 from invdyn.diagnosis.screen import Screened, screen
 from invdyn.diagnosis.searched import refine_searched
-from invdyn.diagnosis.setting import LOOSE, Setting, calm
+from invdyn.diagnosis.setting import Setting, calm
 from invdyn.diagnosis.together import together
-from invdyn.diagnosis.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
@@ -66,7 +67,7 @@ def search(
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
     candidates = considered(setting, without)
-    none = attempt(refine, setting, (), {}, path, LOOSE)
+    none = attempt(refine, setting, (), {}, path, setting.loose)
     if none is None:
         raise InputError(
             f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
@@ -86,18 +87,16 @@ def search(
         if best.key in extended or len(best.effects) >= MOST:
             break
         extended.add(best.key)
-        screened = _extend(setting, found, best, WIDTH[min(len(best.effects), FORWARD - 1)])
-        if not found.first:
-            found.first = screened
-            if setting.regime != "unknown_torque" and not best.effects and not found.ranked[0].complete:
-                _several(setting, found)
-                reduce(setting, found)
+        screened = _extend(setting, found, best, WIDTH[min(len(_others(best)), FORWARD - 1)])
+        if setting.regime != "unknown_torque" and not best.effects and not found.ranked[0].complete:
+            _several(setting, found, screened)
+            reduce(setting, found)
         grown = found.ranked[0]
         if len(grown.effects) == 2 and len(best.effects) == 1:
             for old in best.effects:
                 rest = tuple(effect for effect in grown.effects if effect.key != old.key)
                 base = found.pool.get(key_of(rest)) or attempt(
-                    refine, setting, rest, values_of(grown), grown.path, LOOSE
+                    refine, setting, rest, values_of(grown), grown.path, setting.loose
                 )
                 if base is not None:
                     found.add(base)
@@ -130,21 +129,23 @@ def _mistaken(setting: Setting, found: Search) -> None:
 
 
 def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
-    """Screen every effect that may join ``base``, refine the best ``width``, and keep them."""
+    """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
     straight = free_beside(found, base.effects)
-    common, alone = unknowns(setting, base.effects), not base.effects and setting.regime != "unknown_torque"
+    common = unknowns(setting, base.effects)
+    alone = not _others(base) and setting.regime != "unknown_torque"
     if base.effects:
         model, path, point = base.model, base.path, base.mean
     else:
         # The body as it is stated: without a cause its numbers have been bent to stand in for one.
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
-    screened = screen(setting, model, path, straight, common, point, few)
-    if alone:
-        screened = _aside(setting, found.aside, screened, common)
-    refine_promising(setting, found, base, screened, width)
+    screened = best = screen(setting, model, path, straight, common, point, few)
+    if alone and not few:
+        best = _aside(screened, screen(setting, model, found.aside, straight, common, point))
+    found.first = found.first or best
+    refine_promising(setting, found, base, best, width)
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         for effect in (e for e in free if e.scan):
@@ -165,22 +166,26 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     return screened
 
 
-def _aside(setting: Setting, path: Tensor, screened: Sequence[Screened], common: Unknowns) -> list[Screened]:
-    """Effects stand where they do best: along the data's path, or along the simulation's own ``path``.
+def _others(cause: Refined) -> list[Effect]:
+    """A cause's effects but those that leave stray detections."""
+    return [effect for effect in cause.effects if effect.name not in MISTAKES]
+
+
+def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:
+    """Effects, and none, stand where they do best: along the data's path, or ``aside``, along the simulation's own.
 
     A large residual lets the arm follow the data, noise and all: what the camera makes of them shows beside a path
     that does not, and so does a small inertia, which acceleration brings out.
     """
-    effects = [s.effect for s in screened if s.effect is not None]
-    aside = {s.effect.key: s for s in screen(setting, setting.model, path, effects, common, common.mean) if s.effect}
-    best = [max(s, aside[s.effect.key], key=lambda s: s.log_evidence) if s.effect else s for s in screened]
+    other = {s.effect and s.effect.key: s for s in aside}
+    best = [max(s, other[s.effect and s.effect.key], key=lambda s: s.log_evidence) for s in along]
     return sorted(best, key=lambda s: -s.log_evidence)
 
 
-def _several(setting: Setting, found: Search) -> None:
+def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     common, none = unknowns(setting, ()), found.pool[""].log_evidence
-    for sets in together(setting, setting.model, found.path, found.first, common, found.candidates, SETS):
+    for sets in together(setting, setting.model, found.path, screened, common, found.candidates, SETS):
         for each in sets:
             top = found.top
             limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}

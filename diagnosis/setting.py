@@ -31,8 +31,8 @@ FIRMER = 0.3
 """Of the dynamics' own noise in inference, where torques are known: what that noise can follow is no gap, and play or
 bending is so small. A limb's own torque follows more than that."""
 
-LOOSE = 0.3
-"""Size of the residual, in typical torques, under which the data's own path is found."""
+LOOSE, LOOSE_LIMB = 0.3, 3.0
+"""Size of the residual, in typical torques, under which the data's own path is found; a limb's own torque is larger."""
 
 LEAST = 0.1
 """Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
@@ -93,6 +93,11 @@ class Setting:
     def observations(self) -> Tensor:
         """(T, O), NaN where missing."""
         return self.problem.observations
+
+    @property
+    def loose(self) -> float:
+        """Size of the residual under which the data's own path is found."""
+        return LOOSE_LIMB if self.regime == "unknown_torque" else LOOSE
 
     @cached_property
     def typical(self) -> Tensor:

@@ -18,7 +18,7 @@ import torch
 from invdyn.diagnosis.paths import led
 from invdyn.diagnosis.predict import Scores, best_size, scores
 from invdyn.diagnosis.refine import Refined, refine
-from invdyn.diagnosis.setting import LOOSE, Setting
+from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import gauss_newton
 
 BLOCK = 0.4
@@ -55,7 +55,7 @@ def held_out_scores(
         pair = []
         for each in (none, cause):
             model = each.carried_to(other)
-            start = gauss_newton(other.with_residual(LOOSE, model), other.observations).path
+            start = gauss_newton(other.with_residual(other.loose, model), other.observations).path
             path = led(other, model, start, best_size(setting, each))
             pair.append(scores(other, each.moved_to(model, path)))
         return *pair, np.ones(len(other.observations), bool)

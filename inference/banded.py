@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 REFINEMENTS, SETTLED = 2, 1e-7
-"""Steps of refinement, and the relative size of the last one from which on there are no digits to trust."""
+"""Steps of refinement, and the relative size of the last one above which there are no digits to trust."""
 
 
 class Singular(ArithmeticError):
@@ -54,7 +54,8 @@ def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np
         own, seen = rows(x)
         step = solved(chain - own, e - seen)
         x = x + step
-    if not np.linalg.norm(step / unit) <= SETTLED * np.linalg.norm(x / unit):
+    # Columns have length one: a state's standard deviation is at least about that, and less than that is no error.
+    if not np.linalg.norm(step / unit) <= SETTLED * (1 + np.linalg.norm(x / unit)):
         raise Singular("refinement does not settle")
     return x
 

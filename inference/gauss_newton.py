@@ -251,19 +251,20 @@ def _where(chosen: np.ndarray, one: Linearisation, other: Linearisation) -> Line
 def log_joint(linear: Linearisation) -> np.ndarray:
     """Log p(x̄, y) (…) of the path that a model was linearised along by tangents: exact, whatever lies beside it."""
     driven = np.concatenate([linear.m0[..., None, :], linear.a], -2)
-    with np.errstate(all="ignore"):  # a path may have run away
-        own = np.linalg.solve(linear.L, driven[..., None])[..., 0]
+    still = np.diagonal(linear.L, axis1=-2, axis2=-1) == 0
+    with np.errstate(all="ignore"):  # a path may have run away, or have no density
+        own = np.linalg.solve(linear.L + still[..., None] * np.eye(driven.shape[-1]), driven[..., None])[..., 0]
         squares = (own**2).sum((-2, -1)) + (linear.e**2).sum((-2, -1))
         volume = log_abs_det(linear.L).sum(-1) + 0.5 * math.log(2 * math.pi) * driven.shape[-2] * driven.shape[-1]
-        return linear.log_constant - volume - 0.5 * squares
+        return np.where(still.any((-2, -1)), -np.inf, linear.log_constant - volume - 0.5 * squares)
 
 
 def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Posterior mean (…, T, D) of a linearised model, damped as in :func:`solve`."""
-    if linear.F.ndim == 3 and linear.V is None:
+    if linear.F.ndim == 3:
         damped = _damped(linear, damping, scale)
         try:
             return chain_mean(damped.F, damped.a, damped.L, damped.E, damped.e, damped.m0)
         except Singular:
-            pass  # the recursions take chains without noise in some state
+            pass  # the recursions square nothing
     return forward_mean(solve(linear, damping, scale), linear.m0)

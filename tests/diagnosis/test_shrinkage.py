@@ -1,5 +1,7 @@
 """How far the gap closes on held-out rows, with an interval that respects serial correlation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from invdyn.diagnosis.predict import Scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
+from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -63,6 +66,32 @@ def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
     assert not torch.equal(here.model.parameters[name], quieter.model.parameters[name])
     for each in (none, cause):
         assert torch.equal(each.carried_to(quieter).parameters[name], here.model.parameters[name])
+
+
+def test_the_noise_goes_with_its_keypoint():
+    """Another recording may have its columns in another order, or a keypoint that the first one did not track."""
+    links = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
+    body = Body("arm", links, gravity=(0.0, -9.81))
+    arm = random_arm(body, duration=1.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    both = record(arm, 0)[0]
+    turned = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])
+    one = replace(both, keypoints=both.keypoints[:, 1:], keypoint_names=both.keypoint_names[1:])
+    name = "emission.keypoint_scale"
+
+    def scales(first, second):
+        here, other = setting(first, body), setting(second, body)
+        carried = refine(here, (), {}, path_of(here), LOOSE, rounds=1).carried_to(other)
+        return [
+            dict(zip(model.emission_model.tips, model.parameters[name].tolist(), strict=True))
+            for model in (here.model, other.model, carried)
+        ]
+
+    mine, _, carried = scales(both, turned)
+    assert carried == mine
+    mine, _, carried = scales(both, one)
+    assert carried == {1: mine[1]}
+    mine, own, carried = scales(one, both)
+    assert carried == {0: own[0], 1: mine[1]}
 
 
 def series(seed, rows=240, share=0.6):
