@@ -36,6 +36,8 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     common = unknowns(setting, base.effects)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     path, some = base.path, _telling(base, levels)
+    # A larger residual than there is bends the path; a limb's own torque is as large as it was found.
+    size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
 
     most = np.array([upper_bound(p) for p in parameters])
 
@@ -55,13 +57,13 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         return None
     start = np.log(points[int(np.argmax(tried))])
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, FIRM, rounds=2)
+    cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     path, some = cause.path, _telling(cause, levels)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
     volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, FIRM, noise_log=base.noise_log + volume, rounds=3)
+    cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=base.noise_log + volume, rounds=3)
     spreads = np.exp(start) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
 
