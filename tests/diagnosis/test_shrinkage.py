@@ -7,12 +7,14 @@ import pytest
 import torch
 from pendulum import DAMPING, PENDULUM, causes, path_of, recorded
 
+from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.predict import Scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
 
 
@@ -66,6 +68,15 @@ def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
     assert not torch.equal(here.model.parameters[name], quieter.model.parameters[name])
     for each in (none, cause):
         assert torch.equal(each.carried_to(quieter).parameters[name], here.model.parameters[name])
+
+
+def test_a_held_out_recording_has_torques_as_the_other_one_has():
+    known = recorded()
+    hidden = replace(known, torques=None, name="other")
+    with pytest.raises(InputError, match=r"^other: expected a held-out recording with torques in it, .* --hide-torque$"):
+        diagnose(known, PENDULUM, held_out=hidden)
+    with pytest.raises(InputError, match=r"torques that are unknown, .* got commanded"):
+        diagnose(hidden, PENDULUM, held_out=known)
 
 
 def test_the_noise_goes_with_its_keypoint():
