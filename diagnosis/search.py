@@ -79,8 +79,8 @@ def search(
         found.aside = led(usual, setting.model, path, FIRM)
         if (alone := attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
             found.add(alone)
-    if stray and setting.regime != "unknown_torque":
-        _mistaken(setting, found)
+        if stray:
+            _mistaken(setting, found)
     extended: set[str] = set()
     for _ in range(1 if setting.regime == "unknown_torque" else FORWARD):
         best = found.ranked[0]
