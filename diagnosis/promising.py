@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
@@ -100,9 +101,24 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
                 value = known.pop(f"{mine.key}.{parameter[0]}")
                 values = known | {f"{other}.{parameter[1]}": factor * value}
                 size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
-                other_one = attempt(refine, setting, (*rest, twin), values, found.path, size, **cause.searched)
-                if other_one is not None:
-                    found.add(other_one)
+                ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
+                starts = [found.path] if ahead == 0.0 else [later(setting, cause.path, ahead), found.path]
+                for path in starts:
+                    other_one = attempt(refine, setting, (*rest, twin), values, path, size, **cause.searched)
+                    if other_one is not None:
+                        found.add(other_one)
+                        if other_one.complete:
+                            break
+
+
+def later(setting: Setting, path: Tensor, seconds: float) -> Tensor:
+    """What a path (T, D) is so much later, between its rows on a straight line, at its ends as it is.
+
+    The arm itself is ahead of a camera that lags.
+    """
+    time = setting.model.time.numpy()
+    at = np.clip(time + seconds, time[0], time[-1])
+    return torch.as_tensor(np.stack([np.interp(at, time, column) for column in path.numpy().T], -1))
 
 
 def attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:

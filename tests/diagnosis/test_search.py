@@ -17,7 +17,7 @@ from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
-from invdyn.diagnosis.promising import refine_promising
+from invdyn.diagnosis.promising import later, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.search import _aside, _scan, search
@@ -227,6 +227,17 @@ def test_screen_is_a_ranking_of_all_and_none():
         assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
         for name, value in each.values.items():
             assert np.isfinite(value), (each.effect.key, name)
+
+
+def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
+    """Whirling, the path of a delayed motor is no start for it: there it ends without a latency."""
+    bound = setting(recorded(), PENDULUM)
+    rows, time = len(bound.observations), bound.model.time
+    path = torch.stack([3.0 * time, time**0, -time], -1)
+    ahead = later(bound, path, 0.03)
+    assert torch.allclose(ahead[: rows - 2], path[: rows - 2] + 0.03 * torch.tensor([3.0, 0.0, -1.0]))
+    assert torch.equal(ahead[-1], path[-1])
+    assert torch.equal(later(bound, path, 0.0), path)
 
 
 def test_a_push_is_also_looked_for_at_another_time():
