@@ -51,14 +51,18 @@ def _whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[f
     return whiten(setting, cause.model, path, none, np.array(levels))
 
 
-def correlation(setting: Setting, cause: Refined) -> float:
-    """Of whitened prediction errors of neighbouring rows, all observations together: near 0 for a right simulation."""
+def correlation(setting: Setting, cause: Refined) -> tuple[float, float]:
+    """Of whitened prediction errors of neighbouring rows, all observations together; and its sd under no correlation.
+
+    Near 0 for a right simulation, but for chance: so many pairs n give 1/√n.
+    """
     whitened = _whitened(setting, cause, cause.path, [best_size(setting, cause)])
     errors = np.full(setting.observations.shape, np.nan)
     errors[whitened.seen > 0] = whitened.columns[0, :, 0].reshape(-1, errors.shape[-1])
     errors[np.isnan(setting.observations.numpy())] = np.nan
     pairs = errors[1:] * errors[:-1]
-    return float(np.nanmean(pairs) / np.nanmean(errors**2)) if np.isfinite(pairs).any() else 0.0
+    count = int(np.isfinite(pairs).sum())
+    return (float(np.nanmean(pairs) / np.nanmean(errors**2)), count**-0.5) if count else (0.0, 1.0)
 
 
 def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scores:

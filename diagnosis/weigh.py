@@ -34,9 +34,9 @@ FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
-ALIKE = 0.2
-"""Correlation of neighbouring errors of prediction from which on they are alike; a right simulation's have none, but
-for chance (some hundredths) and for what reality's effects are otherwise than the catalogue's."""
+ALIKE, CHANCE = 0.2, 2.0
+"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its standard
+deviations; a right simulation's have none, but for what reality's effects are otherwise than the catalogue's."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
     if bound.regime == "unknown_torque":
         return 1.0
-    if correlation(bound, cause) > ALIKE:
+    alike, chance = correlation(bound, cause)
+    if alike > ALIKE + CHANCE * chance:
         return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)

@@ -171,9 +171,11 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
     pool = Search([], {"": none}, [], path, False)
-    assert correlation(bound, wrong) > max(ALIKE, 0.5)
+    assert correlation(bound, wrong)[0] > max(ALIKE, 0.5)
     assert _alone(bound, pool, wrong) == 0.0
-    assert abs(correlation(bound, right)) < 4 / np.sqrt(2 * 80)
+    alike, chance = correlation(bound, right)
+    assert chance == pytest.approx(1 / np.sqrt(2 * 79))
+    assert abs(alike) < 4 * chance
     assert _alone(bound, pool, right) > 0.9
 
 
