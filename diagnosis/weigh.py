@@ -35,8 +35,9 @@ FAINT = 1e-4
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
 ALIKE, CHANCE = 0.2, 2.0
-"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its standard
-deviations; a right simulation's have none, but for what reality's effects are otherwise than the catalogue's."""
+"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
+standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
+catalogue's."""
 
 
 @dataclass(frozen=True)
