@@ -92,6 +92,9 @@ def _conditional_filter(
             if bool(need.any()):
                 drawn = resample(log_weights, "multinomial")
                 if held is not None:
+                    # Ancestors come sorted: a random one gives way to the held particle's, not the largest.
+                    out = torch.randint(size, (chains, 1), device=device)
+                    drawn = drawn.scatter(-1, out, drawn[:, -1:])
                     reach = model.transition(state, t).log_prob(held[:, t].unsqueeze(-2))
                     drawn[:, -1] = categorical(log_weights - twist + reach)
                 parents = torch.where(need.unsqueeze(-1), drawn, itself)

@@ -95,6 +95,18 @@ def test_an_exact_guide_gives_an_independent_draw():
     assert_exact(paths[fresh], means, covariances, int(fresh.sum()))
 
 
+def test_no_ancestor_is_preferred_by_its_number():
+    """With two particles, dropping one ancestor rather than another shows: the held one has the last number."""
+    model, y, means, covariances = small()
+    smoother = gauss_newton(model, y)
+    misled = Controlled(model, y, gauss_newton(model, 0.5 * y.roll(2, 0)))
+    torch.manual_seed(4)
+    paths = GaussianChain.of(smoother).sample((20_000,))
+    for _ in range(3):
+        paths = sweep(misled, y, paths, 2, threshold=1.0)
+    assert_exact(paths, means, covariances, 20_000)
+
+
 def test_blocks_move_and_leave_the_posterior_as_it_is():
     model, y, means, covariances = small()
     smoother = gauss_newton(model, y)
@@ -127,7 +139,7 @@ def test_a_nonlinear_model_and_its_data_keep_their_joint_distribution():
     paths = states
     for _ in range(3):
         paths = sweep(Bootstrap(model), rows, paths, 4, threshold=1.0)
-    assert (paths != states).any(-1).double().mean() > 0.5
+    assert (paths != states).any(-1).double().mean() > 0.4
 
     def moments(path):
         angle = path[..., 1]
