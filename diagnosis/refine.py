@@ -171,6 +171,8 @@ def refine(
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
         top = outcomes[int(by_size.argmax())]
+        if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
+            raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
         target = _within(among, point, top.mean[0], top.covariance[0])
         evidence = float(logsumexp(by_size))
         cause = Refined(
@@ -193,7 +195,12 @@ def refine(
         """Expand and move on, ``most`` times at most; the best stays."""
         nonlocal best, worth, step
         for done in range(most):
-            cause, target = once(point, path, stiffness * size)
+            try:
+                cause, target = once(point, path, stiffness * size)
+            except np.linalg.LinAlgError:
+                if best is None:
+                    raise
+                break  # a step too far; what was found before it stands
             used, size, path, sd = size, float(levels[cause.by_size.argmax()]), cause.path, cause.sd
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)

@@ -24,7 +24,7 @@ from invdyn.models.missing import gaussian_rows
 SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
 """Sizes of the residual torque, in typical torques."""
-LIMB = tuple(np.geomspace(2e-3, 30.0, 8))
+LIMB = tuple(np.geomspace(0.03, 30.0, 15))
 """Those of a limb's own torque, which in fast motions is far above what holds the limb up."""
 
 
