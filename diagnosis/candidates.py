@@ -85,7 +85,7 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
 
 
 def unchanged(model: ArmModel, path: Tensor) -> tuple[Tensor, Tensor]:
-    """F (T−1, D) and h (T, O) of ``model`` along ``path`` (T, D)."""
+    """Next states f (T−1, D) and what is seen h (T, O), as ``model`` has them along ``path`` (T, D)."""
     rows = torch.arange(len(path))
     with torch.no_grad():
         return gaussian_mean(model.transition(path[:-1], rows[1:])), emission_mean(model, path, rows)

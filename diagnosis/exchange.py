@@ -1,8 +1,7 @@
 """Sets of causes with one effect less, or another in the place of one.
 
 Forward selection goes astray where effects are alike or imitate others together; backward steps and exchanges mend it
-(sequential replacement:
-Miller 2002, "Subset selection in regression", ch. 3).
+(sequential replacement: Miller 2002, "Subset selection in regression", ch. 3).
 """
 
 from collections.abc import Sequence

@@ -16,6 +16,7 @@ from invdyn.diagnosis.refine import Refined, refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
+from invdyn.models.effects.base import Effect
 
 HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
 """Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
@@ -86,20 +87,25 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
 
     A screen along the data's path cannot see them: the path itself is what they shift.
     """
+    single = setting.model.body.num_joints == 1  # whose effect on one joint is that on all
+
+    def is_(effect: Effect, name: str) -> bool:
+        return effect.key == name or (single and effect.name == name)
+
     for cause in list(found.pool.values()):
         if len(cause.effects) != number or cause.log_evidence < found.top - HOPELESS:
             continue
         for mine in cause.effects:
             for name, other, parameter, factor in KIN:
-                twin = next((e for e in found.candidates if e.key == other), None)
-                if mine.key != name or twin is None or any(e.key == other for e in cause.effects):
+                twin = next((e for e in found.candidates if is_(e, other)), None)
+                if not is_(mine, name) or twin is None or any(is_(e, other) for e in cause.effects):
                     continue
                 if setting.regime == "unknown_torque" and imitable(twin):
                     continue
                 rest = tuple(e for e in cause.effects if e is not mine)
                 known = values_of(cause)
                 value = known.pop(f"{mine.key}.{parameter[0]}")
-                values = known | {f"{other}.{parameter[1]}": factor * value}
+                values = known | {f"{twin.key}.{parameter[1]}": factor * value}
                 size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
                 ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
                 starts = [found.path] if ahead == 0.0 else [later(setting, cause.path, ahead), found.path]

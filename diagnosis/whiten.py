@@ -18,6 +18,7 @@ from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.innovations import Innovations, innovations
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import Linearisation, linearise
+from invdyn.inference.square_root import square
 from invdyn.models import ArmModel
 from invdyn.models.missing import gaussian_rows
 
@@ -83,8 +84,8 @@ def whiten(
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
-    Q = _square(scale[:, None, :, None] * noise)
-    P0 = _square(scale[:, :, None] * first)
+    Q = square(scale[:, None, :, None] * noise)
+    P0 = square(scale[:, :, None] * first)
     result: Innovations = innovations(
         linear.F,
         linear.a,
@@ -102,10 +103,6 @@ def whiten(
     seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
     row_log_det = result.log_det - normaliser.numpy() - 0.5 * np.log(2 * np.pi) * seen
     return Whitened(levels, np.swapaxes(w, -1, -2) @ w, row_log_det, seen, w)
-
-
-def _square(root: np.ndarray) -> np.ndarray:
-    return root @ np.swapaxes(root, -1, -2)
 
 
 def log_prior(levels: np.ndarray) -> np.ndarray:

@@ -14,6 +14,8 @@ Shapes: as in :mod:`.square_root`, without batch. L must be regular.
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
+from invdyn.inference.square_root import apply
+
 REFINEMENTS, SETTLED = 2, 1e-7
 """Steps of refinement, and the relative size of the last one above which there are no digits to trust."""
 
@@ -37,18 +39,18 @@ def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np
 
     def rows(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A x, the chain's and the observations' part."""
-        chain = _apply(inverse, x)
-        chain[1:] -= _apply(back, x[:-1])
-        return chain, _apply(E, x)
+        chain = apply(inverse, x)
+        chain[1:] -= apply(back, x[:-1])
+        return chain, apply(E, x)
 
     def solved(chain: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """(AᵀA)⁻¹ Aᵀ times such rows."""
-        right = _apply(_transposed(inverse), chain) + _apply(_transposed(E), seen)
-        right[:-1] -= _apply(_transposed(back), chain[1:])
+        right = apply(_transposed(inverse), chain) + apply(_transposed(E), seen)
+        right[:-1] -= apply(_transposed(back), chain[1:])
         solution, _ = dpbtrs(factor, (unit * right).reshape(-1, 1), lower=1)
         return unit * solution.reshape(unit.shape)
 
-    chain = _apply(inverse, np.concatenate([m0[None], a]))
+    chain = apply(inverse, np.concatenate([m0[None], a]))
     x = solved(chain, e)
     for _ in range(REFINEMENTS):
         own, seen = rows(x)
@@ -80,7 +82,3 @@ def _gram(matrix: np.ndarray) -> np.ndarray:
 
 def _transposed(matrix: np.ndarray) -> np.ndarray:
     return np.swapaxes(matrix, -1, -2)
-
-
-def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return (matrix @ vector[..., None])[..., 0]

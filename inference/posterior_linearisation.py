@@ -25,7 +25,7 @@ from invdyn.inference.gauss_newton import (
     prior_chain,
     solve,
 )
-from invdyn.inference.square_root import forward_mean
+from invdyn.inference.square_root import apply, forward_mean
 from invdyn.models.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
@@ -120,9 +120,6 @@ def _root(covariance: Tensor) -> Tensor:
 
 
 def _recentred(linear: Linearisation, shift: np.ndarray) -> Linearisation:
-    def apply(matrix, vector):
-        return (matrix @ vector[..., None])[..., 0]
-
     before, after = shift[..., :-1, :], shift[..., 1:, :]
     return Linearisation(
         F=linear.F,

@@ -95,7 +95,7 @@ def backward(
             if extra:
                 fold[..., extra:inner, :extra] = later @ V[..., t, :, :]
             fold[..., extra:inner, extra:inner] = later @ F[..., t, :, :]
-            fold[..., extra:inner, inner] = alpha[..., t + 1, :] - _apply(later, a[..., t, :])
+            fold[..., extra:inner, inner] = alpha[..., t + 1, :] - apply(later, a[..., t, :])
         fold[..., inner : inner + rows, extra:inner] = E[..., t, :, :]
         fold[..., inner : inner + rows, inner] = e[..., t, :]
         triangle = _triangle(fold)
@@ -124,8 +124,8 @@ def backward(
     spread = np.zeros((*batch, steps - 1, dim, 0))
     if extra:
         spread = V @ np.linalg.inv(S)
-        F, a = F - spread @ C, a + _apply(spread, s)
-    misfit = _apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
+        F, a = F - spread @ C, a + apply(spread, s)
+    misfit = apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
     log_evidence = log_n[..., 0] - 0.5 * (misfit**2).sum(-1)
     return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, spread, log_evidence)
 
@@ -161,7 +161,7 @@ def _upper(rows: int, columns: int) -> np.ndarray:
 def conditional(R: np.ndarray, B: np.ndarray, r: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
     """Gain, offset and root of x = m + L w given m, from :func:`eliminate`'s R, B and r."""
     root = L @ np.linalg.inv(R)
-    return np.eye(L.shape[-1]) - root @ B, _apply(root, r), root
+    return np.eye(L.shape[-1]) - root @ B, apply(root, r), root
 
 
 def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
@@ -170,16 +170,16 @@ def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
     path = np.zeros_like(factors.offset)
     predicted = m0
     for t in range(steps):
-        path[..., t, :] = _apply(factors.gain[..., t, :, :], predicted) + factors.offset[..., t, :]
+        path[..., t, :] = apply(factors.gain[..., t, :, :], predicted) + factors.offset[..., t, :]
         if t < steps - 1:
-            predicted = _apply(factors.F[..., t, :, :], path[..., t, :]) + factors.a[..., t, :]
+            predicted = apply(factors.F[..., t, :, :], path[..., t, :]) + factors.a[..., t, :]
     return path
 
 
 def forward_covariance(factors: BackwardFactors) -> np.ndarray:
     """Posterior marginal covariances (…, T, D, D); sums of squares, hence never indefinite."""
-    covariance = _square(factors.root)
-    covariance[..., 1:, :, :] += _square(factors.gain[..., 1:, :, :] @ factors.spread)
+    covariance = square(factors.root)
+    covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.spread)
     step = factors.gain[..., 1:, :, :] @ factors.F
     for t in range(step.shape[-3]):
         one = step[..., t, :, :]
@@ -187,7 +187,8 @@ def forward_covariance(factors: BackwardFactors) -> np.ndarray:
     return covariance
 
 
-def _square(root: np.ndarray) -> np.ndarray:
+def square(root: np.ndarray) -> np.ndarray:
+    """L Lᵀ (…, D, D) of roots L."""
     return root @ np.swapaxes(root, -1, -2)
 
 
@@ -196,5 +197,6 @@ def log_abs_det(triangle: np.ndarray) -> np.ndarray:
     return np.log(np.abs(np.diagonal(triangle, axis1=-2, axis2=-1))).sum(-1)
 
 
-def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrices (…, P, D) times vectors (…, D)."""
     return (matrix @ vector[..., None])[..., 0]

@@ -17,7 +17,7 @@ from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
-from invdyn.diagnosis.promising import later, refine_promising
+from invdyn.diagnosis.promising import KIN, later, refine_kin, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.search import _aside, _scan, search
@@ -232,7 +232,6 @@ def test_screen_is_a_ranking_of_all_and_none():
 
 
 def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
-    """Whirling, the path of a delayed motor is no start for it: there it ends without a latency."""
     bound = setting(recorded(), PENDULUM)
     rows, time = len(bound.observations), bound.model.time
     path = torch.stack([3.0 * time, time**0, -time], -1)
@@ -240,6 +239,25 @@ def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
     assert torch.allclose(ahead[: rows - 2], path[: rows - 2] + 0.03 * torch.tensor([3.0, 0.0, -1.0]))
     assert torch.equal(ahead[-1], path[-1])
     assert torch.equal(later(bound, path, 0.0), path)
+
+
+@pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
+@pytest.mark.parametrize(("name", "twin", "parameter", "sign"), [KIN[0], KIN[1]])
+def test_the_twin_of_a_delay_starts_from_a_path_of_its_own(monkeypatch, name, twin, parameter, sign, body):
+    """On one joint the motors' delay is that of its motor."""
+    bound = setting(recorded(body=body), body)
+    path, stray = data_path(bound)
+    none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
+    one = next(e for e in candidates if e.name == name)
+    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter[0]}",), mean=np.array([0.03]))
+    started = []
+    monkeypatch.setattr(
+        sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
+    )
+    refine_kin(bound, Search(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    shift = 0.03 if twin == "camera_latency" else -0.03
+    assert torch.equal(started[0], later(bound, cause.path, shift))
+    assert torch.equal(started[1], path)
 
 
 def test_a_push_is_also_looked_for_at_another_time():
