@@ -325,7 +325,13 @@ class ArmModel(ArmRow, StateSpaceModel):
         if not (effects.has_points or effects.has_noise or effects.has_mistakes):
             return self.emission_model.distribution(tips, q, t, p)
         elapsed = self._elapsed[t].to(state).unsqueeze(-1)
-        view = effects.points(p, View(q, qd, lambda: self._acceleration(state, t, body), body, elapsed, tips))
+
+        def ahead(seconds: Tensor) -> Tensor:
+            moved = self._ahead(state, t, body, seconds)
+            return self.dynamics.keypoints(moved, body) - self.dynamics.keypoints(q, body)
+
+        view = View(q, qd, lambda: self._bending(state, t, body), ahead, body, elapsed, tips)
+        view = effects.points(p, view)
         noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
         return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p, view))
 

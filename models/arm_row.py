@@ -87,15 +87,29 @@ class ArmRow:
         """All torques, and the joints' own inertias."""
         return (torque + self._friction(torque, own, now) if self.effects.has_friction else torque), own
 
-    def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
-        """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on; no hidden hinge moves."""
+    def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters, command: Tensor | None) -> Tensor:
+        """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
         z, q, qd = self.split(state)
         torque = z[..., : self.body.num_joints]
-        if self.command is not None:
-            mean, slope = (row.to(state) for row in self.motors.row(t + 1))
-            torque = torque + mean - slope / 2
+        torque = torque if command is None else torque + command
         torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, self._interval(t)))
         return self.dynamics.forward(q, qd, torque, body, own)
+
+    def _bending(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
+        """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on."""
+        mean, slope = (row.to(state) for row in self.motors.row(t + 1))
+        return self._acceleration(state, t, body, None if self.command is None else mean - slope / 2)
+
+    def _ahead(self, state: Tensor, t: int | Tensor, body: BodyParameters, seconds: Tensor) -> Tensor:
+        """θ so many ``seconds`` τ (..., 1) after row ``t``, (..., K), to third order: q + τ q̇ + ½ τ² q̈(τ/3).
+
+        ½ τ² q̈ stands for ∫₀^τ (τ − s) q̈ ds, whose weight has its middle at τ/3; the command, which jumps, has its own.
+        """
+        z, q, qd = self.split(state)
+        command = None if self.command is None else self.motors.ahead(self.time[t], seconds)
+        bent = self._acceleration(state, t, body, command)
+        third = join(z, q + seconds / 3 * qd + seconds**2 / 18 * bent, qd + seconds / 3 * bent)
+        return q + seconds * qd + seconds**2 / 2 * self._acceleration(third, t, body, command)
 
     def _interval(self, t: int | Tensor) -> Tensor:
         return self.dt[t].to(self.dtype).unsqueeze(-1)

@@ -27,6 +27,7 @@ class Verdict:
         probability: of the most probable answer.
         set_size: how many are in the ambiguity set of the most probable cause.
         side, joint, keypoint, interval: whether the largest share is at the true one.
+        side_by_set: whether it is, or the answer is the truth up to what cannot be told.
         outside: said to be outside the catalogue (P > ½).
         hidden: the true effect was said to be one that the recording cannot show.
         closed: share of the gap closed as reported; `of_oracle` of what knowing the effect closes.
@@ -48,6 +49,7 @@ class Verdict:
     probability: float | None = None
     set_size: int | None = None
     side: bool | None = None
+    side_by_set: bool | None = None
     joint: bool | None = None
     keypoint: bool | None = None
     interval: bool | None = None
@@ -76,7 +78,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     }
     asked = only is not None and not unknown
     if found is None:
-        missed = {"side": False, "joint": False if asked and _many(answer) and "joint" in only else None}
+        missed = {"side": False, "side_by_set": False, "joint": False if asked and _many(answer) and "joint" in only else None}
         return Verdict(**start, **(missed if asked else {}))
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)
@@ -106,6 +108,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     where = found.get("where") or {}
     if asked:
         verdict["side"] = top(where.get("side")) == only["side"]
+        verdict["side_by_set"] = verdict["side"] or like
         if _many(answer) and "joint" in only:
             verdict["joint"] = top(where.get("joints")) in place(only)
         if _many(answer) and only["side"] == "observation" and "keypoint" in only:

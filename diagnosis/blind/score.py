@@ -111,6 +111,7 @@ def _single(verdicts: Sequence[Verdict], targets: Mapping[str, str]) -> list[Mea
         rate("first answer right, exactly", [v.exact for v in verdicts]),
         rate("first answer right, by ambiguity set", [v.by_set for v in verdicts]),
         rate("side right", known("side")),
+        rate("side right, by ambiguity set", known("side_by_set")),
         rate("joint right (two joints or more)", known("joint")),
         rate("keypoint right (two or more)", known("keypoint")),
         rate("push found in time", known("interval")),

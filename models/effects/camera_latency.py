@@ -9,7 +9,7 @@ from invdyn.models.effects.situation import View
 
 
 class CameraLatency(Effect):
-    """The picture in a row was taken δ before the row's time, to the second order p − δ ṗ + ½ δ² p̈.
+    """The picture in a row was taken δ before the row's time: to third order in δ, under the commands before it.
 
     Cannot be told from motors that act late without a common clock.
     """

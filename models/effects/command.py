@@ -11,11 +11,15 @@ the one before it. Before the first row the command was what it is there.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from invdyn.models.shapes import common
+
+INSTANT = 1e-5
+"""s, under which a stretch of time is as good as none."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +70,26 @@ class Command:
         edges = torch.cat([time, time[-1:] + step[-1:]])
         return self._over(time, edges[:-1, None], edges[1:, None])
 
+    def ahead(self, start: Tensor, seconds: Tensor) -> Tensor:
+        """What moves an arm within τ = ``seconds`` (..., R, 1) of times (R,) or (), (..., R, K): 2/τ² ∫₀^τ (τ − s) u ds.
+
+        Backwards where τ < 0. In float64, whatever the command's type: it is a small difference of integrals.
+        """
+        exact = self._exact
+        span = torch.where(seconds.abs() < INSTANT, INSTANT, seconds).double()
+        start = start.double().reshape(-1, 1).expand(span.shape[-2], 1)
+        impulse, moment = exact._sums
+        before, moment_before = exact._integrals(impulse, moment, start)
+        _, moment_after = exact._integrals(impulse, moment, start + span)
+        return (2 / span**2 * (moment_after - moment_before - span * before)).to(self.mean.dtype)
+
     @property
     def _edges(self) -> Tensor:
         return torch.cat([self.time, self.time[-1:] + self.length[-1]])
 
     def _over(self, time: Tensor, start: Tensor, stop: Tensor) -> "Command":
         """Rows at ``time`` with the command between ``start`` and ``stop`` (..., R, 1 or K)."""
-        length = self.length
-        impulse = torch.cat([torch.zeros_like(self.mean[..., :1, :]), (self.mean * length).cumsum(-2)], -2)
-        moment = impulse[..., :-1, :] * length + length**2 * (self.mean / 2 - self.slope / 12)
-        moment = torch.cat([torch.zeros_like(moment[..., :1, :]), moment.cumsum(-2)], -2)
+        impulse, moment = self._sums
         first, first_moment = self._integrals(impulse, moment, start)
         last, last_moment = self._integrals(impulse, moment, stop)
         width = stop - start
@@ -83,6 +97,18 @@ class Command:
         # ∫ (t − a) u dt by parts; the line of slope m about the middle has the moment m δ²/12 there.
         first_order = width * last - (last_moment - first_moment)
         return Command(time, mean, 12 * (first_order / width**2 - mean / 2))
+
+    @cached_property
+    def _exact(self) -> "Command":
+        return replace(self, time=self.time.double(), mean=self.mean.double(), slope=self.slope.double())
+
+    @cached_property
+    def _sums(self) -> tuple[Tensor, Tensor]:
+        """∫u and ∫∫u from the first row to each row's edges, (..., T + 1, K)."""
+        length = self.length
+        impulse = torch.cat([torch.zeros_like(self.mean[..., :1, :]), (self.mean * length).cumsum(-2)], -2)
+        moment = impulse[..., :-1, :] * length + length**2 * (self.mean / 2 - self.slope / 12)
+        return impulse, torch.cat([torch.zeros_like(moment[..., :1, :]), moment.cumsum(-2)], -2)
 
     def _integrals(self, impulse: Tensor, moment: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
         """∫u and ∫∫u from the first row to the times ``at`` (..., R, 1 or K)."""

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.planar import Dynamics
+from invdyn.models.shapes import common
 
 
 @dataclass
@@ -65,6 +66,7 @@ class View:
     Attributes:
         q, qd: (..., K) rad, rad/s.
         acceleration: function of none, → θ̈ (..., K).
+        ahead: function of seconds (..., 1), negative ones too, → how far the tips move by then, (..., K, 2) m.
         body: the links.
         elapsed: (..., 1) s, since the first row.
         points: (..., K, 2) m, the tips, as the effects called before leave them.
@@ -73,6 +75,7 @@ class View:
     q: Tensor
     qd: Tensor
     acceleration: Callable[[], Tensor]
+    ahead: Callable[[Tensor], Tensor]
     body: BodyParameters
     elapsed: Tensor
     points: Tensor
@@ -87,8 +90,12 @@ class View:
         return self.points + here.unsqueeze(-1) * shift.unsqueeze(-2)
 
     def later(self, seconds: Tensor) -> Tensor:
-        """The points, each (..., K or 1, 1) s later, to second order: p + τ ṗ + ½ τ² p̈."""
-        return self.points + seconds * self.tip_velocity + seconds**2 / 2 * self.tip_acceleration
+        """The points, each (..., K or 1, 1) s later."""
+        batch = common(seconds.shape[:-2], self.points.shape[:-2])
+        # A tip's own time makes a batch of its own, before all others.
+        moved = self.ahead(seconds.expand(*batch, *seconds.shape[-2:]).movedim(-2, 0))
+        each = moved[0] if len(moved) == 1 else moved.diagonal(0, 0, -2).movedim(-1, -2)
+        return self.points + each
 
     @cached_property
     def along(self) -> Tensor:

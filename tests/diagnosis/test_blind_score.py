@@ -92,6 +92,7 @@ def test_another_joint_is_not_exact_and_its_parameters_do_not_count():
     assert not v.exact
     assert not v.by_set
     assert not v.side  # no share at all is no answer
+    assert not v.side_by_set
     assert v.fia == pytest.approx(0.3)
     assert v.covered == {}
 
@@ -142,6 +143,13 @@ def test_no_gap():
     assert v.exact
     assert v.fia == 0.97
     assert v.side is None
+
+
+def test_a_twin_on_the_other_side_has_the_right_side_by_set():
+    late = true("actuator_delay")
+    on_camera = diagnosis((0.6, said("camera_latency")), side={"observation": 0.6, "dynamics": 0.4})
+    v = judge("a", answer(late), on_camera)
+    assert (v.side, v.side_by_set, v.exact, v.by_set) == (False, True, False, True)
 
 
 @pytest.mark.parametrize("kind", ["outside", "leave_one_out"])
