@@ -330,7 +330,7 @@ class ArmModel(ArmRow, StateSpaceModel):
             moved = self._ahead(state, t, body, seconds)
             return self.dynamics.keypoints(moved, body) - self.dynamics.keypoints(q, body)
 
-        view = View(q, qd, lambda: self._bending(state, t, body), ahead, body, elapsed, tips)
+        view = View(q, qd, lambda: self.acceleration(state, t, body), ahead, body, elapsed, tips)
         view = effects.points(p, view)
         noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
         return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p, view))

@@ -87,7 +87,7 @@ class ArmRow:
         """All torques, and the joints' own inertias."""
         return (torque + self._friction(torque, own, now) if self.effects.has_friction else torque), own
 
-    def _acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters, command: Tensor | None) -> Tensor:
+    def _under(self, state: Tensor, t: int | Tensor, body: BodyParameters, command: Tensor | None) -> Tensor:
         """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
         z, q, qd = self.split(state)
         torque = z[..., : self.body.num_joints]
@@ -95,10 +95,10 @@ class ArmRow:
         torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, self._interval(t)))
         return self.dynamics.forward(q, qd, torque, body, own)
 
-    def _bending(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
+    def acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
         """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on."""
         mean, slope = (row.to(state) for row in self.motors.row(t + 1))
-        return self._acceleration(state, t, body, None if self.command is None else mean - slope / 2)
+        return self._under(state, t, body, None if self.command is None else mean - slope / 2)
 
     def _ahead(self, state: Tensor, t: int | Tensor, body: BodyParameters, seconds: Tensor) -> Tensor:
         """θ so many ``seconds`` τ (..., 1) after row ``t``, (..., K), to third order: q + τ q̇ + ½ τ² q̈(τ/3).
@@ -107,9 +107,9 @@ class ArmRow:
         """
         z, q, qd = self.split(state)
         command = None if self.command is None else self.motors.ahead(self.time[t], seconds)
-        bent = self._acceleration(state, t, body, command)
+        bent = self._under(state, t, body, command)
         third = join(z, q + seconds / 3 * qd + seconds**2 / 18 * bent, qd + seconds / 3 * bent)
-        return q + seconds * qd + seconds**2 / 2 * self._acceleration(third, t, body, command)
+        return q + seconds * qd + seconds**2 / 2 * self._under(third, t, body, command)
 
     def _interval(self, t: int | Tensor) -> Tensor:
         return self.dt[t].to(self.dtype).unsqueeze(-1)

@@ -78,7 +78,8 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     }
     asked = only is not None and not unknown
     if found is None:
-        missed = {"side": False, "side_by_set": False, "joint": False if asked and _many(answer) and "joint" in only else None}
+        several = asked and _many(answer) and "joint" in only
+        missed = {"side": False, "side_by_set": False, "joint": False if several else None}
         return Verdict(**start, **(missed if asked else {}))
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)

@@ -31,7 +31,7 @@ def tips(model, x, t=5):
 
 
 def later(model, x, seconds, t=5, *, held=False):
-    """The tips after so many seconds of the model's own motion from row ``t`` on, under its commands or one, ``held``."""
+    """The tips after so many seconds of the model's own motion from row ``t`` on, its command ``held`` or not."""
     steps = 256
     z, q, qd = model.split(x)
     body = model.body_parameters()
