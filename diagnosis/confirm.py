@@ -18,25 +18,24 @@ from dataclasses import dataclass, replace
 import arviz as az
 import numpy as np
 import torch
-from pyro.distributions import MultivariateStudentT
 from pyro.infer.smcfilter import SMCFailed
+from scipy.stats import multivariate_t
 from torch import Tensor
 
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
-from invdyn.inference.controlled import Controlled, _triangular
-from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.block_filter import BLOCK, BlockFilter
+from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.inference.nested import OuterWeights, outer_weights
-from invdyn.inference.particle_filter import ParticleFilter
 from invdyn.inference.particles import FilterResult
 from invdyn.inference.posterior import to_inference_data
 from invdyn.inference.seeds import seeded
 from invdyn.inference.smoothing import genealogy
 from invdyn.models import ArmModel
 
-FILTERS, PARTICLES = 16, 40
+FILTERS, PARTICLES = 16, 20
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -61,27 +60,6 @@ class Confirmed:
     model: ArmModel
 
 
-class _Each(Controlled):
-    """The controlled guide with a smoother of its own for each of M filters."""
-
-    def __init__(self, model: ArmModel, smoothers: GaussianSmoother):
-        super(Controlled, self).__init__(model)
-        self.smoother = smoothers
-        factors = smoothers.factors
-
-        def rows(values, vector: bool = False) -> Tensor:
-            each = torch.as_tensor(np.asarray(values)).to(dtype=model.dtype).movedim(1, 0)
-            return each.unsqueeze(-2) if vector else each
-
-        self.path = rows(smoothers.path, True)
-        self.num_steps = len(self.path)
-        self._gain, self._offset = rows(factors.gain), rows(factors.offset, True)
-        self._root = rows(_triangular(factors.root))
-        self._U, self._b = rows(factors.U), rows(factors.b, True)
-        self._A, self._alpha = rows(factors.A), rows(factors.alpha, True)
-        self._log_c = rows(factors.log_c - factors.log_n).unsqueeze(-1)
-
-
 def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS) -> Confirmed:
     """Run M = ``filters`` filters of ``PARTICLES`` particles each under the cause; same seed, same result.
 
@@ -91,7 +69,7 @@ def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILT
     levels = sizes(setting.regime)
     top = int(cause.by_size.argmax())
     with seeded(seed):
-        values, log_ratio = _draw(setting, cause, filters)
+        values, log_ratio = _draw(setting, cause, filters, seed)
         try:
             result, model = _run(setting, cause, values, float(levels[top]))
         except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
@@ -111,8 +89,9 @@ def _run(setting: Setting, cause: Refined, values: Tensor, size: float) -> tuple
     model = scaled(setting, model, size, cause.kappa)
     start = cause.path.expand(len(values), *cause.path.shape)
     smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
-    filters = ParticleFilter(model, _Each(model, smoothers), PARTICLES, num_filters=len(values))
-    return filters.run(setting.observations), model
+    # No linearised dynamics tell where a gap's state goes.
+    block = BLOCK if model.driven is None else 1
+    return BlockFilter(model, smoothers, PARTICLES, block=block).run(setting.observations), model
 
 
 def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmModel:
@@ -122,22 +101,24 @@ def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmM
     return quiet.replace(**{n: kappa * quiet.parameters[n] for n in names if n in quiet.parameters})
 
 
-def _draw(setting: Setting, cause: Refined, count: int) -> tuple[Tensor, Tensor]:
+def _draw(setting: Setting, cause: Refined, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Parameters (M, p), antithetic in pairs, and log p(φ)/q(φ) (M,)."""
     among = unknowns(setting, cause.effects)
     p = len(among.names)
     if not p:
         return torch.zeros(count, 0, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
-    mean = torch.as_tensor(cause.mean)
-    root = torch.linalg.cholesky(torch.as_tensor(cause.covariance + 1e-12 * np.diag(among.sd**2)))
-    q = MultivariateStudentT(torch.tensor(TAIL, dtype=torch.float64), mean, root)
-    half = q.sample((math.ceil(count / 2),))
-    values = torch.cat([half, 2 * mean - half])[:count]
-    inside = torch.as_tensor((values.numpy() > among.lower) & (values.numpy() < among.upper)).all(-1)
+    # In units of their own standard deviations: parameters differ by orders of magnitude.
+    sd = np.maximum(cause.sd, 1e-6 * among.sd)
+    q = multivariate_t(np.zeros(p), cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), df=TAIL)
+    half = q.rvs(math.ceil(count / 2), random_state=np.random.default_rng(seed)).reshape(-1, p)
+    values = cause.mean + sd * np.concatenate([half, -half])[:count]
+    inside = ((values > among.lower) & (values < among.upper)).all(-1)
     # Outside its prior's support a draw weighs nothing; its filter runs at the mean, or just beside a bound.
-    mean = torch.as_tensor(np.clip(cause.mean, among.lower + 1e-6 * among.sd, among.upper - 1e-6 * among.sd))
-    ratio = among.log_prior(torch.where(inside[:, None], values, mean)) - q.log_prob(values)
-    return torch.where(inside[:, None], values, mean), torch.where(inside, ratio, -torch.inf)
+    mean = np.clip(cause.mean, among.lower + 1e-6 * among.sd, among.upper - 1e-6 * among.sd)
+    values = np.where(inside[:, None], values, mean)
+    log_q = q.logpdf((values - cause.mean) / sd).reshape(-1) - np.log(sd).sum()
+    ratio = among.log_prior(torch.as_tensor(values)) - torch.as_tensor(log_q)
+    return torch.as_tensor(values), torch.where(torch.as_tensor(inside), ratio, -torch.inf)
 
 
 def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int) -> az.InferenceData:

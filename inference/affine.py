@@ -29,7 +29,7 @@ from pyro.distributions import Distribution, MultivariateNormal, Normal
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.inference.controlled import Controlled, _triangular
+from invdyn.inference.controlled import Controlled, triangular
 from invdyn.inference.gauss_newton import GaussianSmoother, jacobian
 from invdyn.inference.proposal import Particles, Proposal
 from invdyn.inference.square_root import eliminate
@@ -128,7 +128,7 @@ class Corrected(Controlled):
         inverse = np.linalg.inv(R)
         self._closed_gain = tensor(-inverse @ B)
         self._closed_offset = tensor((inverse @ r[..., None])[..., 0])
-        self._closed_root = tensor(_triangular(inverse))
+        self._closed_root = tensor(triangular(inverse))
         sds = self.smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt().numpy()
         self._unit = tensor(np.where(sds > 0, sds, 1.0))
         zero = torch.zeros_like(self._closed_offset)

@@ -46,7 +46,7 @@ class Controlled(Proposal):
         self.path = rows(path)
         self.num_steps = len(self.path)
         self._gain, self._offset = rows(factors.gain), rows(factors.offset)
-        self._root = rows(_triangular(factors.root))
+        self._root = rows(triangular(factors.root))
         # Each ψ_t may be scaled at will: with ∫N ψ_t = exp(−½|A m − α|²) a long recording's log-evidence
         # is summed row by row, and not as the difference of two large numbers in float32.
         self._U, self._b = rows(factors.U), rows(factors.b)
@@ -108,7 +108,7 @@ class Controlled(Proposal):
         return self.at(t, state["x"])["log_twist"]
 
 
-def _triangular(root: np.ndarray) -> np.ndarray:
+def triangular(root: np.ndarray) -> np.ndarray:
     """Lower-triangular square roots with positive diagonals of root rootᵀ, (T, D, D)."""
     lower = np.swapaxes(np.linalg.qr(np.swapaxes(root, -1, -2), mode="r"), -1, -2)
     sign = np.where(np.diagonal(lower, axis1=-2, axis2=-1) < 0, -1.0, 1.0)

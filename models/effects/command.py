@@ -71,7 +71,7 @@ class Command:
         return self._over(time, edges[:-1, None], edges[1:, None])
 
     def ahead(self, start: Tensor, seconds: Tensor) -> Tensor:
-        """What moves an arm within τ = ``seconds`` (..., R, 1) of times (R,) or (): 2/τ² ∫₀^τ (τ − s) u ds, (..., R, K).
+        """What moves an arm within τ = ``seconds`` (..., R, 1) of ``start`` (R,) or (): 2/τ² ∫₀^τ (τ − s) u ds.
 
         Backwards where τ < 0. In float64, whatever the command's type: it is a small difference of integrals.
         """
