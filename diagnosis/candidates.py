@@ -137,6 +137,8 @@ def hypotheses(
                 sets.append(base | {p.name: point[p.name] + step})
                 pieces.append((len(sets) - 1, here, step))
         sd = [spread(p) if straight else spacing(p, point[p.name]) for p in free]
+        # Slopes at a grid point tell nothing of what lies beyond its neighbours.
+        ends = [bounds(p) if straight else neighbours(p, point[p.name]) for p in free]
         found.append(
             Hypothesis(
                 effect,
@@ -144,8 +146,8 @@ def hypotheses(
                 tuple(p.name for p in free),
                 (0.0,) * len(free),
                 tuple(sd),
-                tuple(lower_bound(p) - base[p.name] for p in free),
-                tuple(upper_bound(p) - base[p.name] for p in free),
+                tuple(low - base[p.name] for p, (low, _) in zip(free, ends, strict=True)),
+                tuple(high - base[p.name] for p, (_, high) in zip(free, ends, strict=True)),
                 rare,
                 tuple(range(first, first + len(free))),
                 offset,
@@ -167,10 +169,30 @@ def hypotheses(
 
 def spacing(parameter: Parameter, value: float) -> float:
     """Half the distance between a grid point's neighbours."""
+    low, high = _beside(parameter, value)
+    return float(max((high - low) / 2, 1e-12))
+
+
+def neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
+    """A grid point's neighbours; at an end of the grid, as far beyond it as the last one is before, within bounds."""
+    low, high = _beside(parameter, value)
+    low, high = (2 * value - high if low == value else low), (2 * value - low if high == value else high)
+    least, most = bounds(parameter)
+    # Half of a number that has a sign is far enough towards zero.
+    low = value / 2 if least >= 0 and low <= 0 else low
+    return max(low, least), min(high, most)
+
+
+def bounds(parameter: Parameter) -> tuple[float, float]:
+    """The smallest and the largest value that the prior has."""
+    return lower_bound(parameter), upper_bound(parameter)
+
+
+def _beside(parameter: Parameter, value: float) -> tuple[float, float]:
+    """The grid points before and after one; itself at an end."""
     grid = np.sort(parameter.grid)
     place = int(np.argmin(np.abs(grid - value)))
-    low, high = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
-    return float(max((high - low) / 2, 1e-12))
+    return float(grid[max(place - 1, 0)]), float(grid[min(place + 1, len(grid) - 1)])
 
 
 def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray, path: Tensor) -> Columns:

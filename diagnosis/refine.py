@@ -159,7 +159,7 @@ def refine(
     levels = sizes(setting.regime)
     step = 0.05 * 0.2 * among.sd
     best: Refined | None = None
-    worth = -np.inf
+    worth = most_seen = -np.inf
 
     def once(point: np.ndarray, path: Tensor, size: float) -> tuple[Refined, np.ndarray]:
         """Path and expansion about ``point``; the cause, and where its parameters would go."""
@@ -193,7 +193,7 @@ def refine(
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int) -> None:
         """Expand and move on, ``most`` times at most; the best stays."""
-        nonlocal best, worth, step
+        nonlocal best, worth, most_seen, step
         for done in range(most):
             try:
                 cause, target = once(point, path, stiffness * size)
@@ -206,8 +206,9 @@ def refine(
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
             true = cause.log_evidence - 0.5 * _distance(target - point, cause.covariance)
-            if best is None or true > worth:
-                best, worth = replace(cause, about=point), true
+            if best is None or true > most_seen - UNKEPT:
+                # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
+                best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
             hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
             # A path that was found under another residual is bent by it.
             if ((off < SETTLED).all() and max(used, FIRM) == max(size, FIRM)) or hopeless:

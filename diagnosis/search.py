@@ -46,7 +46,7 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
 
-WIDTH, SETS = (10, 3, 2), 2
+WIDTH, SETS = (10, 4, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
 
 FORWARD = len(WIDTH)

@@ -140,6 +140,8 @@ class BlockFilter:
                 deviation.append(_apply(self._gain[:, t], used[-1]) + shaken[..., i, :])
             m, states = torch.stack(used, -2), torch.stack(deviation, -2)
             before = (states + self._path[:, rows])[..., :some, :]
+            if not some:
+                return m, states, before
             moved = gaussian_mean(self.model.transition(before, numbers[:some] + 1)) - self._path[:, ahead]
             off = moved[..., : len(numbers) - 1, :] - m[..., 1:, :]
             if not _apply(self._A[:, rows.start + 1 : rows.stop], off).abs().gt(NEAR).any():
