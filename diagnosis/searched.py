@@ -52,10 +52,17 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
         return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
 
-    tried = [score(np.log(point)) - log_prior_of(parameters, np.array(point)) for point in points]
-    if max(tried) + base.noise_log < max(base.log_evidence + EARNED, enough):
+    def best_of(points: list[tuple[float, ...]]) -> tuple[float, tuple[float, ...]]:
+        return max((score(np.log(point)) - log_prior_of(parameters, np.array(point)), point) for point in points)
+
+    least = max(base.log_evidence + EARNED, enough) - base.noise_log
+    # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
+    if model.driven is not None and base.complete and best_of(points[1:4:2])[0] < least:
         return None
-    start = np.log(points[int(np.argmax(tried))])
+    top, start = best_of(points)
+    if top < least:
+        return None
+    start = np.log(start)
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     path, some = cause.path, _telling(cause, levels)

@@ -23,7 +23,7 @@ from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
 
 ROTOR_SHARE = 0.5
-WIDTHS = tuple(0.003 * 1.6**n for n in range(7))
+WIDTHS = tuple(0.003 * 1.7**n for n in range(8))
 """rad."""
 SHORTEST = 40.0
 """Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
@@ -39,7 +39,7 @@ class Backlash(HiddenHinge):
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Width, rad."""
-        prior = HalfNormal(0.02)
+        prior = HalfNormal(0.04)
         return (Parameter("width", "rad", prior, 0.0, WIDTHS),)
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
