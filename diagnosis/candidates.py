@@ -176,6 +176,8 @@ def spacing(parameter: Parameter, value: float) -> float:
 def neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
     """A grid point's neighbours; at an end of the grid, as far beyond it as the last one is before, within bounds."""
     low, high = _beside(parameter, value)
+    if low == high:
+        return bounds(parameter)
     low, high = (2 * value - high if low == value else low), (2 * value - low if high == value else high)
     least, most = bounds(parameter)
     # Half of a number that has a sign is far enough towards zero.

@@ -43,8 +43,6 @@ SETTLED = 0.1
 """Change of a parameter, in its own standard deviations, under which it stays."""
 UNKEPT = 0.5
 """Nats that a last step may promise and nobody has seen."""
-LOSS, HALVED = 10.0, 4
-"""Nats that a step must not lose, and how many are halved because they do."""
 
 
 @dataclass(frozen=True)
@@ -194,26 +192,20 @@ def refine(
         return cause, target
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int) -> None:
-        """Expand and move on, ``most`` times at most, with half of a step that loses much; the best stays."""
+        """Expand and move on, ``most`` times at most; the best stays."""
         nonlocal best, worth, most_seen, step
-        reached: tuple[np.ndarray, Tensor, float, float] | None = None
-        done = halved = 0
-        while done < most:
+        for done in range(most):
             try:
                 cause, target = once(point, path, stiffness * size)
             except np.linalg.LinAlgError:
                 if best is None:
                     raise
                 break  # a step too far; what was found before it stands
-            # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
-            true = cause.log_evidence - 0.5 * _distance(target - point, cause.covariance)
-            if reached is not None and true < reached[3] - LOSS and halved < HALVED:
-                before, path, size, _ = reached
-                point, halved = (before + point) / 2, halved + 1
-                continue
             used, size, path, sd = size, float(levels[cause.by_size.argmax()]), cause.path, cause.sd
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
+            # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
+            true = cause.log_evidence - 0.5 * _distance(target - point, cause.covariance)
             if best is None or true > most_seen - UNKEPT:
                 # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
                 best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
@@ -221,7 +213,7 @@ def refine(
             # A path that was found under another residual is bent by it.
             if ((off < SETTLED).all() and max(used, FIRM) == max(size, FIRM)) or hopeless:
                 break
-            reached, point, done = (point, path, size, true), target, done + 1
+            point = target
 
     patient = rounds == ROUNDS
     if patient and model.effects.abrupt:
