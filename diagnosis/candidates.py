@@ -106,8 +106,8 @@ def hypotheses(
     parameters = effect.parameters(model.scale)
     straight = [p for p in parameters if not p.grid]
     bent = [p for p in parameters if p.grid]
-    if "start" in effect.located:
-        points = [{"start": start, "stop": stop} for start, stop in windows]
+    if "moment" in effect.located:
+        points = [{"moment": (start + stop) / 2, "duration": stop - start} for start, stop in windows]
         bent = []
         straight = [p for p in parameters if p.name not in effect.located]
         rare = -np.log(max(2 * model.scale.duration / WINDOW, 1.0))

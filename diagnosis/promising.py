@@ -34,9 +34,6 @@ KIN = (
 DOUBT, SURE = 5.0, 2.0
 """Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
 
-SHORTER = 1 / 3
-"""Of the screen's stretch: where that is too long, no step leads to a push's own length and force together."""
-
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
 
@@ -69,24 +66,15 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         effects = (*base.effects, each.effect)
-        for start in _starts(each):
+        for start in (each.values, each.elsewhere):
+            if start is None:
+                break
             values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | values_of(base)
             cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
             if cause is not None:
                 found.add(cause)
                 if cause.complete:
                     break
-
-
-def _starts(each: Screened) -> list[dict[str, float]]:
-    """Parameters to start from, one after the other: the screen's; a shorter and harder push; the next best time."""
-    starts = [each.values]
-    if "start" in each.effect.located:
-        start, stop = each.values["start"], each.values["stop"]
-        cut = (1 - SHORTER) / 2 * (stop - start)
-        harder = {name: value / SHORTER for name, value in each.values.items() if name not in each.effect.located}
-        starts.append(harder | {"start": start + cut, "stop": stop - cut})
-    return starts if each.elsewhere is None else [*starts, each.elsewhere]
 
 
 def idle(screened: Sequence[Screened]) -> float:

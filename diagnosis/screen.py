@@ -172,7 +172,7 @@ def screen(
     weights = log_prior(levels)
     screened = []
     linear = linear_of(setting, model, path)
-    times = windows(setting, model, path, linear) if any("start" in effect.located for effect in effects) else ()
+    times = windows(setting, model, path, linear) if any("moment" in effect.located for effect in effects) else ()
     for found, columns, first in blocks(model, effects, path, times):
         whitened = whiten(setting, model, path, beside([columns, rest]), levels, linear)
         results = evidences(whitened, found, first, common, point)
@@ -188,7 +188,7 @@ def screen(
             part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
             size, place = np.unravel_index(part.argmax(), part.shape)
             best = found[mine[place]]
-            apart = [abs(found[i].point.get("start", 0.0) - best.point.get("start", 0.0)) > WINDOW for i in mine]
+            apart = [abs(found[i].point.get("moment", 0.0) - best.point.get("moment", 0.0)) > WINDOW for i in mine]
             next_best = np.where(apart, part, -np.inf)
             other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
             by_size = logsumexp(part, axis=1)

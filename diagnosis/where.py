@@ -83,14 +83,14 @@ def _normal(shares: dict[str, float]) -> dict[str, float]:
 
 
 def acting(causes: Mapping[str, tuple[Refined, float]]) -> tuple[Interval, ...]:
-    """When the most probable cause is at work, where it has a start and a stop; its probability for a share."""
+    """When the most probable cause is at work, where it lasts for a while; its probability for a share."""
     cause, probability = max(causes.values(), key=lambda pair: pair[1])
-    # Edges in time are no straight lines: where the cause was weighed they are in order.
-    known = dict(zip(cause.names, (cause.mean if cause.about is None else cause.about).tolist(), strict=True))
+    known = dict(zip(cause.names, cause.mean.tolist(), strict=True))
     return tuple(
-        Interval(known[f"{effect.key}.start"], known[f"{effect.key}.stop"], probability)
+        Interval(moment - half, moment + half, probability)
         for effect in cause.effects
-        if "start" in effect.located
+        if "moment" in effect.located
+        for moment, half in [(known[f"{effect.key}.moment"], known[f"{effect.key}.duration"] / 2)]
     )
 
 

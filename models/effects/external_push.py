@@ -1,37 +1,55 @@
 """Someone pushes: a force on a keypoint between two moments, Jᵀ F."""
 
 import torch
-from pyro.distributions import Normal, Uniform
+from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
+TYPICAL, SHORTEST = 0.15, 0.01
+"""s, that pushes last, and that they last at least."""
+
 
 class ExternalPush(Effect):
-    """A constant force (F_x, F_y) at a link's tip from ``start`` to ``stop``, times of the recording.
+    """A constant force at a link's tip, given by its impulse, its middle and how long it lasts: F = J/T.
 
-    The edges are ramps as long as the integrator's step, about the moment itself: whatever the step, sums over them
-    give the impulse F (stop − start). Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
+    What is seen follows the impulse in a straight line, and hardly the duration; it would not follow force, beginning
+    and end so. The edges are ramps as long as the integrator's step, about the moment itself: whatever the step, sums over them
+    give the impulse J. Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
     """
 
     site = "keypoint"
-    located = ("start", "stop")
+    located = ("moment", "duration")
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Force, N, and its first and last moment, s."""
-        force = Normal(0.0, 3.0 * scale.torque[0] / scale.body.length[: self.place[0] + 1].sum().item())
+        """Impulse, N·s, its middle and its duration, s."""
+        force = 3.0 * scale.torque[0] / scale.body.length[: self.place[0] + 1].sum().item()
+        impulse = Normal(0.0, TYPICAL * force)
         moment = Uniform(scale.time[0].item(), scale.time[-1].item())
         return (
-            Parameter("force_x", "N", force),
-            Parameter("force_y", "N", force),
-            Parameter("start", "s", moment, None),
-            Parameter("stop", "s", moment, None),
+            Parameter("impulse_x", "N·s", impulse),
+            Parameter("impulse_y", "N·s", impulse),
+            Parameter("moment", "s", moment, None),
+            Parameter("duration", "s", HalfNormal(TYPICAL), None),
         )
+
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """Force, N, and its first and last moment, s."""
+        duration = values["duration"].clamp_min(SHORTEST)
+        half = duration / 2
+        return {
+            "force_x": (values["impulse_x"] / duration, "N"),
+            "force_y": (values["impulse_y"] / duration, "N"),
+            "start": (values["moment"] - half, "s"),
+            "stop": (values["moment"] + half, "s"),
+        }
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """Jᵀ F, times how far the push is on."""
-        on, off = (((now.time - p[edge]) / now.step + 0.5).clamp(0.0, 1.0) for edge in ("start", "stop"))
-        force = torch.cat(torch.broadcast_tensors(p["force_x"], p["force_y"]), -1)
-        return now.at_tip(self.place[0], force) * (on - off).clamp_min(0.0)
+        duration = p["duration"].clamp_min(SHORTEST)
+        edges = p["moment"] - duration / 2, p["moment"] + duration / 2
+        on, off = (((now.time - edge) / now.step + 0.5).clamp(0.0, 1.0) for edge in edges)
+        force = torch.cat(torch.broadcast_tensors(p["impulse_x"], p["impulse_y"]), -1) / duration
+        return now.at_tip(self.place[0], force) * (on - off)

@@ -122,10 +122,11 @@ def test_a_push_may_come_in_any_window():
     windows = ((0.1, 0.2), (0.4, 0.5))
     model, path = bound().model, followed()
     found, columns = hypotheses(model, effect, path, unchanged(model, path), windows)
-    assert [(h.point["start"], h.point["stop"]) for h in found] == list(windows)
+    assert [h.point["moment"] for h in found] == pytest.approx([0.15, 0.45])
+    assert [h.point["duration"] for h in found] == pytest.approx([0.1, 0.1])
     time = bound().model.time.numpy()
     for hypothesis, (start, stop) in zip(found, windows, strict=True):
-        assert hypothesis.free == ("force_x", "force_y")
+        assert hypothesis.free == ("impulse_x", "impulse_y")
         pushed = np.abs(columns.g[..., list(hypothesis.columns)]).sum((1, 2)) > 1e-12
         touched = (time[1:] > start - 0.011) & (time[:-1] < stop + 0.011)  # its edges are ramps, half a step each way
         assert pushed.any()

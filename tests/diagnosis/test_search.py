@@ -262,13 +262,13 @@ def test_the_twin_of_a_delay_starts_from_a_path_of_its_own(monkeypatch, name, tw
 
 def test_a_push_is_also_looked_for_at_another_time():
     push = EFFECTS["external_push"]("tip").bound(PENDULUM)
-    here = setting(recorded(push, rows=120, force_x=5.0, force_y=2.0, start=0.7, stop=0.8), PENDULUM)
+    here = setting(recorded(push, rows=120, impulse_x=0.5, impulse_y=0.2, moment=0.75, duration=0.1), PENDULUM)
     path, common = data_path(here)[0], unknowns(here, ())
     effects = [push, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)]
     screened = {s.effect.name: s for s in screen(here, here.model, path, effects, common, common.mean) if s.effect}
     found = screened["external_push"]
-    assert abs(found.values["start"] - 0.7) < WINDOW
-    assert abs(found.elsewhere["start"] - found.values["start"]) > WINDOW
+    assert abs(found.values["moment"] - 0.75) < WINDOW
+    assert abs(found.elsewhere["moment"] - found.values["moment"]) > WINDOW
     assert set(found.elsewhere) == set(found.values)
     assert screened["viscous_friction"].elsewhere is None
 

@@ -36,7 +36,7 @@ def test_the_last_third_is_held_out():
 def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     push = EFFECTS["external_push"]("tip")
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
-    truth = {"force_x": 6.0, "force_y": 3.0, "start": 1.22, "stop": 1.34}
+    truth = {"impulse_x": 0.72, "impulse_y": 0.36, "moment": 1.28, "duration": 0.12}
     given = {f"effect.external_push.tip.{n}": torch.tensor([v], dtype=torch.float64) for n, v in truth.items()}
     here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
     path = path_of(here)

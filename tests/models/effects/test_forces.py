@@ -273,19 +273,28 @@ def test_armature_slows_a_swing(having):
 
 
 # -- from outside ----------------------------------------------------------------------------------
-@pytest.mark.parametrize(("start", "stop"), [(0.1, 0.2), (0.1013, 0.1987), (0.1511, 0.1532)])
+@pytest.mark.parametrize(("start", "stop"), [(0.1, 0.2), (0.1013, 0.1987), (0.1511, 0.1621)])
 def test_a_push_gives_its_impulse(start, stop, having):
     """A free rod gets l F (t₁ − t₀)/I across it, whatever the edges and however short; none before, none after."""
-    model = having(rod(), ExternalPush("tip"), force_x=0.0, force_y=0.02, start=start, stop=stop)
+    lasts = stop - start
+    push = {"impulse_x": 0.0, "impulse_y": 0.02 * lasts, "moment": (start + stop) / 2, "duration": lasts}
+    model = having(rod(), ExternalPush("tip"), **push)
     _, qd = rolled(model, [0.0], [0.0])
     assert qd[-1, 0] == pytest.approx(0.3 * 0.02 * (stop - start) / INERTIA, rel=1e-5)
     assert np.abs(qd[: int(start / 0.005)]).max() == 0.0
     assert np.ptp(qd[int(stop / 0.005) + 2 :]) == 0.0
 
 
+def test_a_push_is_told_as_a_force_between_two_moments():
+    values = {"impulse_x": 0.6, "impulse_y": -0.3, "moment": 1.0, "duration": 0.2}
+    told = ExternalPush("tip").described({name: torch.tensor([value], dtype=F64) for name, value in values.items()})
+    expected = {"force_x": (3.0, "N"), "force_y": (-1.5, "N"), "start": (0.9, "s"), "stop": (1.1, "s")}
+    assert {name: (pytest.approx(value.item()), unit) for name, (value, unit) in told.items()} == expected
+
+
 def test_a_push_acts_through_the_jacobian(arm, having, states):
     ideal = arm(3)
-    model = having(ideal, ExternalPush("tip1"), force_x=2.0, force_y=-1.0, start=0.0, stop=9.0)
+    model = having(ideal, ExternalPush("tip1"), impulse_x=18.0, impulse_y=-9.0, moment=4.5, duration=9.0)
     x = states(ideal, 6)
     q = x[:, 3:6].clone().requires_grad_()
     tip = ideal.dynamics.keypoints(q, ideal.body_parameters())[:, 1]
