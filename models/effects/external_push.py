@@ -16,8 +16,8 @@ class ExternalPush(Effect):
     """A constant force at a link's tip, given by its impulse, its middle and how long it lasts: F = J/T.
 
     What is seen follows the impulse in a straight line, and hardly the duration; it would not follow force, beginning
-    and end so. The edges are ramps as long as the integrator's step, about the moment itself: whatever the step, sums over them
-    give the impulse J. Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
+    and end so. The edges are ramps as long as the integrator's step, about the moment itself: whatever the step, sums
+    over them give the impulse. Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
     """
 
     site = "keypoint"
