@@ -77,7 +77,7 @@ class Command:
         """
         exact = self._exact
         span = torch.where(seconds.abs() < INSTANT, INSTANT, seconds).double()
-        start = start.double().reshape(-1, 1).expand(span.shape[-2], 1)
+        start = start.double().reshape(-1, 1)
         impulse, moment = exact._sums
         before, moment_before = exact._integrals(impulse, moment, start)
         _, moment_after = exact._integrals(impulse, moment, start + span)

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.planar import Dynamics
-from invdyn.models.shapes import common
 
 
 @dataclass
@@ -91,11 +90,10 @@ class View:
 
     def later(self, seconds: Tensor) -> Tensor:
         """The points, each (..., K or 1, 1) s later."""
-        batch = common(seconds.shape[:-2], self.points.shape[:-2])
-        # A tip's own time makes a batch of its own, before all others.
-        moved = self.ahead(seconds.expand(*batch, *seconds.shape[-2:]).movedim(-2, 0))
-        each = moved[0] if len(moved) == 1 else moved.diagonal(0, 0, -2).movedim(-1, -2)
-        return self.points + each
+        if seconds.shape[-2] == 1:
+            return self.points + self.ahead(seconds[..., 0, :])
+        each = [self.ahead(seconds[..., k, :])[..., k, :] for k in range(seconds.shape[-2])]
+        return self.points + torch.stack(torch.broadcast_tensors(*each), -2)
 
     @cached_property
     def along(self) -> Tensor:

@@ -13,6 +13,7 @@ from invdyn.models.effects import (
     CameraScale,
     CameraYaw,
     ClockRate,
+    CoulombFriction,
     KeypointOffset,
     LensDistortion,
     RollingShutter,
@@ -113,6 +114,18 @@ def test_a_rolling_shutter_sees_a_point_when_its_row_is_read(seen):
         for k in range(2):
             then = later(ideal, x[n], readout * found[n, k, 1])[k]
             assert np.abs(found[n, k] - then).max() < 0.1 * np.abs(found[n, k] - true[n, k]).max() + 1e-6
+
+
+@pytest.mark.parametrize("timing", [CameraLatency(), RollingShutter()])
+def test_timing_beside_many_values_of_another_effect(arm, states, timing):
+    """Sets (S, 1, 1) of a friction's torque beside one latency: each set as by itself."""
+    friction = CoulombFriction("joint0")
+    model, name = arm(2).with_effects(timing, friction), "effect.coulomb_friction.joint0.torque"
+    known = {n: torch.full((1,), 0.02, dtype=F64) for n in model.parameters if n.startswith(f"effect.{timing.name}")}
+    x, rows, torques = states(model, 4), torch.arange(4, 8), (0.05, 0.1, 0.3)
+    many = model.replace(**known, **{name: torch.tensor(torques, dtype=F64).reshape(-1, 1, 1)})
+    each = [model.replace(**known, **{name: torch.full((1,), t, dtype=F64)}).emission(x, rows).mean for t in torques]
+    torch.testing.assert_close(many.emission(x, rows).mean, torch.stack(each))
 
 
 def test_jitter_is_a_mixture_that_widens_along_the_motion(arm, having, states):

@@ -15,24 +15,8 @@ from invdyn.models.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 EVERY = pytest.mark.parametrize("name", EFFECTS)
-UNITS = {
-    "1",
-    "s",
-    "m",
-    "rad",
-    "kg",
-    "N",
-    "Hz",
-    "s²",
-    "kg·m²",
-    "N·m",
-    "N·m·s/rad",
-    "N·m·s²/rad²",
-    "N·m/rad",
-    "N·s",
-    "rad/s",
-}
-UNITS |= {"m⁻²", "s/m"}
+UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
+UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m"}
 
 
 def at_all_places(name, model):
