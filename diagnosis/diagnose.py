@@ -37,6 +37,7 @@ def diagnose(
     passive: bool = False,
     without: Sequence[str] = (),
     seed: int = 0,
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
@@ -49,7 +50,8 @@ def diagnose(
             third.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
-        seed: same seed, same result.
+        seed: same seed, same result, whatever the number of workers.
+        workers: processes that may work side by side; this one is one of them.
         progress: called with (done, total, what).
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording. Too few frames are
@@ -77,7 +79,7 @@ def diagnose(
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     other = None if other is None else replace(other, shape=bound.shape)
-    found = search(bound, path, stray, without)
+    found = search(bound, path, stray, without, workers)
     report(2, "confirm")
     weighed = weigh(bound, found, seed)
     report(3, "held out")

@@ -14,7 +14,7 @@ from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import key_of, refine
-from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.screen import screen_in_halves
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
@@ -64,7 +64,8 @@ def exchange(setting: Setting, found: Search) -> None:
             model = model.with_effects(*rest)
             model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
         free = free_beside(found, rest, old)
-        screened = screen(setting, model, lifted(model, best.path), free, common, point, quiet=best.complete)
+        path = lifted(model, best.path)
+        screened = screen_in_halves(found.workers, setting, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
         least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))

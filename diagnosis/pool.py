@@ -23,6 +23,7 @@ class Search:
         first: the screen of every single effect, beside stray detections if there are any.
         path: (T, D) that the data ask for, whatever the cause.
         aside: (T, D) of the simulation alone; None where nobody knows its torques.
+        workers: processes that may work side by side.
         stray: whether some detections are far from it.
     """
 
@@ -32,6 +33,7 @@ class Search:
     path: Tensor
     stray: bool
     aside: Tensor | None = None
+    workers: int = 1
 
     @property
     def top(self) -> float:

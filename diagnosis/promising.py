@@ -5,6 +5,7 @@ screen says, which errs, and if it gains a fair share of what the best one gains
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import Refined, refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect
 
@@ -22,6 +24,9 @@ HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
 """Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
 many nats of the best, or gain a share of what the best gains (half, where one leaves nothing): of much it errs by
 much."""
+
+PAIR = 2
+"""Candidates that are refined side by side, before the next ones are measured by them."""
 
 KIN = (
     ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
@@ -55,26 +60,38 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     if setting.regime == "unknown_torque":
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
-    for place, each in enumerate(promising[:width]):
-        gained, top = each.log_evidence - nothing, found.top
+    for first in range(0, min(len(promising), width), PAIR):
+        top, complete = found.top, found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
-        least = min(most - HOPELESS, (HALF if found.ranked[0].complete else SHARE) * most)
-        if place >= (1 if found.ranked[0].complete else 3) and gained < least:
-            continue
+        least = min(most - HOPELESS, (HALF if complete else SHARE) * most)
         limits = {
             "enough": top - HOPELESS,
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
-        effects = (*base.effects, each.effect)
-        for start in (each.values, each.elsewhere):
-            if start is None:
-                break
-            values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | values_of(base)
-            cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
-            if cause is not None:
+        parts = [
+            partial(_refined, setting, base, each, limits)
+            for place, each in enumerate(promising[first : min(first + PAIR, width)], first)
+            if place < (1 if complete else 3) or each.log_evidence - nothing >= least
+        ]
+        for causes in side_by_side(parts, found.workers):
+            for cause in causes:
                 found.add(cause)
-                if cause.complete:
-                    break
+
+
+def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> list[Refined]:
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
+    refined = []
+    for start in (each.values, each.elsewhere):
+        if start is None:
+            break
+        values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | values_of(base)
+        effects = (*base.effects, each.effect)
+        cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+        if cause is not None:
+            refined.append(cause)
+            if cause.complete:
+                break
+    return refined
 
 
 def idle(screened: Sequence[Screened]) -> float:

@@ -6,6 +6,7 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -14,6 +15,7 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes, unchanged
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import Unknowns
 from invdyn.diagnosis.whiten import SLAB, SPIKE, Whitened, linear_of, log_prior, sizes, whiten
 from invdyn.inference.gauss_newton import Linearisation
@@ -210,3 +212,20 @@ def screen(
             )
     screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, None, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)
+
+
+def screen_in_halves(
+    workers: int,
+    setting: Setting,
+    model: ArmModel,
+    path: Tensor,
+    effects: Sequence[Effect],
+    common: Unknowns,
+    point: np.ndarray,
+    quiet: bool = False,
+) -> list[Screened]:
+    """What :func:`screen` says, of every other effect side by side with the rest."""
+    halves = [effects[::2], effects[1::2]] if len(effects) > 1 else [effects]
+    parts = [partial(screen, setting, model, path, half, common, point, quiet) for half in halves]
+    one, *rest = side_by_side(parts, workers)
+    return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)

@@ -24,6 +24,7 @@ that is less probable than a part of it is no rival of that part (Madigan & Raft
 """
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -37,9 +38,10 @@ from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine
-from invdyn.diagnosis.screen import Screened, screen
+from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting, calm
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
@@ -61,34 +63,42 @@ def search(
     path: Tensor,
     stray: bool,
     without: Sequence[str] = (),
+    workers: int = 1,
 ) -> Search:
     """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says.
 
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
     candidates = considered(setting, without)
-    none = attempt(refine, setting, (), {}, path, setting.loose)
+
+    def along_its_own() -> tuple[Tensor, Refined | None]:
+        """The simulation's own path, and "no effect" along it."""
+        usual = setting.observing(calm(setting.observations)) if stray else setting
+        aside = led(usual, setting.model, path, FIRM)
+        return aside, attempt(refine, setting, (), {}, aside, FIRM)
+
+    known = setting.regime != "unknown_torque"
+    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose), *[along_its_own] * known]
+    none, *rest = side_by_side(starts, workers)
     if none is None:
         raise InputError(
             f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
             "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
         )
-    found = Search(candidates, {none.key: none}, [], path, stray)
-    if setting.regime != "unknown_torque":
-        usual = setting.observing(calm(setting.observations)) if stray else setting
-        found.aside = led(usual, setting.model, path, FIRM)
-        if (alone := attempt(refine, setting, (), {}, found.aside, FIRM)) is not None:
+    found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
+    for found.aside, alone in rest:
+        if alone is not None:
             found.add(alone)
         if stray:
             _mistaken(setting, found)
     extended: set[str] = set()
-    for _ in range(1 if setting.regime == "unknown_torque" else FORWARD):
+    for _ in range(FORWARD if known else 1):
         best = found.ranked[0]
         if best.key in extended or len(best.effects) >= MOST:
             break
         extended.add(best.key)
         screened = _extend(setting, found, best, WIDTH[min(len(_others(best)), FORWARD - 1)])
-        if setting.regime != "unknown_torque" and not best.effects and not found.ranked[0].complete:
+        if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
         grown = found.ranked[0]
@@ -102,7 +112,7 @@ def search(
                     found.add(base)
                     _extend(setting, found, base, SWAPS)
     reduce(setting, found)
-    while setting.regime != "unknown_torque" and found.ranked[0].effects:
+    while known and found.ranked[0].effects:
         best = found.ranked[0]
         exchange(setting, found)
         if found.ranked[0].key == best.key:
@@ -141,9 +151,13 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         # The body as it is stated: without a cause its numbers have been bent to stand in for one.
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
-    screened = best = screen(setting, model, path, straight, common, point, few)
+    # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if alone and not few:
-        best = _aside(screened, screen(setting, model, found.aside, straight, common, point))
+        parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
+        screened, other = side_by_side(parts, found.workers)
+        best = _aside(screened, other)
+    else:
+        screened = best = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
     found.first = found.first or best
     refine_promising(setting, found, base, best, width)
     refine_kin(setting, found, len(base.effects) + 1)
@@ -155,13 +169,17 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 found.add(cause)
     play = alone and not (found.ranked[0].complete and found.ranked[0].effects)
     least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
-    for effect in free:
-        if (
-            is_searched(effect)
-            and (found.stray or effect.name not in MISTAKES)
-            and (play or not isinstance(effect, HiddenHinge))
-            and (cause := attempt(refine_searched, setting, base, effect, max(found.top - HOPELESS, least))) is not None
-        ):
+    sought = [
+        effect
+        for effect in free
+        if is_searched(effect)
+        and (found.stray or effect.name not in MISTAKES)
+        and (play or not isinstance(effect, HiddenHinge))
+    ]
+    enough = max(found.top - HOPELESS, least)
+    parts = [partial(attempt, refine_searched, setting, base, effect, enough) for effect in sought]
+    for cause in side_by_side(parts, found.workers):
+        if cause is not None:
             found.add(cause)
     return screened
 

@@ -13,6 +13,7 @@ improve the prediction of held-out rows is taken back.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -23,6 +24,7 @@ from invdyn.diagnosis.predict import best_size, correlation
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.whiten import log_prior, sizes
 
 NEAR = 3.0
@@ -76,7 +78,8 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     """Confirm the best by SMC, and turn scores into probabilities."""
     ranked = found.ranked
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
-    confirmed = {c.key: confirm(bound, c, seed) for c in close}
+    runs = side_by_side([partial(confirm, bound, c, seed) for c in close], found.workers)
+    confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
     # whole stand beside those that were not confirmed where the linearised evidence has them.

@@ -139,6 +139,9 @@ class Diagnosed(Recorded):
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     seed: Seed = 0
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes side by side, with the same result; two are half as fast again.")
+    ] = 2
 
     def check(self) -> None:
         """Raise InputError for an effect that the catalogue does not have, and for torques both 0 and hidden."""
@@ -189,6 +192,7 @@ class Diagnosed(Recorded):
             "passive": self.passive,
             "without": self.struck,
             "seed": self.seed,
+            "workers": self.workers,
         }
 
 

@@ -68,6 +68,10 @@ class Parameter:
     grid: tuple[float, ...] = ()
 
 
+DYNAMICS = ("body", "command", "force", "friction", "inertia", "interval")
+"""Hooks that have a part in the dynamics."""
+
+
 class Effect(ABC):
     """Base of every effect; see the top of the file.
 
@@ -113,6 +117,11 @@ class Effect(ABC):
     def key(self) -> str:
         """Name and place, "viscous_friction.elbow": its parameters' names begin with "effect." and this."""
         return ".".join([self.name, *self.where])
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of its hooks has a part in the dynamics."""
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in DYNAMICS)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(map(repr, self.where))})"

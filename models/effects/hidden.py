@@ -34,6 +34,11 @@ class HiddenHinge(Effect):
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
 
+    @property
+    def moves(self) -> bool:
+        """A hidden coordinate has dynamics."""
+        return True
+
     @abstractmethod
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
         """How far ψ, rad, and ψ̇, rad/s, may be from 0 at the first row: standard deviations."""

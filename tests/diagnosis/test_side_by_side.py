@@ -1,0 +1,52 @@
+"""Parts in processes of their own: order, failures, and a diagnosis that is the same to the byte."""
+
+import json
+import os
+from functools import partial
+
+import pytest
+import torch
+from pendulum import DAMPING, PENDULUM, recorded
+
+from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.side_by_side import side_by_side
+
+WORKERS = pytest.mark.parametrize("workers", [1, 2, 3, 8])
+
+
+def power(base, exponent):
+    return torch.full((2, 2), float(base), dtype=torch.float64) ** exponent
+
+
+@WORKERS
+def test_results_come_in_order(workers):
+    results = side_by_side([partial(power, n, 2) for n in range(7)], workers)
+    assert [result[0, 0].item() for result in results] == [n**2 for n in range(7)]
+    assert side_by_side([], workers) == []
+
+
+def test_each_but_the_first_runs_elsewhere():
+    here, *others = side_by_side([os.getpid] * 3, 3)
+    assert here == os.getpid()
+    assert len({here, *others}) == 3
+    assert side_by_side([os.getpid] * 3, 1) == [here] * 3
+
+
+@WORKERS
+def test_what_a_part_raises_is_raised(workers):
+    def fails(number):
+        raise ValueError(f"part {number} failed")
+
+    with pytest.raises(ValueError, match="part 2 failed"):
+        side_by_side([partial(power, 2, 2), partial(fails, 2), partial(fails, 3)], workers)
+
+
+def test_a_process_that_dies_is_one_line():
+    with pytest.raises(RuntimeError, match="ended with code 9: too little memory"):
+        side_by_side([os.getpid, partial(os._exit, 9)], 2)
+
+
+def test_a_diagnosis_is_the_same_whatever_the_number_of_workers():
+    recording = recorded(DAMPING)
+    one, two = (json.dumps(diagnose(recording, PENDULUM, workers=workers).to_json()) for workers in (1, 2))
+    assert one == two
