@@ -75,13 +75,14 @@ class Command:
 
         Backwards where τ < 0. In float64, whatever the command's type: it is a small difference of integrals.
         """
-        exact = self._exact
-        span = torch.where(seconds.abs() < INSTANT, INSTANT, seconds).double()
-        start = start.double().reshape(-1, 1)
+        exact, span = self._exact, torch.where(seconds.abs() < INSTANT, INSTANT, seconds).double()
+        start = start.double().unsqueeze(-1)
+        first, last = (at if at.ndim > 1 else at[None] for at in (start, start + span))  # one row by itself
         impulse, moment = exact._sums
-        before, moment_before = exact._integrals(impulse, moment, start)
-        _, moment_after = exact._integrals(impulse, moment, start + span)
-        return (2 / span**2 * (moment_after - moment_before - span * before)).to(self.mean.dtype)
+        before, moment_before = exact._integrals(impulse, moment, first)
+        _, moment_after = exact._integrals(impulse, moment, last)
+        mean = (2 / span**2 * (moment_after - moment_before - span * before)).to(self.mean.dtype)
+        return mean if seconds.ndim > 1 or start.ndim > 1 else mean[..., 0, :]
 
     @property
     def _edges(self) -> Tensor:
