@@ -180,11 +180,11 @@ def neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
     low, high = _beside(parameter, value)
     if low == high:
         return bounds(parameter)
-    low, high = (2 * value - high if low == value else low), (2 * value - low if high == value else high)
     least, most = bounds(parameter)
-    # Half of a number that has a sign is far enough towards zero.
-    low = value / 2 if least >= 0 and low <= 0 else low
-    return max(low, least), min(high, most)
+    if low == value:
+        # Half of a number that has a sign is far enough towards zero.
+        return max(2 * value - high, value / 2 if least >= 0 else least), high
+    return low, min(2 * value - low, most) if high == value else high
 
 
 def bounds(parameter: Parameter) -> tuple[float, float]:

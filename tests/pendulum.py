@@ -17,6 +17,8 @@ from invdyn.simulate import random_arm, record
 
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
 PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
+ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
 FRICTION = EFFECTS["viscous_friction"]("pivot")
 DAMPING = 0.05
 WHEEL = Body("wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0))
@@ -30,6 +32,15 @@ def recorded(damping=0.0, seed=0, mass=1.0, rows=80):
     arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=seed)
     values = {"effect.viscous_friction.pivot.damping": torch.tensor([damping], dtype=torch.float64)}
     return record(arm.with_effects(FRICTION).replace(**values), seed)[0]
+
+
+def recording_of(effect=None, body=PENDULUM, rows=80, effort=0.5, seed=0, **values):
+    """A recording of a body with an effect at these values, under known commands, filmed with 2 mm of noise."""
+    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=effort, commanded=True, seed=seed)
+    if effect is not None:
+        named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+        arm = arm.with_effects(effect).replace(**named)
+    return record(arm, seed)[0]
 
 
 def path_of(here):

@@ -87,6 +87,23 @@ def test_columns_of_every_effect(regime, name):
             assert np.exp([h.log_weight for h in found]).sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("name", ["link_flexibility", "actuator_lag"])
+def test_slopes_at_a_grid_point_lead_no_further_than_its_neighbours(name):
+    """A stiffness of a hundredth of the smallest on the grid is nothing that a straight line from it could tell."""
+    model, path = bound().model, followed()
+    effect = next(e for e in considered(bound()) if e.name == name)
+    grids = {p.name: np.sort(p.grid) for p in effect.parameters(model.scale) if p.grid}
+    found, _ = hypotheses(model, effect, path, unchanged(model, path))
+    for hypothesis in found:
+        for free, low, high in zip(hypothesis.free, hypothesis.lower, hypothesis.upper, strict=True):
+            grid, here = grids[free], hypothesis.point[free]
+            place = int(np.argmin(np.abs(grid - here)))
+            before, after = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
+            ends = here + low, here + high
+            assert ends[0] == pytest.approx(before) if place else here / 2 - 1e-12 <= ends[0] < here
+            assert ends[1] == pytest.approx(after) if place < len(grid) - 1 else here < ends[1] <= 2 * here
+
+
 FOLLOWED = (
     "viscous_friction", "gravity_tilt", "payload", "torque_ripple", "actuator_lag", "actuator_saturation",
     "drifting_friction", "keypoint_offset", "camera_yaw", "lens_distortion", "clock_rate", "rolling_shutter",

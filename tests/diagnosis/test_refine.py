@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 import torch
 from oracles import kalman
-from pendulum import BRAKE, DAMPING, FRICTION, PENDULUM, ROD, at_best, causes, path_of, recorded, wheel, wheel_chain
+from pendulum import (
+    BRAKE,
+    DAMPING,
+    FRICTION,
+    PENDULUM,
+    ROD,
+    at_best,
+    causes,
+    path_of,
+    recorded,
+    wheel,
+    wheel_chain,
+)
 from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.special import logsumexp
@@ -18,7 +30,7 @@ from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
-from invdyn.diagnosis.refine import _distance, _within, key_of, refine
+from invdyn.diagnosis.refine import SETTLED, _distance, _within, key_of, refine
 from invdyn.diagnosis.setting import LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import sizes
@@ -139,6 +151,22 @@ def test_what_never_rests_is_worth_what_was_seen(monkeypatch):
     assert restless.log_evidence == pytest.approx(logsumexp(restless.by_size))
     assert restless.log_evidence < cause.log_evidence - 1
     assert cause.log_evidence == pytest.approx(logsumexp(cause.by_size))
+
+
+def test_of_rounds_that_are_as_good_the_last_one_counts(monkeypatch):
+    """Expanded half a standard deviation off, or where it leads: the second, though it is worth .1 nats less."""
+    here, _, cause = causes()
+    rounds = []
+
+    def ever_less(levels):
+        rounds.append(levels)
+        return log_prior(levels) - 0.2 * len(rounds)
+
+    monkeypatch.setattr(sys.modules[refine.__module__], "log_prior", ever_less)
+    start = {cause.names[0]: float(cause.mean[0] + 0.5 * cause.sd[0])}
+    found = refine(here, cause.effects, start, cause.path, FIRM)
+    assert 1 < len(rounds) < 4
+    assert np.abs(found.mean - found.about) <= SETTLED * found.sd
 
 
 def test_a_limbs_torque_may_be_far_above_what_holds_it_up():

@@ -1,0 +1,48 @@
+"""A formula for what the catalogue lacks."""
+
+from pendulum import ARM, recording_of
+from pyro.distributions import Normal
+
+from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models.effects.base import Effect, Parameter
+
+
+class CubicSpring(Effect):
+    """Torque −k θ³ at a joint: in no catalogue."""
+
+    def parameters(self, scale):
+        return (Parameter("stiffness", "N·m/rad³", Normal(0.0, 10.0)),)
+
+    def force(self, p, now):
+        j = self.place[0]
+        return now.at(j, -p["stiffness"] * now.q[..., j : j + 1] ** 3)
+
+
+def described(recording):
+    here = setting(recording, ARM)
+    path = gauss_newton(here.with_residual(LOOSE), here.observations).path
+    none = refine(here, (), {}, path, LOOSE)
+    return describe(here, none, none.path), path
+
+
+def test_a_cubic_spring_is_put_into_a_formula():
+    stiffness = 1.5
+    formula, _ = described(recording_of(CubicSpring("elbow"), ARM, rows=100, effort=1.0, stiffness=stiffness))
+    assert formula.variables[0] == "position:elbow"
+    first, (coefficient, sd, unit) = next(iter(formula.terms.items()))
+    assert first.endswith(" on elbow")
+    assert "θ[elbow]" in first
+    assert first in formula.text
+    assert unit in formula.text
+    assert formula.gain_per_frame > 0
+    # Whatever terms there are, they give about the torque that acted.
+    assert coefficient < 0
+    assert sd > 0
+
+
+def test_where_nothing_is_left_there_is_no_formula():
+    formula, _ = described(recording_of(body=ARM, rows=60))
+    assert formula is None

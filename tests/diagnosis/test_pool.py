@@ -1,0 +1,48 @@
+"""The pool of causes: what is considered, what is kept, and what is no rival."""
+
+from dataclasses import replace
+
+import torch
+from pendulum import PENDULUM, recording_of
+
+from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+
+
+def pool(**evidence):
+    """A search whose pool has causes with such evidences: "none", "a", "b", "ab", "abc"."""
+    here = setting(recording_of(), PENDULUM)
+    letters = dict(zip("abc", considered(here), strict=False))
+    path = torch.zeros(80, 3, dtype=torch.float64)
+    plain = refine(here, (), {}, path, LOOSE, rounds=1)
+    found = Search(considered(here), {}, [], path, stray=False)
+    for name, value in evidence.items():
+        effects = () if name == "none" else tuple(letters[letter] for letter in name)
+        found.add(replace(plain, effects=effects, log_evidence=value))
+    return found, {effect.key: letter for letter, effect in letters.items()}
+
+
+def test_what_is_left_out_is_not_considered():
+    here = setting(recording_of(), PENDULUM)
+    everything, fewer = considered(here), considered(here, ["viscous_friction", "camera_roll"])
+    assert {e.name for e in everything} - {e.name for e in fewer} == {"viscous_friction", "camera_roll"}
+    assert not {e.name for e in everything} & {"joint_coupling", "label_swap"}  # they need two joints
+
+
+def test_a_set_that_a_part_of_it_beats_is_no_rival():
+    found, letters = pool(none=0.0, a=20.0, b=19.0, ab=21.0, abc=40.0)
+    names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
+    assert names == ["abc", "a", "b", ""]  # ab gains one nat, which a second effect does not earn
+    found, letters = pool(none=0.0, a=20.0, b=0.0, ab=60.0)
+    names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
+    assert names == ["ab", "a", ""]
+
+
+def test_of_two_versions_the_better_is_kept():
+    found, _ = pool(none=0.0, a=20.0)
+    (cause,) = (c for c in found.pool.values() if c.effects)
+    found.add(replace(cause, log_evidence=10.0))
+    assert found.pool[cause.key].log_evidence == 20.0
+    found.add(replace(cause, log_evidence=30.0))
+    assert found.pool[cause.key].log_evidence == 30.0

@@ -1,0 +1,41 @@
+"""Prior probabilities of sets of effects, and tempered evidence."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from pendulum import ARM, PENDULUM, recording_of
+
+from invdyn.diagnosis.pool import considered
+from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
+from invdyn.diagnosis.setting import setting
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
+def test_no_more_than_alpha_nats_count(gain):
+    assert gain * tempered(gain) <= ALPHA
+    assert gain * tempered(gain) == pytest.approx(gain, rel=gain / ALPHA)
+    assert tempered(-5.0) == 1.0
+
+
+def test_three_at_once_may_imitate_what_is_lacking():
+    assert believed(1) == believed(2) == 1.0
+    assert believed(3) == pytest.approx(0.016 / 0.046)
+    assert believed(4) < believed(3)
+
+
+@pytest.mark.parametrize("body", [PENDULUM, ARM])
+def test_prior_sums_to_that_of_the_number(body):
+    candidates = considered(setting(recording_of(body=body, rows=30), body))
+    assert sum(NUMBER) == pytest.approx(1.0)
+    assert np.exp(log_prior_of((), candidates)) == pytest.approx(NUMBER[0])
+    single = np.array([np.exp(log_prior_of((e,), candidates)) for e in candidates])
+    assert single.sum() == pytest.approx(NUMBER[1])
+    # Acting at more joints makes an effect no likelier.
+    total = Counter()
+    for effect, p in zip(candidates, single, strict=True):
+        total[effect.name] += p
+    np.testing.assert_allclose(list(total.values()), NUMBER[1] / len(total))
+    pairs = sum(np.exp(log_prior_of((a, b), candidates)) for i, a in enumerate(candidates) for b in candidates[i + 1 :])
+    # Of two drawn one after the other, less what would be the same twice.
+    assert pairs == pytest.approx(NUMBER[2] * (1 - ((single / NUMBER[1]) ** 2).sum()))

@@ -1,0 +1,66 @@
+"""Which of the screened effects are refined, and their twins."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pendulum import ARM, PENDULUM, recording_of
+
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.promising import KIN, later, refine_kin, refine_promising
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import unknowns
+
+
+def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
+    """Only the torque's prior speaks for friction; what gains less than that on the camera's side says no more."""
+    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    gains = {"coulomb_friction": 30.0, "camera_roll": 25.0, "lens_distortion": 40.0, "base_motion": 35.0}
+    some = [e for e in considered(bound) if e.name in gains]
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, some, common, common.mean)
+    nothing = next(s.log_evidence for s in screened if s.effect is None)
+    screened = [replace(s, log_evidence=nothing + gains[s.effect.name]) if s.effect else s for s in screened]
+    screened = sorted((replace(s, dprime=50.0) for s in screened), key=lambda s: -s.log_evidence)
+    tried = []
+    monkeypatch.setattr(
+        sys.modules[refine_promising.__module__], "refine", lambda *given, **more: tried.append(given[1][0].name)
+    )
+    none = refine(bound, (), {}, path, LOOSE)
+    refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
+
+
+def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
+    bound = setting(recording_of(), PENDULUM)
+    rows, time = len(bound.observations), bound.model.time
+    path = torch.stack([3.0 * time, time**0, -time], -1)
+    ahead = later(bound, path, 0.03)
+    assert torch.allclose(ahead[: rows - 2], path[: rows - 2] + 0.03 * torch.tensor([3.0, 0.0, -1.0]))
+    assert torch.equal(ahead[-1], path[-1])
+    assert torch.equal(later(bound, path, 0.0), path)
+
+
+@pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
+@pytest.mark.parametrize(("name", "twin", "parameter", "sign"), [KIN[0], KIN[1]])
+def test_the_twin_of_a_delay_starts_from_a_path_of_its_own(monkeypatch, name, twin, parameter, sign, body):
+    """On one joint the motors' delay is that of its motor."""
+    bound = setting(recording_of(body=body), body)
+    path, stray = data_path(bound)
+    none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
+    one = next(e for e in candidates if e.name == name)
+    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter[0]}",), mean=np.array([0.03]))
+    started = []
+    monkeypatch.setattr(
+        sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
+    )
+    refine_kin(bound, Search(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    shift = 0.03 if twin == "camera_latency" else -0.03
+    assert torch.equal(started[0], later(bound, cause.path, shift))
+    assert torch.equal(started[1], path)

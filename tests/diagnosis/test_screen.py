@@ -1,0 +1,67 @@
+"""Screens: a ranking of all effects along one path or another."""
+
+import numpy as np
+import pytest
+from pendulum import PENDULUM, recording_of
+
+from invdyn.diagnosis.candidates import WINDOW
+from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.paths import FIRM, data_path, led
+from invdyn.diagnosis.pool import considered
+from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.search import _aside
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import unknowns
+from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models.effects import EFFECTS
+
+
+def test_screen_is_a_ranking_of_all_and_none():
+    here = setting(recording_of(), PENDULUM)
+    path = gauss_newton(here.with_residual(LOOSE), here.observations).path
+    effects = [e for e in considered(here) if e.name in ("viscous_friction", "camera_roll", "external_push")]
+    common = unknowns(here, ())
+    screened = screen(here, here.model, path, effects, common, common.mean)
+    assert len(screened) == len(effects) + 1
+    assert [s.log_evidence for s in screened] == sorted((s.log_evidence for s in screened), reverse=True)
+    none = next(s for s in screened if s.effect is None)
+    assert none.log_evidence == max(s.log_evidence for s in screened)  # each effect costs its prior
+    for each in screened:
+        assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
+        for name, value in each.values.items():
+            assert np.isfinite(value), (each.effect.key, name)
+
+
+def test_what_the_camera_does_shows_beside_the_simulation_alone():
+    """Under a residual torque the arm follows what a shutter has bent, and the screen sees nothing."""
+    shutter = EFFECTS["rolling_shutter"]().bound(PENDULUM)
+    bound = setting(recording_of(shutter, rows=150, readout=0.15, effort=0.8), PENDULUM)
+    path, _ = data_path(bound)
+    common = unknowns(bound, ())
+    effects = [e for e in considered(bound) if not is_searched(e)]
+    along, own = (
+        screen(bound, bound.model, each, effects, common, common.mean)
+        for each in (path, led(bound, bound.model, path, FIRM))
+    )
+    aside = _aside(along, own)
+    before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
+    assert set(before) == set(after)
+    here = shutter.key
+    assert after[here].log_evidence > before[here].log_evidence + 5
+    assert abs(after[here].values["readout"] - 0.15) < abs(before[here].values["readout"] - 0.15)
+    one, other, found = ({s.effect and s.effect.key: s.log_evidence for s in some} for some in (along, own, aside))
+    assert found == {key: max(one[key], other[key]) for key in one}  # those of the motion, too, and none
+    assert [s.log_evidence for s in aside] == sorted((s.log_evidence for s in aside), reverse=True)
+
+
+def test_a_push_is_also_looked_for_at_another_time():
+    push = EFFECTS["external_push"]("tip").bound(PENDULUM)
+    here = setting(recording_of(push, rows=120, impulse_x=0.5, impulse_y=0.2, moment=0.75, duration=0.1), PENDULUM)
+    path, common = data_path(here)[0], unknowns(here, ())
+    effects = [push, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)]
+    screened = {s.effect.name: s for s in screen(here, here.model, path, effects, common, common.mean) if s.effect}
+    found = screened["external_push"]
+    assert abs(found.values["moment"] - 0.75) < WINDOW
+    assert abs(found.elsewhere["moment"] - found.values["moment"]) > WINDOW
+    assert set(found.elsewhere) == set(found.values)
+    assert screened["viscous_friction"].elsewhere is None

@@ -1,0 +1,52 @@
+"""When the gap shows, and at which joints."""
+
+import numpy as np
+import pytest
+from pendulum import ARM, recording_of
+
+from invdyn.diagnosis.pool import considered
+from invdyn.diagnosis.setting import setting
+from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
+
+TIME = 0.01 * np.arange(400)
+
+
+def gap_at(*stretches):
+    gap = np.full(400, 0.001)
+    for start, stop, size in stretches:
+        gap[(start <= TIME) & (stop > TIME)] = size
+    return gap
+
+
+def test_intervals_hold_most_of_the_gap():
+    found = intervals(TIME, gap_at((0.5, 0.8, 2.0), (2.0, 2.5, 2.0)))
+    assert len(found) == 2
+    first, second = found  # the larger share first
+    assert abs(first.start - 2.0) <= 0.06
+    assert abs(first.stop - 2.5) <= 0.06
+    assert abs(second.start - 0.5) <= 0.2
+    assert MOST_OF - 0.05 < first.share + second.share <= 1.0
+    assert first.share == pytest.approx(1.0 / 1.6, abs=0.12)  # smoothing blunts the edges
+
+
+def test_intervals_say_nothing_where_the_gap_is_everywhere_or_nowhere():
+    assert intervals(TIME, np.ones(400)) == ()
+    assert intervals(TIME, np.zeros(400)) == ()
+    assert intervals(TIME, -np.ones(400)) == ()
+    assert intervals(TIME, np.full(400, np.nan)) == ()
+
+
+def test_intervals_of_rows_that_were_not_all_seen():
+    gap = gap_at((2.0, 2.5, 2.0))
+    gap[::3] = np.nan
+    (only,) = intervals(TIME, gap)
+    assert abs(only.start - 2.0) <= 0.1
+    assert abs(only.stop - 2.5) <= 0.1
+
+
+def test_joints_of_effects():
+    model = setting(recording_of(body=ARM, rows=30), ARM).model
+    joints = {e.key: joints_of(e.bound(ARM), model) for e in considered(setting(recording_of(body=ARM, rows=30), ARM))}
+    assert joints["viscous_friction.elbow"] == [1]
+    assert joints["joint_coupling.shoulder.elbow"] == [0, 1]
+    assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []
