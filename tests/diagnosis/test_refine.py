@@ -33,7 +33,7 @@ from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import SETTLED, _distance, _within, key_of, refine
 from invdyn.diagnosis.setting import LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.diagnosis.whiten import sizes
+from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
