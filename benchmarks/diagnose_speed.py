@@ -1,0 +1,73 @@
+"""How long a diagnosis takes: 6 s of a two-link arm at 100 frames/s, the whole catalogue, SMC and report included.
+
+Imports are not counted: each effect is diagnosed in this process, after one that warms it up.
+
+    OMP_NUM_THREADS=1 python benchmarks/diagnose_speed.py [--workers 1 2] [--repeat 3]
+"""
+
+import argparse
+import tempfile
+import time
+
+import torch
+
+from invdyn.diagnosis import diagnose, save
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
+from invdyn.simulate import random_arm, record
+
+UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
+ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
+CASES = {
+    "no gap": None,
+    "payload": (EFFECTS["payload"](), {"mass": 0.2}),
+    "viscous friction": (EFFECTS["viscous_friction"]("elbow"), {"damping": 0.05}),
+    "camera latency": (EFFECTS["camera_latency"](), {"latency": 0.02}),
+    "dry friction": (EFFECTS["coulomb_friction"]("elbow"), {"torque": 0.15}),
+    "spring": (EFFECTS["joint_stiffness"]("elbow"), {"stiffness": 0.5, "rest_angle": 0.2}),
+}
+
+
+def recorded(name: str) -> Recording:
+    """The arm under known random commands, with one effect or none, filmed with 2 mm of noise."""
+    arm = random_arm(ARM, duration=6.0, fps=100, noise=0.002, torque_scale=0.7, commanded=True, seed=3)
+    if CASES[name] is not None:
+        effect, values = CASES[name]
+        given = {f"effect.{effect.key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
+        arm = arm.with_effects(effect).replace(**given)
+    return record(arm, 3)[0]
+
+
+def seconds(recording: Recording, workers: int) -> tuple[float, str]:
+    """Diagnosed and saved; what was said to be the cause."""
+    start = time.perf_counter()
+    found = diagnose(recording, ARM, workers=workers)
+    with tempfile.TemporaryDirectory() as folder:
+        save(found, folder)
+    taken = time.perf_counter() - start
+    effects = found.to_json()["causes"][0]["effects"]
+    return taken, " + ".join(effect["effect"] for effect in effects) or "no gap"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--workers", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--repeat", type=int, default=3)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    seconds(recorded("no gap"), 1)
+    print(
+        f"{'seconds, the least of ' + str(arguments.repeat):<24}"
+        + "".join(f"{w:>8} worker(s)" for w in arguments.workers)
+    )
+    for name in CASES:
+        recording, row, said = recorded(name), "", ""
+        for workers in arguments.workers:
+            runs = [seconds(recording, workers) for _ in range(arguments.repeat)]
+            row, said = f"{row}{min(taken for taken, _ in runs):>18.1f}", runs[0][1]
+        print(f"{name:<24}{row}   → {said}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
