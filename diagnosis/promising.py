@@ -6,6 +6,7 @@ screen says, which errs, and if it gains a fair share of what the best one gains
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +20,8 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect
+
+T = TypeVar("T")
 
 HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
 """Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
@@ -144,8 +147,8 @@ def later(setting: Setting, path: Tensor, seconds: float) -> Tensor:
     return torch.as_tensor(np.stack([np.interp(at, time, column) for column in path.numpy().T], -1))
 
 
-def attempt(work: Callable[..., Refined | None], *arguments, **options) -> Refined | None:
-    """A refinement; None where it leads to parameters with which the simulation does not run at all."""
+def attempt(work: Callable[..., T], *arguments, **options) -> T | None:
+    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all."""
     try:
         return work(*arguments, **options)
     except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):

@@ -69,28 +69,10 @@ def search(
 
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
-    candidates = considered(setting, without)
-
-    def along_its_own() -> tuple[Tensor, Refined | None]:
-        """The simulation's own path, and "no effect" along it."""
-        usual = setting.observing(calm(setting.observations)) if stray else setting
-        aside = led(usual, setting.model, path, FIRM)
-        return aside, attempt(refine, setting, (), {}, aside, FIRM)
-
     known = setting.regime != "unknown_torque"
-    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose), *[along_its_own] * known]
-    none, *rest = side_by_side(starts, workers)
-    if none is None:
-        raise InputError(
-            f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
-            "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
-        )
-    found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
-    for found.aside, alone in rest:
-        if alone is not None:
-            found.add(alone)
-        if stray:
-            _mistaken(setting, found)
+    found = _begun(setting, path, stray, considered(setting, without), workers)
+    if known and stray:
+        _mistaken(setting, found)
     extended: set[str] = set()
     for _ in range(FORWARD if known else 1):
         best = found.ranked[0]
@@ -101,16 +83,7 @@ def search(
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
-        grown = found.ranked[0]
-        if len(grown.effects) == 2 and len(best.effects) == 1:
-            for old in best.effects:
-                rest = tuple(effect for effect in grown.effects if effect.key != old.key)
-                base = found.pool.get(key_of(rest)) or attempt(
-                    refine, setting, rest, values_of(grown), grown.path, setting.loose
-                )
-                if base is not None:
-                    found.add(base)
-                    _extend(setting, found, base, SWAPS)
+        _without_older(setting, found, best)
     reduce(setting, found)
     while known and found.ranked[0].effects:
         best = found.ranked[0]
@@ -121,6 +94,43 @@ def search(
             _extend(setting, found, found.ranked[0], SWAPS)
         reduce(setting, found)
     return found
+
+
+def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:
+    """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
+
+    def along_its_own() -> tuple[Tensor, Refined | None]:
+        usual = setting.observing(calm(setting.observations)) if stray else setting
+        aside = led(usual, setting.model, path, FIRM)
+        return aside, attempt(refine, setting, (), {}, aside, FIRM)
+
+    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
+    if setting.regime != "unknown_torque":
+        starts.append(partial(attempt, along_its_own))
+    none, *rest = side_by_side(starts, workers)
+    if none is None or None in rest:
+        raise InputError(
+            f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
+            "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
+        )
+    found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
+    for found.aside, alone in rest:
+        if alone is not None:
+            found.add(alone)
+    return found
+
+
+def _without_older(setting: Setting, found: Search, best: Refined) -> None:
+    """Where the ``best`` effect has become two, look for a better one in place of the older."""
+    grown = found.ranked[0]
+    if len(grown.effects) != 2 or len(best.effects) != 1:
+        return
+    rest = tuple(effect for effect in grown.effects if effect.key != best.key)
+    base = found.pool.get(key_of(rest))
+    base = base or attempt(refine, setting, rest, values_of(grown), grown.path, setting.loose)
+    if base is not None:
+        found.add(base)
+        _extend(setting, found, base, SWAPS)
 
 
 def _mistaken(setting: Setting, found: Search) -> None:

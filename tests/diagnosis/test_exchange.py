@@ -110,7 +110,7 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
         ]
 
     tried = []
-    monkeypatch.setattr(module, "screen", screened)
+    monkeypatch.setattr(module, "screen_in_halves", screened)
     monkeypatch.setattr(module, "refine_promising", lambda *a: tried.extend(s.effect.name for s in a[3] if s.effect))
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
     exchange(bound, found)

@@ -8,7 +8,7 @@ from invdyn.diagnosis.candidates import WINDOW
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.screen import screen, screen_in_halves
 from invdyn.diagnosis.search import _aside
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
@@ -65,3 +65,18 @@ def test_a_push_is_also_looked_for_at_another_time():
     assert abs(found.elsewhere["moment"] - found.values["moment"]) > WINDOW
     assert set(found.elsewhere) == set(found.values)
     assert screened["viscous_friction"].elsewhere is None
+
+
+def test_halves_are_a_ranking_of_the_whole():
+    here = setting(recording_of(), PENDULUM)
+    path, common = data_path(here)[0], unknowns(here, ())
+    effects = [e for e in considered(here) if not is_searched(e)]
+    whole = {
+        s.effect and s.effect.key: s.log_evidence for s in screen(here, here.model, path, effects, common, common.mean)
+    }
+    for count in (0, 1, len(effects)):
+        found = screen_in_halves(1, here, here.model, path, effects[:count], common, common.mean)
+        assert len(found) == count + 1
+        assert [s.log_evidence for s in found] == sorted((s.log_evidence for s in found), reverse=True)
+        for each in found:
+            assert each.log_evidence == pytest.approx(whole[each.effect and each.effect.key], abs=1e-6)
