@@ -9,6 +9,7 @@
 All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
 MAX_SUBSTEPS = 64
+ORDERS = (3, 4, 5)
+"""Of the differences that noise is estimated from."""
 
 
 @dataclass(frozen=True)
@@ -190,13 +193,19 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
 
 
 def jitter(columns: np.ndarray) -> np.ndarray:
-    """Noise sd of each column (T, C) from its third differences, robustly; 0 where too little is seen.
+    """Noise sd of each column (T, C) from its differences, robustly; 0 where too little is seen.
 
-    Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
+    The n-th differences of white noise have √(2n choose n) times its sd, whatever n; what a fast arm adds to them falls
+    with n, so that the least of several counts. Rows without a value are passed over: a recording may have commands,
+    and nothing else, in most of them.
     """
-    seen = [column[np.isfinite(column)] for column in columns.T]
-    spread = [np.median(np.abs(np.diff(column, n=3))) if len(column) > 3 else 0.0 for column in seen]
-    return 1.4826 * np.array(spread) / np.sqrt(20.0)
+
+    def estimated(column: np.ndarray) -> float:
+        orders = [n for n in ORDERS if len(column) > n]
+        spread = [np.median(np.abs(np.diff(column, n=n))) / math.sqrt(math.comb(2 * n, n)) for n in orders]
+        return 1.4826 * min(spread, default=0.0)
+
+    return np.array([estimated(column[np.isfinite(column)]) for column in columns.T])
 
 
 def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:

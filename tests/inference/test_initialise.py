@@ -1,0 +1,26 @@
+"""Starting values: noise from differences of what was seen."""
+
+import numpy as np
+import pytest
+
+from invdyn.inference.initialise import jitter
+
+
+def test_noise_is_estimated_beside_a_fast_motion():
+    """A swing at 4 Hz, 60 frames/s: its third differences are above those of the noise, its fifth ones far below."""
+    rng = np.random.default_rng(0)
+    swing = 0.05 * np.sin(2 * np.pi * 4.0 * np.arange(600) / 60)
+    noise = 0.0005 * rng.standard_normal((600, 2))
+    found = jitter(np.stack([noise[:, 0], swing + noise[:, 1]], -1))
+    assert found == pytest.approx([0.0005, 0.0005], rel=0.15)
+
+
+def test_noise_of_gaps_and_of_too_few():
+    rng = np.random.default_rng(1)
+    column = 0.1 * rng.standard_normal(1000)
+    column[::5] = np.nan
+    few = np.full(1000, np.nan)
+    few[:3] = 1.0
+    found = jitter(np.stack([column, few], -1))
+    assert found[0] == pytest.approx(0.1, rel=0.1)
+    assert found[1] == 0.0
