@@ -100,7 +100,11 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
             continue
         part = kind(*(each[k] for k in ("joint", "link", "partner") if each.get(k)))
         parts.append(part)
-        values |= {f"effect.{part.key}.{n}": torch.tensor([p["mean"]]).double() for n, p in each["parameters"].items()}
+        means = {name: p["mean"] for name, p in each["parameters"].items()}
+        if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
+            size, phase = means.pop("amplitude"), means.pop("phase")
+            means |= {"sine": size * np.cos(phase), "cosine": size * np.sin(phase)}
+        values |= {f"effect.{part.key}.{name}": torch.tensor([mean]).double() for name, mean in means.items()}
     return model.with_effects(*parts).replace(**values)
 
 
