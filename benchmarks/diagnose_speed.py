@@ -57,10 +57,8 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     seconds(recorded("no gap"), 1)
-    print(
-        f"{'seconds, the least of ' + str(arguments.repeat):<24}"
-        + "".join(f"{w:>8} worker(s)" for w in arguments.workers)
-    )
+    heads = "".join(f"{workers:>8} worker(s)" for workers in arguments.workers)
+    print(f"{f'seconds, the least of {arguments.repeat}':<24}{heads}")
     for name in CASES:
         recording, row, said = recorded(name), "", ""
         for workers in arguments.workers:

@@ -215,17 +215,9 @@ def screen(
 
 
 def screen_in_halves(
-    workers: int,
-    setting: Setting,
-    model: ArmModel,
-    path: Tensor,
-    effects: Sequence[Effect],
-    common: Unknowns,
-    point: np.ndarray,
-    quiet: bool = False,
+    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
 ) -> list[Screened]:
-    """What :func:`screen` says, of every other effect side by side with the rest."""
+    """What :func:`screen` says, of every other effect side by side with the rest; ``given`` are its other arguments."""
     halves = [effects[::2], effects[1::2]] if len(effects) > 1 else [effects]
-    parts = [partial(screen, setting, model, path, half, common, point, quiet) for half in halves]
-    one, *rest = side_by_side(parts, workers)
+    one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
     return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)

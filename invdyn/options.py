@@ -140,7 +140,8 @@ class Diagnosed(Recorded):
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     seed: Seed = 0
     workers: Annotated[
-        int, typer.Option(min=1, help="Processes side by side, with the same result; two are half as fast again.")
+        int,
+        typer.Option(min=1, help="Processes side by side, with the same result; two take 3/4 of the time."),
     ] = 2
 
     def check(self) -> None:
