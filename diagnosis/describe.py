@@ -18,7 +18,7 @@ from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import SHARE
-from invdyn.diagnosis.whiten import SLAB, linear_of, whiten
+from invdyn.diagnosis.whiten import SLAB, filter_of, linear_of, whiten
 
 MOST = 3
 """Terms in a formula."""
@@ -83,7 +83,8 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     )
     d = np.zeros((len(path), setting.observations.shape[-1], len(terms)))
     levels = np.array([1e-3, *SLAB[:-1]])
-    whitened = whiten(setting, cause.model, path, Columns(g.reshape(len(path) - 1, D, -1), d), levels, linear)
+    about = filter_of(setting, cause.model, path, levels, linear)
+    whitened = whiten(setting, about, Columns(g.reshape(len(path) - 1, D, -1), d))
     typical = setting.typical.numpy()
     sd = np.array(
         [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]

@@ -13,8 +13,9 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_kin, refine_promising, values_of
-from invdyn.diagnosis.refine import key_of, refine
+from invdyn.diagnosis.refine import Refined, key_of, refine
 from invdyn.diagnosis.screen import screen_in_halves
+from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
@@ -34,15 +35,30 @@ def reduce(setting: Setting, found: Search) -> None:
     while len(best.effects) > 1:
         for effect in best.effects:
             rest = tuple(e for e in best.effects if e is not effect)
-            if key_of(rest) not in tried:
-                kept = best.searched if any(is_searched(e) for e in rest) else {}
-                cause = attempt(refine, setting, rest, values_of(best), best.path, FIRM, **kept)
-                if cause is not None:
-                    found.add(cause)
+            cause = None if key_of(rest) in tried else attempt(without, setting, best, effect, FIRM)
+            if cause is not None:
+                found.add(cause)
             tried.add(key_of(rest))
         if found.ranked[0] is best:
             return
         best = found.ranked[0]
+
+
+def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Refined | None:
+    """A set without one of its effects, from its path and values, under a residual of ``size``; None if it is no gain.
+
+    Of what was integrated over several that were searched, nobody knows the part of one: the others are searched anew.
+    """
+    rest = tuple(e for e in whole.effects if e is not effect)
+    searched = [e for e in rest if is_searched(e)]
+    if not searched:
+        return refine(setting, rest, values_of(whole), whole.path, size)
+    if not is_searched(effect):
+        return refine(setting, rest, values_of(whole), whole.path, size, **whole.searched)
+    cause = refine(setting, tuple(e for e in rest if e not in searched), values_of(whole), whole.path, size)
+    for each in searched:
+        cause = cause and refine_searched(setting, cause, each)
+    return cause
 
 
 def exchange(setting: Setting, found: Search) -> None:

@@ -12,6 +12,9 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
 
+MISTAKES = ("outliers", "label_swap")
+"""Effects that leave stray detections, and are not looked for where there are none."""
+
 
 @dataclass
 class Search:
@@ -42,12 +45,26 @@ class Search:
 
     @property
     def temper(self) -> float:
-        """Power to which evidence is raised; see :func:`tempered`."""
-        return tempered(self.top - self.pool[""].log_evidence)
+        """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
+        return tempered(self.top - self._cleaned(self.candidates))
+
+    def temper_of(self, effect: Effect) -> float:
+        """Power to which the evidence of an effect is raised: all that is gained speaks of stray detections."""
+        return tempered(self.top - self.pool[""].log_evidence) if effect.name in MISTAKES else self.temper
 
     def score(self, cause: Refined) -> float:
-        """Log posterior but for a constant."""
-        return self.temper * cause.log_evidence + log_prior_of(cause.effects, self.candidates)
+        """Log posterior but for a constant.
+
+        What leaves stray detections gains thousands of nats and imitates nothing else: others are measured beside it.
+        """
+        none, cleaned = self.pool[""].log_evidence, self._cleaned(cause.effects)
+        gain = tempered(self.top - none) * (cleaned - none) + self.temper * (cause.log_evidence - cleaned)
+        return gain + log_prior_of(cause.effects, self.candidates)
+
+    def _cleaned(self, effects: Sequence[Effect]) -> float:
+        """The highest evidence of causes that have no effects but those of ``effects`` that leave stray detections."""
+        stray = {e.key for e in effects if e.name in MISTAKES}
+        return max(c.log_evidence for c in self.pool.values() if {e.key for e in c.effects} <= stray)
 
     @property
     def ranked(self) -> list[Refined]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.whiten import SPIKE, Whitened, sizes, whiten
+from invdyn.diagnosis.whiten import SPIKE, Whitened, filter_of, sizes, whiten
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
 
@@ -48,7 +48,7 @@ def _whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[f
     none = Columns(
         np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
     )
-    return whiten(setting, cause.model, path, none, np.array(levels))
+    return whiten(setting, filter_of(setting, cause.model, path, np.array(levels)), none)
 
 
 def correlation(setting: Setting, cause: Refined) -> tuple[float, float]:

@@ -29,7 +29,7 @@ NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
 MOST = len(NUMBER) - 1
 LACKING, IMITATORS = 0.03, 3
 """P(lacking), and the number of effects from which on they are suspected to imitate it."""
-ALPHA = 100.0
+ALPHA = 1000.0
 """α, nats."""
 
 

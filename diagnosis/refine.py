@@ -27,7 +27,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, firmed, led, lifted
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns
-from invdyn.diagnosis.whiten import Whitened, log_prior, sizes, whiten
+from invdyn.diagnosis.whiten import Whitened, filter_of, log_prior, sizes, whiten
 from invdyn.inference.gauss_newton import gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -167,7 +167,7 @@ def refine(
         quiet = setting.with_residual(max(size, FIRM), here)
         path = gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
-        whitened = whiten(setting, here, path, columns, levels)
+        whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
         top = outcomes[int(by_size.argmax())]

@@ -17,7 +17,7 @@ from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import Unknowns
-from invdyn.diagnosis.whiten import SLAB, SPIKE, Whitened, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
 from invdyn.inference.gauss_newton import Linearisation
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -35,7 +35,8 @@ def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisati
     response = linear.F[:, :, :K].copy()
     response[:, :K] = 0.0
     times, columns = bursts(model, response)
-    whitened = whiten(setting, model, path, columns, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
+    about = filter_of(setting, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
+    whitened = whiten(setting, about, columns, [slice(1 + K * i, 1 + K * (i + 1)) for i in range(len(times))])
     gains = np.zeros((3, len(times)))
     for g, gram in enumerate(whitened.gram):
         index = 1 + np.arange(len(times) * K).reshape(-1, K)
@@ -131,6 +132,12 @@ class Screened:
     path: Tensor
 
 
+def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
+    """Numbers of a hypothesis' columns, one after the other: what is added as it is, if anything, and what is free."""
+    added = () if hypothesis.offset is None else (hypothesis.offset,)
+    return start + np.array([*added, *hypothesis.columns])
+
+
 def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
     """d′ of the most visible parameter at two thirds of its prior's spread, or of an offset."""
     largest = 0.0
@@ -174,9 +181,11 @@ def screen(
     weights = log_prior(levels)
     screened = []
     linear = linear_of(setting, model, path)
+    about = filter_of(setting, model, path, levels, linear)
     times = windows(setting, model, path, linear) if any("moment" in effect.located for effect in effects) else ()
     for found, columns, first in blocks(model, effects, path, times):
-        whitened = whiten(setting, model, path, beside([columns, rest]), levels, linear)
+        own = [_own(h, start) for h, start in zip(found, first, strict=True)]
+        whitened = whiten(setting, about, beside([columns, rest]), [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
@@ -194,15 +203,13 @@ def screen(
             next_best = np.where(apart, part, -np.inf)
             other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
             by_size = logsumexp(part, axis=1)
-            own = [] if best.offset is None else [best.offset]
-            own = first[mine[place]] + np.array([*own, *best.columns])
             screened.append(
                 Screened(
                     best.effect,
                     float(logsumexp(part)),
                     by_size,
                     best,
-                    Columns(columns.g[..., own], columns.d[..., own]),
+                    Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
                     _estimates(best, results[size], mine[place]),
                     None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
                     float(levels[size]),

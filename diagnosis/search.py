@@ -31,13 +31,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce
+from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, without
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
-from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_kin, refine_promising, values_of
-from invdyn.diagnosis.refine import ROUNDS, Refined, key_of, refine
+from invdyn.diagnosis.refine import ROUNDS, Refined, refine
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting, calm
@@ -48,29 +48,26 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.recordings import InputError
 
-WIDTH, SETS = (10, 4, 5), 2
+WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
 
 FORWARD = len(WIDTH)
 """Effects that are added one by one; more only as sets."""
-
-MISTAKES = ("outliers", "label_swap")
-"""Effects that leave stray detections, and are not looked for where there are none."""
 
 
 def search(
     setting: Setting,
     path: Tensor,
     stray: bool,
-    without: Sequence[str] = (),
+    left_out: Sequence[str] = (),
     workers: int = 1,
 ) -> Search:
-    """Search for causes among the catalogue ``without`` some effects' names, from what :func:`data_path` says.
+    """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
     known = setting.regime != "unknown_torque"
-    found = _begun(setting, path, stray, considered(setting, without), workers)
+    found = _begun(setting, path, stray, considered(setting, left_out), workers)
     if known and stray:
         _mistaken(setting, found)
     extended: set[str] = set()
@@ -125,9 +122,8 @@ def _without_older(setting: Setting, found: Search, best: Refined) -> None:
     grown = found.ranked[0]
     if len(grown.effects) != 2 or len(best.effects) != 1:
         return
-    rest = tuple(effect for effect in grown.effects if effect.key != best.key)
-    base = found.pool.get(key_of(rest))
-    base = base or attempt(refine, setting, rest, values_of(grown), grown.path, setting.loose)
+    newer, older = sorted(grown.effects, key=lambda effect: effect.key == best.key)
+    base = found.pool.get(newer.key) or attempt(without, setting, grown, older, setting.loose)
     if base is not None:
         found.add(base)
         _extend(setting, found, base, SWAPS)

@@ -16,7 +16,7 @@ from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.refine import Refined, expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
-from invdyn.diagnosis.whiten import log_prior, sizes, whiten
+from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
 from invdyn.models.effects.base import Effect
 
 EARNED = 2.0
@@ -48,7 +48,7 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         if model.driven is not None:
             there = lifted(here, path)
             those = slopes(here, common, base.mean, 0.05 * base.sd, there)
-        whitened = whiten(setting, here, there, those, levels[some])
+        whitened = whiten(setting, filter_of(setting, here, there, levels[some]), those)
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
         return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
 

@@ -17,6 +17,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.diagnosis.at_rest import noise_at_rest
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
@@ -180,13 +181,13 @@ def _as_seen(problem: Problem, regime: str) -> ArmModel:
     """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics."""
     model, rows = problem.model, problem.observations.numpy()
     points = 2 * len(model.emission_model.tips)
-    sd = jitter(rows)
     reach = model.body_parameters().length.sum().item()
     found = {}
     if regime != "unknown_torque":
         found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if points:
-        found["emission.keypoint_scale"] = torch.as_tensor(sd[:points].reshape(-1, 2).mean(1)).clamp_min(1e-5 * reach)
+        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), rows[:, :points]))
+        found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:
-        found["emission.angle_scale"] = torch.as_tensor(sd[points:]).clamp_min(1e-5)
+        found["emission.angle_scale"] = torch.as_tensor(jitter(rows[:, points:])).clamp_min(1e-5)
     return model.replace(**found)

@@ -21,7 +21,7 @@ from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened, beside
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns
-from invdyn.diagnosis.whiten import log_prior, sizes, whiten
+from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
@@ -92,7 +92,7 @@ def together(
         start += each.columns.g.shape[-1]
     levels = sizes(setting.regime)
     rest = slopes(model, common, common.mean, 0.05 * common.sd, path)
-    whitened = whiten(setting, model, path, beside([*pieces, rest]), levels)
+    whitened = whiten(setting, filter_of(setting, model, path, levels), beside([*pieces, rest]))
     shared = start + np.arange(len(common.names))
 
     def evaluate(sets: Sequence[tuple[int, ...]]) -> list[Together]:

@@ -8,6 +8,7 @@ to thirty typical torques.
 Shapes: T rows, D states, O observations, J columns, G sizes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
-from invdyn.diagnosis.innovations import Innovations, innovations
+from invdyn.diagnosis.innovations import Gains, gains, innovations
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import Linearisation, linearise
 from invdyn.inference.square_root import square
@@ -68,41 +69,79 @@ def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:
     return linearise(setting.with_residual(1.0, model), path, setting.observations)
 
 
-def whiten(
-    setting: Setting,
-    model: ArmModel,
-    path: Tensor,
-    columns: Columns,
-    levels: np.ndarray,
-    linear: Linearisation | None = None,
-) -> Whitened:
-    """Whiten the data and ``columns`` about ``path`` under ``model``; ``linear`` is what :func:`linear_of` gives."""
+@dataclass(frozen=True)
+class Filter:
+    """The Kalman filter of a model linearised about a path, for every size.
+
+    Attributes:
+        sizes: (G,) of the residual.
+        linear: the model about the path.
+        gained: the filter's gains.
+        whitening: (T, O) of what is seen; zero where missing.
+        normaliser: (T,) log densities of what is seen where it is expected.
+    """
+
+    sizes: np.ndarray
+    linear: Linearisation
+    gained: Gains
+    whitening: np.ndarray
+    normaliser: np.ndarray
+
+
+def filter_of(
+    setting: Setting, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
+) -> Filter:
+    """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
     linear = linear or linear_of(setting, model, path)
-    first, noise = linear.L[0], linear.L[1:]
     with torch.no_grad():
         whitening, normaliser = gaussian_rows(model.emission(path, torch.arange(len(path))), setting.observations)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
-    Q = square(scale[:, None, :, None] * noise)
-    P0 = square(scale[:, :, None] * first)
-    result: Innovations = innovations(
+    Q = square(scale[:, None, :, None] * linear.L[1:])
+    P0 = square(scale[:, :, None] * linear.L[0])
+    return Filter(levels, linear, gains(linear.F, Q, linear.E, P0), whitening.numpy(), normaliser.numpy())
+
+
+def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
+    """Whiten the data and ``columns`` by a filter.
+
+    Of thousands of columns not all products are wanted: those within ``groups``, which are numbered as the Gram matrix
+    is, from 1 on; and those with the data and with columns behind all groups.
+    """
+    linear, levels = about.linear, about.sizes
+    w = innovations(
+        about.gained,
         linear.F,
         linear.a,
-        Q,
         linear.E,
         linear.e,
         linear.m0,
-        P0,
         columns.g,
-        whitening.numpy()[..., None] * columns.d,
+        about.whitening[..., None] * columns.d,
     )
     rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
-    w = result.columns[:, rows_seen]
+    if not rows_seen.all():
+        w = w[:, rows_seen]
     # The regression counts −½ log 2π for each observation, as the normaliser does.
     seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
-    row_log_det = result.log_det - normaliser.numpy() - 0.5 * np.log(2 * np.pi) * seen
-    return Whitened(levels, np.swapaxes(w, -1, -2) @ w, row_log_det, seen, w)
+    row_log_det = about.gained.log_det - about.normaliser - 0.5 * np.log(2 * np.pi) * seen
+    return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
+
+
+def _gram(w: np.ndarray, groups: Sequence[slice] | None) -> np.ndarray:
+    """Products (G, J, J) of columns (G, N, J), those that are wanted."""
+    if groups is None:
+        return np.swapaxes(w, -1, -2) @ w
+    count = w.shape[-1]
+    gram = np.zeros((len(w), count, count))
+    common = np.r_[0, max(group.stop for group in groups) : count]
+    gram[:, common] = np.swapaxes(w[..., common], -1, -2) @ w
+    gram[:, :, common] = np.swapaxes(gram[:, common], -1, -2)
+    for group in groups:
+        part = w[..., group]
+        gram[:, group, group] = np.swapaxes(part, -1, -2) @ part
+    return gram
 
 
 def log_prior(levels: np.ndarray) -> np.ndarray:

@@ -195,17 +195,21 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
 def jitter(columns: np.ndarray) -> np.ndarray:
     """Noise sd of each column (T, C) from its differences, robustly; 0 where too little is seen.
 
-    The n-th differences of white noise have √(2n choose n) times its sd, whatever n; what a fast arm adds to them falls
-    with n, so that the least of several counts. Rows without a value are passed over: a recording may have commands,
-    and nothing else, in most of them.
+    Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
     """
+    found = [differences(column[np.isfinite(column)]) for column in columns.T]
+    return np.array([1.4826 * np.median(np.abs(each)) if len(each) else 0.0 for each in found])
 
-    def estimated(column: np.ndarray) -> float:
-        orders = [n for n in ORDERS if len(column) > n]
-        spread = [np.median(np.abs(np.diff(column, n=n))) / math.sqrt(math.comb(2 * n, n)) for n in orders]
-        return 1.4826 * min(spread, default=0.0)
 
-    return np.array([estimated(column[np.isfinite(column)]) for column in columns.T])
+def differences(column: np.ndarray) -> np.ndarray:
+    """n-th differences of values (T,), (T − n,), as large as the noise in them; none of too few values.
+
+    Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
+    to them falls with n, so that the order with the least of them counts.
+    """
+    orders = [n for n in ORDERS if len(column) > n]
+    found = [np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n)) for n in orders]
+    return min(found, key=lambda each: np.median(np.abs(each)), default=np.empty(0))
 
 
 def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:

@@ -9,7 +9,9 @@ from invdyn.models.mixture import Stray
 
 
 class TimestampJitter(Effect):
-    """A share ρ of the detections is mistimed by s (standard deviation): a coordinate that moves with v is off by s v.
+    """A share ρ of the detections is mistimed by s/√ρ (standard deviation), by s over all of them.
+
+    A coordinate that moves with v is off by v times that.
 
     In truth all keypoints of a frame are mistimed together; here each has its own chance, which costs power, not truth.
     Told apart from noise by its growth with speed, along the motion only.
@@ -18,12 +20,13 @@ class TimestampJitter(Effect):
     side, site, order = "observation", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Share ρ, and standard deviation s, s, of up to a frame."""
+        """Share ρ, and standard deviation s over all detections, s, of up to a frame."""
         return (
             Parameter("rate", "1", Uniform(0.0, 1.0), 0.0, (0.1, 0.4, 0.9)),
             Parameter("sd", "s", HalfNormal(0.02), 0.0, (0.003, 0.01, 0.03)),
         )
 
     def mistake(self, p: Values, view: View) -> Stray:
-        """(1 − ρ) N(h, σ²) + ρ N(h, σ² + (s v)²)."""
-        return Stray(p["rate"], p["sd"].unsqueeze(-1) * view.tip_velocity)
+        """(1 − ρ) N(h, σ²) + ρ N(h, σ² + (s v)²/ρ)."""
+        each = p["sd"] / p["rate"].clamp_min(1e-9).sqrt()  # none is mistimed at a rate of 0
+        return Stray(p["rate"], each.unsqueeze(-1) * view.tip_velocity)

@@ -8,11 +8,12 @@ import pytest
 import torch
 from pendulum import PENDULUM
 
-from invdyn.diagnosis.exchange import exchange, reduce
+from invdyn.diagnosis.exchange import exchange, reduce, without
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects import EFFECTS
@@ -56,6 +57,26 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
     monkeypatch.setattr(sys.modules[reduce.__module__], "refine", refined)
     reduce(bound, Search(considered(bound), {"": none, both.key: both}, [], path, stray))
     assert tried == {("outliers",): both.searched, ("viscous_friction",): {}}
+
+
+def test_what_is_left_of_two_that_were_searched_is_searched_anew():
+    """Of what was integrated over both nobody knows the part of one: it would be there without a spread."""
+    bound = setting(recorded(), PENDULUM)
+    seen = bound.observations.clone()
+    seen[[11, 30, 52, 63]] += 0.1
+    bound = bound.observing(seen)
+    path, _ = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    by_name = {e.name: e for e in considered(bound)}
+    outliers, mistimed = by_name["outliers"], by_name["timestamp_jitter"]
+    one = refine_searched(bound, none, outliers)
+    both = replace(one, effects=(*one.effects, mistimed), noise=one.noise | {f"{mistimed.key}.rate": 0.5})
+    both = replace(both, noise=both.noise | {f"{mistimed.key}.sd": 0.001}, noise_log=one.noise_log - 5)
+    left = without(bound, both, mistimed, FIRM)
+    assert left.key == outliers.key
+    assert set(left.noise_sd) == set(left.noise) == set(one.noise)
+    assert left.noise_log == pytest.approx(one.noise_log, abs=0.5)
+    assert left.log_evidence == pytest.approx(one.log_evidence, abs=0.5)
 
 
 def test_the_path_of_one_leads_to_another_that_is_like_it():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from invdyn.diagnosis.innovations import innovations
+from invdyn.diagnosis.innovations import gains, innovations
 
 T, D, O, J = 9, 3, 2, 2
 
@@ -54,6 +54,12 @@ def joint(F, a, Q, E, e, m0, P0, g, d):
     return np.concatenate(means), seen.reshape(T * O, T * O) + np.eye(T * O)
 
 
+def whitened(F, a, Q, E, e, m0, P0, g, d):
+    """Columns (G, T·O, 1 + J), and the determinants (G, T)."""
+    gained = gains(F, Q, E, P0)
+    return innovations(gained, F, a, E, e, m0, g, d), gained.log_det
+
+
 def level(numbers, g):
     """One noise level of the numbers."""
     return numbers | {"Q": numbers["Q"][g], "P0": numbers["P0"][g]}
@@ -63,25 +69,25 @@ def level(numbers, g):
 def test_columns_and_determinants_are_those_of_the_joint_gaussian(missing):
     """A Cholesky factor is unique: whitening row by row is whitening by that of the whole covariance."""
     numbers = chain(missing=missing)
-    result = innovations(**numbers)
-    assert result.columns.shape == (3, T * O, 1 + J)
+    columns, log_det = whitened(**numbers)
+    assert columns.shape == (3, T * O, 1 + J)
     for g in range(3):
         means, covariance = joint(**level(numbers, g))
         data = -means
         data[:, 0] += numbers["e"].reshape(-1)
         root = np.linalg.cholesky(covariance)
-        np.testing.assert_allclose(result.columns[g], np.linalg.solve(root, data), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(columns[g], np.linalg.solve(root, data), rtol=1e-9, atol=1e-9)
         by_row = np.log(np.diag(root)).reshape(T, O).sum(-1)
-        np.testing.assert_allclose(result.log_det[g], by_row, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(log_det[g], by_row, rtol=1e-9, atol=1e-12)
 
 
 def test_density_of_the_data_under_any_input():
     """As the top of the file promises: log p(e | φ) = −½|w(φ)|² − Σ log_det − ½ n log 2π."""
     numbers = chain(seed=1)
-    result = innovations(**numbers)
+    columns, log_det = whitened(**numbers)
     phi = np.array([0.7, -1.3])
-    w = result.columns[..., 0] + result.columns[..., 1:] @ phi
-    got = -0.5 * (w**2).sum(-1) - result.log_det.sum(-1) - 0.5 * T * O * np.log(2 * np.pi)
+    w = columns[..., 0] + columns[..., 1:] @ phi
+    got = -0.5 * (w**2).sum(-1) - log_det.sum(-1) - 0.5 * T * O * np.log(2 * np.pi)
     for g in range(3):
         means, covariance = joint(**level(numbers, g))
         expected = multivariate_normal.logpdf(numbers["e"].reshape(-1), means @ np.r_[1.0, phi], covariance)
@@ -89,23 +95,23 @@ def test_density_of_the_data_under_any_input():
 
 
 def test_a_row_that_was_not_seen_says_nothing():
-    result = innovations(**chain())
-    rows = result.columns.reshape(3, T, O, 1 + J)
+    columns, log_det = whitened(**chain())
+    rows = columns.reshape(3, T, O, 1 + J)
     assert not rows[:, 2].any()
-    assert not result.log_det[:, 2].any()
+    assert not log_det[:, 2].any()
     assert rows[:, 3].all()
 
 
 def test_levels_together_are_the_levels_one_by_one():
     numbers = chain(seed=2)
-    together = innovations(**numbers)
+    columns, log_det = whitened(**numbers)
     for g in range(3):
-        alone = innovations(**numbers | {"Q": numbers["Q"][g : g + 1], "P0": numbers["P0"][g : g + 1]})
-        np.testing.assert_allclose(alone.columns[0], together.columns[g], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(alone.log_det[0], together.log_det[g], rtol=1e-12, atol=1e-12)
+        alone = whitened(**numbers | {"Q": numbers["Q"][g : g + 1], "P0": numbers["P0"][g : g + 1]})
+        np.testing.assert_allclose(alone[0][0], columns[g], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(alone[1][0], log_det[g], rtol=1e-12, atol=1e-12)
 
 
 def test_no_input_at_all():
     numbers = chain()
     none = numbers | {"g": numbers["g"][..., :0], "d": numbers["d"][..., :0]}
-    np.testing.assert_allclose(innovations(**none).columns, innovations(**numbers).columns[..., :1], atol=1e-12)
+    np.testing.assert_allclose(whitened(**none)[0], whitened(**numbers)[0][..., :1], atol=1e-12)

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.prior import tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 
@@ -37,6 +39,22 @@ def test_a_set_that_a_part_of_it_beats_is_no_rival():
     found, letters = pool(none=0.0, a=20.0, b=0.0, ab=60.0)
     names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
     assert names == ["ab", "a", ""]
+
+
+def test_stray_detections_are_measured_apart():
+    """Thousands of nats for them leave what ten of another effect say as it is; thousands for another do not."""
+    here = setting(recording_of(), PENDULUM)
+    outliers, payload, friction = (
+        next(e for e in considered(here) if e.name == name) for name in ("outliers", "payload", "viscous_friction")
+    )
+    plain = refine(here, (), {}, torch.zeros(80, 3, dtype=torch.float64), LOOSE, rounds=1)
+    for first, second_is_believed in ((outliers, True), (payload, False)):
+        found = Search(considered(here), {}, [], plain.path, stray=True)
+        for effects, nats in (((), 0.0), ((first,), 9000.0), ((friction,), 12.0), ((first, friction), 9012.0)):
+            found.add(replace(plain, effects=effects, log_evidence=nats))
+        assert (len(found.ranked[0].effects) == 2) is second_is_believed
+        assert found.temper_of(friction) == pytest.approx(tempered(12.0 if first is outliers else 9012.0))
+        assert found.temper_of(outliers) == pytest.approx(tempered(9012.0))
 
 
 def test_of_two_versions_the_better_is_kept():

@@ -138,7 +138,7 @@ def test_jitter_is_a_mixture_that_widens_along_the_motion(arm, having, states):
     y = plain.mean + 0.01
     residual = (y - plain.mean)[..., :4].unflatten(-1, (2, 2)).numpy()
     on_time = norm.logpdf(residual, scale=own).sum(-1)
-    mistimed = norm.logpdf(residual, scale=np.hypot(own, sd * velocity)).sum(-1)
+    mistimed = norm.logpdf(residual, scale=np.hypot(own, sd / rate**0.5 * velocity)).sum(-1)
     gained = (np.logaddexp(np.log(1 - rate) + on_time, np.log(rate) + mistimed) - on_time).sum(-1)
     assert (model.emission(x, 3).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-5)
 

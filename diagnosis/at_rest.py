@@ -1,0 +1,75 @@
+"""The noise of detections that do not move, which jitter, blur and mistimed frames let grow with speed.
+
+Differences of a track show its noise (:func:`.initialise.differences`). Sorted by the speed v of the point, their
+medians in ``BINS`` bins are compared with a noise that is the same everywhere and with two that grow:
+
+    σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
+
+σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
+
+Shapes: T rows, P points.
+"""
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from invdyn.inference.initialise import differences, jitter
+
+BINS, FEWEST = 8, 10
+"""Bins of speed, and values in each, under which nothing is compared."""
+SPAN = 4
+"""Rows before and after one between which its speed is taken: the differences' own noise is not in it."""
+SURELY = 16.0
+"""Fall of the squared misfit, in variances, from which on noise is said to grow."""
+OVERLAP = 2.0
+"""By which neighbouring differences, which share rows, make a median's variance larger."""
+
+
+def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; NaN where it is not seen."""
+    average = jitter(points).reshape(-1, 2).mean(1)
+    pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
+    return np.array([min(usual, _at_rest(time, pair, usual)) for usual, pair in zip(average, pairs, strict=True)])
+
+
+def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
+    """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average."""
+    seen = np.isfinite(track).all(-1)
+    time, track = time[seen], track[seen]
+    if len(track) < 2 * SPAN + BINS * FEWEST or usual == 0.0:
+        return usual
+    velocity = (track[2 * SPAN :] - track[: -2 * SPAN]) / (time[2 * SPAN :] - time[: -2 * SPAN])[:, None]
+    speed = np.linalg.norm(velocity, axis=-1)
+    sizes, along, whole = [], [], []
+    for c in range(2):
+        found = np.abs(differences(track[:, c]))
+        before = (len(track) - len(found)) // 2
+        sizes.append(found[SPAN - before : SPAN - before + len(speed)])
+        along.append(np.abs(velocity[:, c]))
+        whole.append(speed)
+    size = np.concatenate(sizes)
+    candidates = [
+        _fitted(np.concatenate(whole), size, lambda v, k: 1 + k * v),
+        _fitted(np.concatenate(along), size, lambda v, k: np.hypot(1.0, k * v)),
+    ]
+    gain, found = max(candidates)
+    return found if gain > SURELY else usual
+
+
+def _fitted(speed: np.ndarray, size: np.ndarray, growth) -> tuple[float, float]:
+    """How much better a noise fits that grows with ``speed`` as ``growth`` (v, k), in variances; and its σ at rest."""
+    bins = np.array_split(np.argsort(speed, kind="stable"), BINS)
+    v = np.array([speed[each].mean() for each in bins])
+    medians = np.array([np.median(size[each]) for each in bins])
+    if not (medians > 0).all() or not v.any():
+        return 0.0, 0.0
+    # A normal median of n sizes has a relative variance of 1.36/n.
+    sd = np.sqrt(OVERLAP * 1.36 / np.array([len(each) for each in bins]))
+    seen, v = np.log(1.4826 * medians), v / v.max()
+
+    def misfit(x: np.ndarray) -> np.ndarray:
+        return (seen - x[0] - np.log(growth(v, x[1]))) / sd
+
+    constant = np.average(seen, weights=sd**-2)
+    fit = least_squares(misfit, [seen[0], 1.0], bounds=([-np.inf, 0.0], [np.inf, np.inf]))
+    return float((misfit(np.array([constant, 0.0])) ** 2).sum() - 2 * fit.cost), float(np.exp(fit.x[0]))

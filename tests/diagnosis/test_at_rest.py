@@ -1,0 +1,62 @@
+"""Noise of detections at rest, beside noise that grows with speed."""
+
+import numpy as np
+import pytest
+
+from invdyn.diagnosis.at_rest import noise_at_rest
+from invdyn.inference.initialise import jitter
+
+SIGMA, ROWS = 0.001, 800
+TIME = np.arange(ROWS) / 100
+
+
+def track(rng, mistimed=0.0, blur=0.0):
+    """A point that swings on a circle, rests now and then, and is seen with noise, (T, 2) m; its speed (T,) m/s."""
+    angle = 1.5 * np.sin(2 * np.pi * 0.5 * TIME) * np.sin(2 * np.pi * 0.06 * TIME)
+    true = 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    velocity = np.gradient(true, TIME, axis=0)
+    speed = np.linalg.norm(velocity, axis=-1)
+    noise = SIGMA * (1 + blur * speed)[:, None] * rng.standard_normal((ROWS, 2))
+    return true + noise + mistimed * rng.standard_normal((ROWS, 1)) * velocity, speed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_that_does_not_grow_is_what_differences_say(seed):
+    points = np.concatenate([track(np.random.default_rng([seed, k]))[0] for k in range(2)], 1)
+    np.testing.assert_array_equal(noise_at_rest(TIME, points), jitter(points).reshape(-1, 2).mean(1))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("grows", [{"mistimed": 0.005}, {"blur": 4.0}])
+def test_noise_that_grows_is_found_where_it_rests(seed, grows):
+    points, _ = track(np.random.default_rng(seed), **grows)
+    assert jitter(points).mean() > 1.8 * SIGMA
+    # 200 values in the slowest bins: a median's sd of 8 %, and as much for the growth beside it.
+    assert noise_at_rest(TIME, points) == pytest.approx([SIGMA], rel=0.35)
+
+
+def test_each_point_has_its_own():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([track(rng)[0], track(rng, blur=4.0)[0]], 1)
+    still, blurred = noise_at_rest(TIME, points)
+    assert still == jitter(points[:, :2]).mean()
+    assert blurred < 0.8 * jitter(points[:, 2:]).mean()
+
+
+def test_stray_detections_and_gaps_are_passed_over():
+    rng = np.random.default_rng(1)
+    points, _ = track(rng, blur=4.0)
+    points[rng.random(ROWS) < 0.03] += 0.2
+    points[rng.random(ROWS) < 0.1, 0] = np.nan
+    assert noise_at_rest(TIME, points) == pytest.approx([SIGMA], rel=0.4)
+
+
+def test_of_too_few_frames_the_average_is_taken():
+    points, _ = track(np.random.default_rng(2), blur=4.0)
+    np.testing.assert_array_equal(noise_at_rest(TIME[:80], points[:80]), [jitter(points[:80]).mean()])
+
+
+def test_a_point_that_never_moves_or_is_not_noisy():
+    assert noise_at_rest(TIME, np.ones((ROWS, 2))) == [0.0]
+    still = np.random.default_rng(3).standard_normal((ROWS, 2))
+    assert noise_at_rest(TIME, still) == pytest.approx([1.0], rel=0.1)
