@@ -12,13 +12,15 @@ Shapes: T rows, P points.
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
 
 from invdyn.inference.initialise import differences, jitter
 
 BINS, FEWEST = 8, 10
 """Bins of speed, and values in each, under which nothing is compared."""
-SPAN = 4
-"""Rows before and after one between which its speed is taken: the differences' own noise is not in it."""
+SPAN, DEGREE = 0.2, 3
+"""s, and the degree, of the polynomial whose slope is a row's velocity (Savitzky & Golay 1964): high differences know
+nothing of it, so that the noise of one is not in the other. Nine rows at least."""
 SURELY = 16.0
 """Fall of the squared misfit, in variances, from which on noise is said to grow."""
 OVERLAP = 2.0
@@ -36,17 +38,19 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average."""
     seen = np.isfinite(track).all(-1)
     time, track = time[seen], track[seen]
-    if len(track) < 2 * SPAN + BINS * FEWEST or usual == 0.0:
+    if len(track) < BINS * FEWEST or usual == 0.0:
         return usual
-    velocity = (track[2 * SPAN :] - track[: -2 * SPAN]) / (time[2 * SPAN :] - time[: -2 * SPAN])[:, None]
+    step = float(np.median(np.diff(time)))
+    window = min(max(9, 2 * round(SPAN / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
+    velocity = savgol_filter(track, window, DEGREE, deriv=1, delta=step, axis=0)
     speed = np.linalg.norm(velocity, axis=-1)
     sizes, along, whole = [], [], []
     for c in range(2):
-        found = np.abs(differences(track[:, c]))
-        before = (len(track) - len(found)) // 2
-        sizes.append(found[SPAN - before : SPAN - before + len(speed)])
-        along.append(np.abs(velocity[:, c]))
-        whole.append(speed)
+        sizes.append(np.abs(differences(track[:, c])))
+        # The middle of the rows that a difference is of.
+        middle = slice((len(track) - len(sizes[c])) // 2, (len(track) - len(sizes[c])) // 2 + len(sizes[c]))
+        along.append(np.abs(velocity[middle, c]))
+        whole.append(speed[middle])
     size = np.concatenate(sizes)
     candidates = [
         _fitted(np.concatenate(whole), size, lambda v, k: 1 + k * v),

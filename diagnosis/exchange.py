@@ -12,7 +12,7 @@ import numpy as np
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_kin, refine_promising, values_of
+from invdyn.diagnosis.promising import HALF, HOPELESS, SHARE, attempt, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import Refined, key_of, refine
 from invdyn.diagnosis.screen import screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
@@ -80,6 +80,10 @@ def exchange(setting: Setting, found: Search) -> None:
             model = model.with_effects(*rest)
             model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
         free = free_beside(found, rest, old)
+        if best.complete and not rest:
+            free = _likely(found, free)
+        if not free:
+            continue
         path = lifted(model, best.path)
         screened = screen_in_halves(found.workers, setting, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
@@ -89,6 +93,15 @@ def exchange(setting: Setting, found: Search) -> None:
         bared = replace(best, effects=rest, log_evidence=nothing, by_size=np.r_[-np.inf, best.by_size[1:]])
         refine_promising(setting, found, bared, near, SWAPS)
     refine_kin(setting, found, len(best.effects))
+
+
+def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:
+    """Effects that, where nothing else was in, gained a fair share of what the best one did; all, if nobody knows."""
+    gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
+    if not gained:
+        return list(effects)
+    least = gained[None] + SHARE * (max(gained.values()) - gained[None])
+    return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]
 
 
 def free_beside(found: Search, taken: Sequence[Effect], *others: Effect) -> list[Effect]:

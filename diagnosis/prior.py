@@ -17,7 +17,8 @@ coarsening"), with G the nats that the best cause gains over none:
 
     ζ = 1 / (1 + G/α)
 
-Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are.
+Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are. Stray
+detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.Search.score`).
 """
 
 import math

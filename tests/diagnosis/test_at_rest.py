@@ -56,6 +56,11 @@ def test_of_too_few_frames_the_average_is_taken():
     np.testing.assert_array_equal(noise_at_rest(TIME[:80], points[:80]), [jitter(points[:80]).mean()])
 
 
+def test_a_fast_camera_that_saw_a_moment():
+    points = track(np.random.default_rng(5))[0][:90]
+    assert noise_at_rest(TIME[:90] / 20, points) == pytest.approx([SIGMA], rel=0.3)
+
+
 def test_a_point_that_never_moves_or_is_not_noisy():
     assert noise_at_rest(TIME, np.ones((ROWS, 2))) == [0.0]
     still = np.random.default_rng(3).standard_normal((ROWS, 2))

@@ -9,6 +9,7 @@ import torch
 from pendulum import PENDULUM
 
 from invdyn.diagnosis.exchange import exchange, reduce, without
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
@@ -92,6 +93,29 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
     assert found.ranked[0].key == "coulomb_friction.pivot"
     assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
     assert len(found.pool) < 6  # and no more than a few
+
+
+def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
+    bound = setting(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    friction = EFFECTS["coulomb_friction"]("pivot")
+    none, cause = refine(bound, (), {}, path, LOOSE), refine(bound, (friction,), {"torque": 0.15}, path, FIRM)
+    assert cause.complete
+    common = unknowns(bound, ())
+    free = [e for e in considered(bound) if not is_searched(e)]
+    first = screen(bound, bound.model, path, free, common, common.mean)
+    found = Search(considered(bound), {"": none, cause.key: cause}, first, path, stray)
+    tried = []
+
+    def screened(workers, setting, model, path, effects, *given):
+        tried.extend(e.name for e in effects)
+        return screen(setting, model, path, effects, *given)
+
+    monkeypatch.setattr(sys.modules[exchange.__module__], "screen_in_halves", screened)
+    exchange(bound, found)
+    assert {"stribeck_friction", "viscous_friction"} <= set(tried)
+    assert len(tried) < len(free) / 2
 
 
 def test_in_a_set_too_one_gives_way_while_the_other_stays():
