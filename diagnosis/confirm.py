@@ -13,6 +13,7 @@ Shapes: M filters, N particles, T rows, p unknowns.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import arviz as az
@@ -35,7 +36,10 @@ from invdyn.inference.seeds import seeded
 from invdyn.inference.smoothing import genealogy
 from invdyn.models import ArmModel
 
-FILTERS, PARTICLES = 16, 20
+FILTERS, PARTICLES = (8, 16), 20
+"""Filters, and those of a second run where the first one's standard error is above ``CLEAR``; particles of each."""
+CLEAR = 0.2
+"""Nats."""
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -60,12 +64,21 @@ class Confirmed:
     model: ArmModel
 
 
-def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS) -> Confirmed:
-    """Run M = ``filters`` filters of ``PARTICLES`` particles each under the cause; same seed, same result.
+def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: Sequence[int] = FILTERS) -> Confirmed:
+    """Run M of ``filters``, of ``PARTICLES`` particles each, under the cause: the first M that gives clear evidence.
 
-    Where a filter dies, because parameters that may be let the simulation run away, all run at the estimates and under
-    a larger residual: that gives paths, but no evidence (−∞, and NaN as its error).
+    The last one, if none does. Same seed, same result. Where a filter dies, because parameters that may be let the
+    simulation run away, all run at the estimates and under a larger residual: that gives paths, but no evidence (−∞,
+    and NaN as its error).
     """
+    for count in filters:
+        confirmed = _confirmed(setting, cause, seed, count)
+        if confirmed.log_evidence_sd < CLEAR:
+            break
+    return confirmed
+
+
+def _confirmed(setting: Setting, cause: Refined, seed: int, filters: int) -> Confirmed:
     levels = sizes(setting.regime)
     top = int(cause.by_size.argmax())
     with seeded(seed):

@@ -12,7 +12,7 @@ import numpy as np
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.promising import HALF, HOPELESS, SHARE, attempt, refine_kin, refine_promising, values_of
+from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_kin, refine_promising, values_of
 from invdyn.diagnosis.refine import Refined, key_of, refine
 from invdyn.diagnosis.screen import screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
@@ -21,8 +21,9 @@ from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-SWAPS = 2
-"""Candidates that are refined when one is to take another's place."""
+SWAPS, FAIR = 2, 0.3
+"""Candidates that are refined when one is to take another's place; what they have to gain by themselves where the best
+cause leaves nothing, of what the best effect does."""
 
 
 def reduce(setting: Setting, found: Search) -> None:
@@ -100,7 +101,7 @@ def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:
     gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
     if not gained:
         return list(effects)
-    least = gained[None] + SHARE * (max(gained.values()) - gained[None])
+    least = gained[None] + FAIR * (max(gained.values()) - gained[None])
     return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]
 
 

@@ -221,8 +221,8 @@ def refine(
         descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
-    # Then stiffer: a residual that bends the path lets wrong parameters stand.
-    for stiffness in (0.1, 0.0):
+    # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
+    for stiffness in (0.1, 0.0) if among.names else ():
         if patient and not best.complete and best.log_evidence >= enough:
             size = float(levels[best.by_size.argmax()])
             firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)

@@ -5,6 +5,7 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 """
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -177,13 +178,16 @@ def screen(
     """
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
-    rest = slopes(model, common, point, 0.05 * common.sd, path)
+    quick = copy(model)
+    # What is changed by little needs no more; what it is added to does.
+    quick.substeps = max(1, model.substeps // 2)
+    rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened = []
     linear = linear_of(setting, model, path)
     about = filter_of(setting, model, path, levels, linear)
     times = windows(setting, model, path, linear) if any("moment" in effect.located for effect in effects) else ()
-    for found, columns, first in blocks(model, effects, path, times):
+    for found, columns, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         whitened = whiten(setting, about, beside([columns, rest]), [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)

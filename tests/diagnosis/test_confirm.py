@@ -16,7 +16,7 @@ def test_smc_evidence_of_a_linear_chain_is_exact():
     """The twisted proposal is perfect there: every filter finds the same number."""
     here = wheel()
     none = refine(here, (), {}, path_of(here), LOOSE)
-    confirmed = confirm(here, none, filters=4)
+    confirmed = confirm(here, none, filters=[4])
     exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
     other_sizes = none.log_evidence - at_best(here, none)[0]
     assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
@@ -45,7 +45,7 @@ def test_where_filters_die_there_are_paths_and_no_evidence():
 
 def test_same_seed_same_numbers_and_all_within_bounds():
     here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
-    first, again, other = (confirm(here, cause, seed, filters=8) for seed in (1, 1, 2))
+    first, again, other = (confirm(here, cause, seed, filters=[8]) for seed in (1, 1, 2))
     assert first.log_evidence == again.log_evidence
     assert np.array_equal(first.values, again.values)
     assert not np.array_equal(first.values, other.values)
@@ -57,7 +57,7 @@ def test_same_seed_same_numbers_and_all_within_bounds():
 
 def test_posterior_has_the_parameters():
     here, _, cause = causes()
-    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
+    idata = posterior(here, cause, confirm(here, cause, filters=[4]), 0)
     drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
     assert drawn.shape == idata["posterior"]["torque"].shape[:2]
     assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]
