@@ -1,6 +1,7 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import arviz as az
 import numpy as np
@@ -11,13 +12,14 @@ from invdyn.diagnosis.describe import Formula
 from invdyn.diagnosis.findings import finding, key
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import Search, imitable
-from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips, smoothed
+from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.promising import FAINT
 from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Shrinkage, Tracks, Visibility, Where
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import Closed
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.weigh import Weighed
 from invdyn.diagnosis.where import where
 from invdyn.models import Body
@@ -40,15 +42,14 @@ def assembled(
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left."""
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
-    before, before_sd = residual(bound, none)
-    after, after_sd = (before, before_sd) if best is none else residual(bound, best)
-    path = smoothed(bound, best).path
+    asked = [none] if best is none else [none, best]
+    left = side_by_side([partial(residual, bound, cause) for cause in asked], found.workers)
+    (before, before_sd, _), (after, after_sd, path) = left[0], left[-1]
     _, q, qd = best.model.split(path)
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    replays = {
-        "nominal": replay(model, _without_hidden(model, path), bound.starts),
-        "corrected": replay(best.model, path, bound.starts),
-    }
+    runs = [(model, _without_hidden(model, path)), (best.model, path)]
+    played = side_by_side([partial(replay, *run, bound.starts) for run in runs], found.workers)
+    replays = dict(zip(("nominal", "corrected"), played, strict=True))
     frame_gap = scores(bound, best).score - scores(bound, none).score
     moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
     shifts = (

@@ -9,6 +9,7 @@ explains, :mod:`.where` says where it lies, :mod:`.assemble` puts all together.
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
@@ -20,6 +21,7 @@ from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.weigh import certain, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
@@ -81,14 +83,16 @@ def diagnose(
     other = None if other is None else replace(other, shape=bound.shape)
     found = search(bound, path, stray, without, workers)
     report(2, "confirm")
-    weighed = weigh(bound, found, seed)
-    report(3, "held out")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
     def held(cause: Refined) -> Closed:
         return closed(*held_out_scores(bound, none, cause, other), time, seed)
 
-    shares = held(weighed.best)
+    likely = found.ranked[0]
+    weighed, shares = side_by_side([partial(weigh, bound, found, seed), partial(held, likely)], workers)
+    report(3, "held out")
+    if weighed.best is not likely:
+        shares = held(weighed.best)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:

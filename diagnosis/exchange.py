@@ -66,7 +66,8 @@ def exchange(setting: Setting, found: Search) -> None:
     """Look for a better effect in place of each of the best set's, along the path that it has found.
 
     Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
-    that imitate others together, none gives way while the rest stay.
+    that imitate others together, none gives way while the rest stay. Where one leaves nothing, those that would leave
+    as little have arrived.
     """
     best = found.ranked[0]
     for old in best.effects:
@@ -82,7 +83,8 @@ def exchange(setting: Setting, found: Search) -> None:
             model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
         free = free_beside(found, rest, old)
         if best.complete and not rest:
-            free = _likely(found, free)
+            arrived = {cause.key for cause in found.pool.values() if cause.complete}
+            free = [effect for effect in _likely(found, free) if effect.key not in arrived]
         if not free:
             continue
         path = lifted(model, best.path)

@@ -89,12 +89,12 @@ def smoothed(setting: Setting, cause: Refined) -> GaussianSmoother:
     return gauss_newton(quiet, setting.observations, start=cause.path, max_iterations=3)
 
 
-def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and sd (T, K) of the residual torque, N·m."""
+def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray, Tensor]:
+    """Mean and sd (T, K) of the residual torque, N·m; and the smoothed path (T, D)."""
     smoother = smoothed(setting, cause)
     K = cause.model.body.num_joints
     variance = smoother.covariance().diagonal(dim1=-2, dim2=-1)[:, :K]
-    return smoother.path[:, :K].numpy(), variance.clamp_min(0).sqrt().numpy()
+    return smoother.path[:, :K].numpy(), variance.clamp_min(0).sqrt().numpy(), smoother.path
 
 
 @torch.no_grad()

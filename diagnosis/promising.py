@@ -50,20 +50,23 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
-    alone = log_prior_of(base.effects, found.candidates)
+    without = log_prior_of(base.effects, found.candidates)
     doubt = SURE if base.effects and base.complete else DOUBT
     promising = [
         s
         for s in screened
         if s.effect is not None
         and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
-        > alone - doubt
+        > without - doubt
     ]
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
-    for first in range(0, min(len(promising), width), PAIR):
+    promising = promising[:width]
+    # One that gains far more than the next may leave nothing, and spare the others.
+    alone = len(promising) > 1 and promising[1].log_evidence - nothing < HALF * most
+    for first in (0, *range(1 if alone else PAIR, len(promising), PAIR)):
         top, complete = found.top, found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
         least = min(most - HOPELESS, (HALF if complete else SHARE) * most)
@@ -73,7 +76,7 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
         }
         parts = [
             partial(_refined, setting, base, each, limits)
-            for place, each in enumerate(promising[first : min(first + PAIR, width)], first)
+            for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
         for causes in side_by_side(parts, found.workers):

@@ -36,13 +36,13 @@ def test_rows_that_were_not_seen_have_no_score():
 
 def test_residual_torque_is_what_the_simulation_lacks():
     here, none, cause = causes()
-    mean, sd = residual(here, none)
+    mean, sd, _ = residual(here, none)
     assert mean.shape == sd.shape == (80, 1)
     missing = -DAMPING * none.path[:, 2].numpy()
     # A Gaussian process through noise: its own spread says how far off it may be.
     assert np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
     assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
-    after, _ = residual(here, cause)
+    after, _, _ = residual(here, cause)
     assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())
 
 
