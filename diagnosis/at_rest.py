@@ -5,7 +5,8 @@ medians in ``BINS`` bins are compared with a noise that is the same everywhere a
 
     σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
 
-σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
+σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does. Points
+whose noise grows are taken to have the same at rest.
 
 Shapes: T rows, P points.
 """
@@ -31,11 +32,16 @@ def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; NaN where it is not seen."""
     average = jitter(points).reshape(-1, 2).mean(1)
     pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
-    return np.array([min(usual, _at_rest(time, pair, usual)) for usual, pair in zip(average, pairs, strict=True)])
+    rest = np.array([_at_rest(time, pair, usual) for usual, pair in zip(average, pairs, strict=True)])
+    grows = rest < average
+    if grows.any():
+        # Each by itself is known to a third; one camera and one network saw them all.
+        rest[grows] = np.minimum(average[grows], np.exp(np.log(rest[grows]).mean()))
+    return rest
 
 
 def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
-    """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average."""
+    """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average; no more than that."""
     seen = np.isfinite(track).all(-1)
     time, track = time[seen], track[seen]
     if len(track) < BINS * FEWEST or usual == 0.0:
@@ -57,7 +63,7 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
         _fitted(np.concatenate(along), size, lambda v, k: np.hypot(1.0, k * v)),
     ]
     gain, found = max(candidates)
-    return found if gain > SURELY else usual
+    return min(usual, found) if gain > SURELY else usual
 
 
 def _fitted(speed: np.ndarray, size: np.ndarray, growth) -> tuple[float, float]:

@@ -46,7 +46,7 @@ class Search:
     @property
     def temper(self) -> float:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
-        return tempered(self.top - self._cleaned(self.candidates))
+        return tempered(self.top - self._cleaned)
 
     def temper_of(self, effect: Effect) -> float:
         """Power to which the evidence of an effect is raised: all that is gained speaks of stray detections."""
@@ -55,16 +55,17 @@ class Search:
     def score(self, cause: Refined) -> float:
         """Log posterior but for a constant.
 
-        What leaves stray detections gains thousands of nats and imitates nothing else: others are measured beside it.
+        Stray detections gain thousands of nats: what is more likely than they alone is measured from there.
         """
-        none, cleaned = self.pool[""].log_evidence, self._cleaned(cause.effects)
-        gain = tempered(self.top - none) * (cleaned - none) + self.temper * (cause.log_evidence - cleaned)
-        return gain + log_prior_of(cause.effects, self.candidates)
+        none, cleaned = self.pool[""].log_evidence, self._cleaned
+        stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
+        beyond = self.temper * max(cause.log_evidence - cleaned, 0.0)
+        return stray + beyond + log_prior_of(cause.effects, self.candidates)
 
-    def _cleaned(self, effects: Sequence[Effect]) -> float:
-        """The highest evidence of causes that have no effects but those of ``effects`` that leave stray detections."""
-        stray = {e.key for e in effects if e.name in MISTAKES}
-        return max(c.log_evidence for c in self.pool.values() if {e.key for e in c.effects} <= stray)
+    @property
+    def _cleaned(self) -> float:
+        """The highest evidence of causes that leave stray detections and nothing else; of none, if there are none."""
+        return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
 
     @property
     def ranked(self) -> list[Refined]:

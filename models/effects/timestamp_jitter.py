@@ -11,8 +11,7 @@ from invdyn.models.mixture import Stray
 class TimestampJitter(Effect):
     """A share ρ of the detections is mistimed by s/√ρ (standard deviation), by s over all of them.
 
-    A coordinate that moves with v is off by v times that.
-
+    A coordinate that moves with v and a is off by δ v + δ² a/2 at a time that is off by δ.
     In truth all keypoints of a frame are mistimed together; here each has its own chance, which costs power, not truth.
     Told apart from noise by its growth with speed, along the motion only.
     """
@@ -27,6 +26,7 @@ class TimestampJitter(Effect):
         )
 
     def mistake(self, p: Values, view: View) -> Stray:
-        """(1 − ρ) N(h, σ²) + ρ N(h, σ² + (s v)²/ρ)."""
-        each = p["sd"] / p["rate"].clamp_min(1e-9).sqrt()  # none is mistimed at a rate of 0
-        return Stray(p["rate"], each.unsqueeze(-1) * view.tip_velocity)
+        """(1 − ρ) N(h, σ²) + ρ N(h, σ² + E[(δ v + δ² a/2)²]), the expectation s_δ² v² + ¾ s_δ⁴ a², s_δ = s/√ρ."""
+        each = (p["sd"] / p["rate"].clamp_min(1e-9).sqrt()).unsqueeze(-1)  # none is mistimed at a rate of 0
+        off = view.tip_velocity**2 + 0.75 * (each * view.tip_acceleration) ** 2
+        return Stray(p["rate"], each * (off + 1e-24).sqrt())  # a floor keeps the gradient at rest finite

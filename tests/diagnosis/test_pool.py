@@ -54,6 +54,9 @@ def test_stray_detections_are_measured_apart():
             found.add(replace(plain, effects=effects, log_evidence=nats))
         assert (len(found.ranked[0].effects) == 2) is second_is_believed
         assert found.temper_of(friction) == pytest.approx(tempered(12.0 if first is outliers else 9012.0))
+        # Of as many effects those with more evidence rank higher, whatever their sort.
+        scores = [found.score(replace(plain, effects=(friction,), log_evidence=e)) for e in (0.0, 12.0, 8999.0, 9100.0)]
+        assert scores == sorted(scores)
         assert found.temper_of(outliers) == pytest.approx(tempered(9012.0))
 
 

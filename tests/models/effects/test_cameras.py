@@ -133,14 +133,19 @@ def test_jitter_is_a_mixture_that_widens_along_the_motion(arm, having, states):
     ideal = arm(2)
     model, x = having(ideal, TimestampJitter(), rate=rate, sd=sd), states(ideal, 5)
     velocity = (later(ideal, x, h, held=True) - later(ideal, x, -h, held=True)) / (2 * h)
+    wide = 1e-3
+    ends = later(ideal, x, wide, held=True) + later(ideal, x, -wide, held=True)
+    acceleration = (ends - 2 * later(ideal, x, 0.0, held=True)) / wide**2
     own = ideal.parameters["emission.keypoint_scale"].numpy()[:, None]
-    plain = ideal.emission(x, 3)
+    plain = ideal.emission(x, 5)
     y = plain.mean + 0.01
     residual = (y - plain.mean)[..., :4].unflatten(-1, (2, 2)).numpy()
     on_time = norm.logpdf(residual, scale=own).sum(-1)
-    mistimed = norm.logpdf(residual, scale=np.hypot(own, sd / rate**0.5 * velocity)).sum(-1)
+    delta = sd / rate**0.5
+    off = np.hypot(delta * velocity, 0.75**0.5 * delta**2 * acceleration)
+    mistimed = norm.logpdf(residual, scale=np.hypot(own, off)).sum(-1)
     gained = (np.logaddexp(np.log(1 - rate) + on_time, np.log(rate) + mistimed) - on_time).sum(-1)
-    assert (model.emission(x, 3).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-5)
+    assert (model.emission(x, 5).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-5)
 
 
 def test_blur_widens_the_noise(seen):
