@@ -77,10 +77,10 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if with_effect.state_dim > model.state_dim:
-            path, f = driven(with_effect, path, len(sets))
-        else:
-            # What the camera alone makes of it moves no arm.
-            f = gaussian_mean((with_effect if effect.moves else model).transition(path[:-1], rows[1:]))
+            path = driven(with_effect, path, len(sets))
+        # What the camera alone makes of it moves no arm.
+        moving = with_effect if effect.moves else model
+        f = gaussian_mean(moving.transition(path[..., :-1, :], rows[1:]))
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)

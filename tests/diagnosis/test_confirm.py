@@ -1,5 +1,6 @@
 """SMC evidence of causes against exact Kalman evidence and the linearised one; posteriors."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,20 @@ def test_smc_agrees_with_the_linearised_evidence():
         confirmed = confirm(here, each)
         assert confirmed.log_evidence_sd < 0.3
         assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+@pytest.mark.parametrize(("errors", "runs"), [((0.1, 0.1), [8]), ((0.3, 0.5), [8, 16]), ((np.nan, 0.1), [8, 16])])
+def test_more_filters_run_where_few_are_not_clear(monkeypatch, errors, runs):
+    here, _, cause = causes()
+    few, told, asked = confirm(here, cause, filters=[2]), iter(errors), []
+
+    def run(setting, cause, seed, count):
+        asked.append(count)
+        return replace(few, log_evidence_sd=next(told))
+
+    monkeypatch.setattr(sys.modules[confirm.__module__], "_confirmed", run)
+    np.testing.assert_equal(confirm(here, cause).log_evidence_sd, errors[len(runs) - 1])
+    assert asked == runs
 
 
 def test_where_filters_die_there_are_paths_and_no_evidence():

@@ -37,6 +37,31 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
 
 
+@pytest.mark.parametrize(("second", "refined"), [(400.0, 1), (600.0, 2)])
+def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined):
+    """Where it leaves nothing, one that gained less than half as much is spared."""
+    bound = setting(recording_of(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    some = [e for e in considered(bound) if e.name in ("coulomb_friction", "camera_roll")]
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, some, common, common.mean)
+    nothing = next(s.log_evidence for s in screened if s.effect is None)
+    gains = dict(zip((e.key for e in some), (1000.0, second), strict=True))
+    screened = [replace(s, log_evidence=nothing + (gains[s.effect.key] if s.effect else 0.0)) for s in screened]
+    screened = sorted(screened, key=lambda s: -s.log_evidence)
+    tried = []
+
+    def refined_one(setting, effects, values, path, size, **given):
+        tried.append(effects[0].key)
+        settled = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
+        return replace(none, effects=effects, log_evidence=none.log_evidence + 1000, by_size=settled)
+
+    monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
+    refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    assert len(tried) == refined
+
+
 def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
     bound = setting(recording_of(), PENDULUM)
     rows, time = len(bound.observations), bound.model.time

@@ -1,5 +1,7 @@
 """Screens: a ranking of all effects along one path or another."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 from pendulum import PENDULUM, recording_of
@@ -30,6 +32,23 @@ def test_screen_is_a_ranking_of_all_and_none():
         assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
         for name, value in each.values.items():
             assert np.isfinite(value), (each.effect.key, name)
+
+
+def test_half_the_sub_steps_do_for_what_is_changed():
+    """Slopes of one sub-step or of four: gains are the same to a hundredth."""
+    here = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, effort=0.8, damping=0.05), PENDULUM)
+    path, common = data_path(here)[0], unknowns(here, ())
+    effects = [e for e in considered(here) if not is_searched(e)]
+    gains = []
+    for count in (2, 8):
+        model = copy(here.model)
+        model.substeps = count
+        found = {
+            s.effect and s.effect.key: s.log_evidence for s in screen(here, model, path, effects, common, common.mean)
+        }
+        gains.append({key: value - found[None] for key, value in found.items()})
+    for key, gain in gains[1].items():
+        assert gains[0][key] == pytest.approx(gain, rel=0.01, abs=0.1), key
 
 
 def test_what_the_camera_does_shows_beside_the_simulation_alone():

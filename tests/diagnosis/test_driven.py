@@ -1,0 +1,56 @@
+"""What a hinge that nobody sees does along a known motion, and to it."""
+
+import sys
+
+import pytest
+import torch
+from pendulum import ARM
+
+from invdyn.diagnosis.driven import _some, driven
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.setting import setting
+from invdyn.models.effects import EFFECTS
+from invdyn.models.state_space import gaussian_mean
+from invdyn.simulate import random_arm, record
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """An arm, 100 frames/s, whose forearm swings at 7, 14 and 30 Hz, (3,) parameter sets; its path without that."""
+    arm = random_arm(ARM, duration=1.5, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=3)
+    here = setting(record(arm, 3)[0], ARM)
+    effect = EFFECTS["link_flexibility"]("forearm").bound(ARM)
+    stiffness, damping = effect.parameters(here.model.scale)
+    values = torch.tensor([stiffness.grid[i] for i in (1, 3, 5)], dtype=torch.float64).reshape(-1, 1, 1)
+    known = {f"effect.{effect.key}.stiffness": values, f"effect.{effect.key}.damping": 0 * values + damping.grid[1]}
+    return here.model.with_effects(effect).replace(**known), data_path(here)[0]
+
+
+def test_the_hinge_goes_where_the_model_has_it_go(bent):
+    """From row to row, to first order: within a tenth of the largest deflection."""
+    model, path = bent
+    paths = driven(model, path, 3)
+    with torch.no_grad():
+        after = gaussian_mean(model.transition(paths[:, :-1], torch.arange(1, len(path))))
+    angle = slice(2, 3)
+    off = (paths[:, 1:, angle] - after[..., angle]).abs().amax((1, 2))
+    assert (off < 0.1 * paths[..., angle].abs().amax((1, 2))).all()
+
+
+def test_between_rows_lines_are_straight_enough(bent, monkeypatch):
+    model, path = bent
+    paths = driven(model, path, 3)
+    assert len(_some(model.dt[1:])) < 0.6 * len(path)
+    monkeypatch.setattr(sys.modules[driven.__module__], "EVERY", 0.0)
+    assert len(_some(model.dt[1:])) == len(path) - 1
+    whole = driven(model, path, 3)
+    for hidden in (2, 3):
+        change = (paths - whole)[..., hidden].abs().amax(1)
+        assert (change < 0.02 * whole[..., hidden].abs().amax(1)).all()
+
+
+def test_where_frames_are_missing_every_row_is_looked_at():
+    dt = torch.full((50,), 0.01, dtype=torch.float64)
+    assert _some(dt).tolist() == [*range(0, 50, 2), 49]
+    dt[20] = 0.02
+    assert _some(dt).tolist() == list(range(50))

@@ -1,0 +1,28 @@
+"""Products of whitened columns, all of them or those that are wanted."""
+
+import numpy as np
+from pendulum import ARM, recording_of
+
+from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.setting import setting
+from invdyn.diagnosis.whiten import filter_of, sizes, whiten
+
+
+def test_products_within_groups_are_those_of_all():
+    here = setting(recording_of(body=ARM, rows=40), ARM)
+    path = data_path(here)[0]
+    rng = np.random.default_rng(0)
+    columns = Columns(rng.normal(size=(39, 6, 7)), rng.normal(size=(40, here.observations.shape[-1], 7)))
+    about = filter_of(here, here.model, path, sizes("commanded"))
+    whole = whiten(here, about, columns)
+    assert whole.gram.shape == (7, 8, 8)
+    groups = [slice(1, 3), slice(3, 4), slice(4, 6)]  # 6 and 7 behind them
+    some = whiten(here, about, columns, groups)
+    wanted = np.zeros((8, 8), dtype=bool)
+    wanted[[0, 6, 7]] = wanted[:, [0, 6, 7]] = True
+    for group in groups:
+        wanted[group, group] = True
+    np.testing.assert_allclose(some.gram[:, wanted], whole.gram[:, wanted], rtol=1e-12)
+    np.testing.assert_array_equal(some.columns, whole.columns)
+    assert some.count == whole.count
