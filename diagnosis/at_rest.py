@@ -11,11 +11,16 @@ whose noise grows are taken to have the same at rest.
 Shapes: T rows, P points.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from invdyn.inference.initialise import differences, jitter
+
+Growth = Callable[[np.ndarray, float], np.ndarray]
+"""Speeds (N,) and k → noise, in units of that at rest."""
 
 BINS, FEWEST = 8, 10
 """Bins of speed, and values in each, under which nothing is compared."""
@@ -29,7 +34,7 @@ OVERLAP = 2.0
 
 
 def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; NaN where it is not seen."""
+    """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; 0 where too little is seen."""
     average = jitter(points).reshape(-1, 2).mean(1)
     pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
     rest = np.array([_at_rest(time, pair, usual) for usual, pair in zip(average, pairs, strict=True)])
@@ -66,7 +71,7 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     return min(usual, found) if gain > SURELY else usual
 
 
-def _fitted(speed: np.ndarray, size: np.ndarray, growth) -> tuple[float, float]:
+def _fitted(speed: np.ndarray, size: np.ndarray, growth: Growth) -> tuple[float, float]:
     """How much better a noise fits that grows with ``speed`` as ``growth`` (v, k), in variances; and its σ at rest."""
     bins = np.array_split(np.argsort(speed, kind="stable"), BINS)
     v = np.array([speed[each].mean() for each in bins])

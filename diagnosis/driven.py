@@ -15,7 +15,7 @@ from torch import Tensor
 from invdyn.models import ArmModel
 from invdyn.models.state_space import gaussian_mean
 
-EVERY, EVEN = 0.02, 0.01
+EVERY, EVEN = 0.03, 0.01
 """s between the rows at which A is looked at, and by what share of it rows' intervals may differ for that."""
 
 
@@ -53,7 +53,7 @@ def _some(dt: Tensor) -> Tensor:
     """Numbers of the rows at which A is looked at, the first and the last among them; ``dt`` (T − 1,) s."""
     usual = dt.median()
     even = bool(((dt - usual).abs() < EVEN * usual).all())
-    every = max(1, int(EVERY / usual)) if even else 1
+    every = max(1, round(EVERY / float(usual))) if even else 1
     return torch.unique(torch.cat([torch.arange(0, len(dt), every), torch.tensor([len(dt) - 1])]))
 
 

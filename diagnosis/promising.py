@@ -50,14 +50,14 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
-    without = log_prior_of(base.effects, found.candidates)
+    bare = log_prior_of(base.effects, found.candidates)
     doubt = SURE if base.effects and base.complete else DOUBT
     promising = [
         s
         for s in screened
         if s.effect is not None
         and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
-        > without - doubt
+        > bare - doubt
     ]
     most = screened[0].log_evidence - nothing
     if setting.regime == "unknown_torque":

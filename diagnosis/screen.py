@@ -179,7 +179,7 @@ def screen(
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
     quick = copy(model)
-    # What is changed by little needs no more; what it is added to does.
+    # What an effect adds is small: half of the sub-steps tell it as well.
     quick.substeps = max(1, model.substeps // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)

@@ -52,7 +52,7 @@ WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
 
 FORWARD = len(WIDTH)
-"""Effects that are added one by one; more only as sets."""
+"""Effects that are added one by one."""
 
 
 def search(
