@@ -15,7 +15,7 @@ from torch import Tensor
 from invdyn.models import ArmModel
 from invdyn.models.state_space import gaussian_mean
 
-EVERY, EVEN = 0.03, 0.01
+EVERY, EVEN = 0.02, 0.01
 """s between the rows at which A is looked at, and by what share of it rows' intervals may differ for that."""
 
 
