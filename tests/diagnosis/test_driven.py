@@ -1,12 +1,10 @@
 """What a hinge that nobody sees does along a known motion, and to it."""
 
-import sys
-
 import pytest
 import torch
 from pendulum import ARM
 
-from invdyn.diagnosis.driven import _some, driven
+from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.setting import setting
 from invdyn.models.effects import EFFECTS
@@ -35,22 +33,3 @@ def test_the_hinge_goes_where_the_model_has_it_go(bent):
     angle = slice(2, 3)
     off = (paths[:, 1:, angle] - after[..., angle]).abs().amax((1, 2))
     assert (off < 0.1 * paths[..., angle].abs().amax((1, 2))).all()
-
-
-def test_between_rows_lines_are_straight_enough(bent, monkeypatch):
-    model, path = bent
-    paths = driven(model, path, 3)
-    assert len(_some(model.dt[1:])) < 0.6 * len(path)
-    monkeypatch.setattr(sys.modules[driven.__module__], "EVERY", 0.0)
-    assert len(_some(model.dt[1:])) == len(path) - 1
-    whole = driven(model, path, 3)
-    for hidden in (2, 3):
-        change = (paths - whole)[..., hidden].abs().amax(1)
-        assert (change < 0.02 * whole[..., hidden].abs().amax(1)).all()
-
-
-def test_where_frames_are_missing_every_row_is_looked_at():
-    dt = torch.full((50,), 0.01, dtype=torch.float64)
-    assert _some(dt).tolist() == [*range(0, 50, 2), 49]
-    dt[20] = 0.02
-    assert _some(dt).tolist() == list(range(50))

@@ -116,6 +116,11 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     exchange(bound, found)
     assert {"stribeck_friction", "viscous_friction"} <= set(tried)
     assert len(tried) < len(free) / 2
+    arrived = replace(cause, effects=(EFFECTS["stribeck_friction"]("pivot"),), log_evidence=cause.log_evidence - 5)
+    tried.clear()
+    exchange(bound, Search(considered(bound), {"": none, cause.key: cause, arrived.key: arrived}, first, path, stray))
+    assert "viscous_friction" in tried
+    assert "stribeck_friction" not in tried  # it leaves nothing either
 
 
 def test_in_a_set_too_one_gives_way_while_the_other_stays():
