@@ -25,7 +25,7 @@ CASES = {
     "viscous friction": (EFFECTS["viscous_friction"]("elbow"), {"damping": 0.05}),
     "camera latency": (EFFECTS["camera_latency"](), {"latency": 0.02}),
     "dry friction": (EFFECTS["coulomb_friction"]("elbow"), {"torque": 0.15}),
-    "spring": (EFFECTS["joint_stiffness"]("elbow"), {"stiffness": 0.5, "rest_angle": 0.2}),
+    "spring": (EFFECTS["joint_stiffness"]("elbow"), {"stiffness": 0.5, "torque": 0.1}),
 }
 
 

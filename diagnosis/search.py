@@ -173,7 +173,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 break
             if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
-    play = alone and not (found.ranked[0].complete and found.ranked[0].effects)
+    few = len(_others(base)) < 2 and setting.regime != "unknown_torque"
+    play = few and not (found.ranked[0].complete and found.ranked[0].effects)
     least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
     sought = [
         effect

@@ -1,28 +1,41 @@
 """A spring in a joint: −k (θ − θ₀)."""
 
+import math
+
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
+
+TURNS = 2
+"""Whole turns within which a rest angle is told: of one that is farther nobody would see the spring."""
 
 
 class JointStiffness(Effect):
     """Torque −k (θ − θ₀) at a joint: passive tissue, a cable, a counterbalance.
 
-    Told apart from a tilt or an armature by the rest pose and the frequency. ``stiffness``, ``springref`` in MuJoCo.
+    Given by its stiffness and by its torque where θ = 0, T₀ = k θ₀, both of which the motion follows in a straight
+    line. Told apart from a tilt or an armature by the rest pose and the frequency. ``stiffness``, ``springref`` in
+    MuJoCo.
     """
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Stiffness k, N·m/rad, and rest angle θ₀, rad: anywhere, spread as wide as an even circle."""
-        rest = Normal(0.0, 1.8)
+        """Stiffness k, N·m/rad, and torque at angle zero T₀, N·m, for rest angles anywhere on a circle."""
+        torque = scale.torque[self.place[0]]
         return (
-            Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * scale.torque[self.place[0]])),
-            Parameter("rest_angle", "rad", rest, None, quantiles(rest, 7)),
+            Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * torque)),
+            Parameter("torque", "N·m", Normal(0.0, 0.9 * torque)),
         )
 
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """Stiffness k, N·m/rad, and rest angle θ₀ = T₀/k, rad."""
+        rest = values["torque"] / values["stiffness"].clamp_min(1e-12)
+        far = 2 * math.pi * TURNS
+        return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest.clamp(-far, far), "rad")}
+
     def force(self, p: Values, now: Situation) -> Tensor:
-        """−k (θ − θ₀)."""
+        """T₀ − k θ."""
         j = self.place[0]
-        return now.at(j, -p["stiffness"] * (now.q[..., j : j + 1] - p["rest_angle"]))
+        return now.at(j, p["torque"] - p["stiffness"] * now.q[..., j : j + 1])
