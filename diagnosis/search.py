@@ -10,7 +10,7 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
        own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
-       (:mod:`.noise`) come after each screen, but play alone or beside stray detections only, where no other effect
+       (:mod:`.noise`) come after each screen, but play alone or beside one that does not stick, where no other effect
        explains the gap
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
@@ -173,8 +173,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 break
             if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
-    few = len(_others(base)) < 2 and setting.regime != "unknown_torque"
-    play = few and not (found.ranked[0].complete and found.ranked[0].effects)
+    # Where joints stick, too, play takes minutes.
+    one = len(_others(base)) == 1 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
+    play = (alone or one) and not (found.ranked[0].complete and found.ranked[0].effects)
     least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
     sought = [
         effect

@@ -21,6 +21,7 @@ from invdyn.diagnosis.at_rest import noise_at_rest
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
+from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
 
 REGIMES = ("commanded", "passive", "unknown_torque")
@@ -34,6 +35,9 @@ bending is so small. A limb's own torque follows more than that."""
 
 LOOSE, LOOSE_LIMB = 0.3, 3.0
 """Size of the residual, in typical torques, under which the data's own path is found; a limb's own torque is larger."""
+
+BEGINNING = 0.3
+"""Typical torques that motors which act late may still give, where a recording begins, of commands before it."""
 
 LEAST = 0.1
 """Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
@@ -124,9 +128,16 @@ class Setting:
         return replace(self, problem=replace(self.problem, observations=observations))
 
     def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
-        """``model`` with a residual torque of stationary sd ``size`` typical torques."""
+        """``model`` with a residual torque of stationary sd ``size`` typical torques, more where it begins."""
         model = model or self.model
-        return model.replace(**{"torque.scale": size * np.sqrt(2 * DECAY[self.regime]) * self.typical})
+        scale = {"torque.scale": size * np.sqrt(2 * DECAY[self.regime]) * self.typical}
+        return model.replace(**scale, **self.begun)
+
+    @cached_property
+    def begun(self) -> dict[str, Tensor]:
+        """Sd (K,) N·m of what is not known of commanded torques where a recording begins, as a parameter."""
+        typical = torch.tensor(self.model.scale.torque, dtype=torch.float64)
+        return {"torque.initial_scale": BEGINNING * typical} if self.regime == "commanded" else {}
 
 
 def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
@@ -148,7 +159,8 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
             f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
         )
     # Rows without an observation only carry commands, which a row takes as they come.
-    problem = arm_problem(recording.at(rows), body, passive=passive, parameters={"torque.decay": DECAY[regime]})
+    torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
+    problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque)
     model = _as_seen(problem, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)

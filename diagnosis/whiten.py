@@ -65,8 +65,9 @@ def sizes(regime: str) -> np.ndarray:
 
 
 def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:
-    """``model`` linearised about ``path``, with a residual of size one."""
-    return linearise(setting.with_residual(1.0, model), path, setting.observations)
+    """``model`` linearised about ``path``, with a residual of size one, where it begins, too."""
+    known = {name: torch.zeros_like(sd) for name, sd in setting.begun.items()}
+    return linearise(setting.with_residual(1.0, model).replace(**known), path, setting.observations)
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,11 @@ def filter_of(
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
-    Q = square(scale[:, None, :, None] * linear.L[1:])
-    P0 = square(scale[:, :, None] * linear.L[0])
-    return Filter(levels, linear, gains(linear.F, Q, linear.E, P0), whitening.numpy(), normaliser.numpy())
+    covariance = square(scale[:, None, :, None] * linear.L)
+    for sd in setting.begun.values():
+        covariance[:, [0, *setting.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
+    filtered = gains(linear.F, covariance[:, 1:], linear.E, covariance[:, 0])
+    return Filter(levels, linear, filtered, whitening.numpy(), normaliser.numpy())
 
 
 def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:

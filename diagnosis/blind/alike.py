@@ -15,7 +15,13 @@ are written down here, once, and nowhere else:
 
 (A marker's offset along its link is as exactly the link's length, and one gain of all motors one factor of all masses,
 but neither is an effect of the catalogue.) An effect that is another one's special case is not equivalent to it: the
-simpler of the two is the better answer.
+simpler of the two is the better answer. But the other one can play it, and with the same recording:
+
+    coulomb_friction  by stribeck_friction    the same torque at rest
+    viscous_friction  by drifting_friction    that does not drift
+    payload           by inertial_error       of the last link
+    armature          by inertial_error       first joint, its link
+    actuator_gain     by inertial_error       one link, all of whose numbers are so much smaller
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,6 +69,27 @@ def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
     if one and answer["regime"] == "passive" and "clock_rate" in names:
         return names <= {"clock_rate", "armature", "payload", "inertial_error"}
     return False
+
+
+def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
+    """Names of the effects that can make this very recording in place of the true one; see the top of the file."""
+    name, joints = str(truth["effect"]), answer["joints"]
+    twins = ("gravity_tilt", "camera_roll", "actuator_delay", "camera_latency", "camera_scale", "lens_distortion")
+    twins = (*twins, "armature", "inertial_error", "payload", "actuator_gain", "clock_rate")
+    at = {"armature": {"joint": joints[0]}}
+    equal = [
+        other
+        for other in twins
+        if other != name and exactly_alike(truth, {"effect": other} | at.get(other, {}), answer)
+    ]
+    played = {
+        "coulomb_friction": "stribeck_friction",
+        "viscous_friction": "drifting_friction",
+        "payload": "inertial_error",
+        "armature": "inertial_error" if truth.get("joint") == joints[0] else None,
+        "actuator_gain": "inertial_error" if len(joints) == 1 else None,
+    }.get(name)
+    return tuple(sorted({*equal, *([played] if played else [])}))
 
 
 def in_group(entry: Entry, key: str) -> bool:

@@ -2,9 +2,9 @@
 
 Kinds: `commanded` (one effect), `passive`, `none` (a fifth each of them passive and with unknown torque), `weak` (a
 quarter of the usual size), `two` at once, `unknown_torque` (the command is not told), `outside` (an effect that the
-catalogue lacks), `leave_one_out` (the true effect is to be struck from the catalogue). A case follows from (seed, kind,
-effect) to the byte. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by nobody
-before.
+catalogue lacks), `leave_one_out` (the true effect is to be struck from the catalogue, and with it any other that can
+make the very same recording: no method could say that one is missing). A case follows from (seed, kind, effect) to the
+byte. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by nobody before.
 
 An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
 body, motion and size drawn again, at most `TRIES` times, from the fourth on larger by half each time. The answer has
@@ -21,6 +21,7 @@ import numpy as np
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
+from .alike import stand_ins
 from .camera import OBSERVATIONS, film
 from .motion import Plan, frame_times, play, random_body, random_plan
 from .outside import OUTSIDE
@@ -166,7 +167,10 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
         if not _wild(second):
             other = _record(second, again, body, regime, present, noise, (*seed, 1), style, "other")
     recording = _record(real, plan, body, regime, present, noise, seed, style, "recording")
-    return Case(recording, other, body, regime, tuple(names) if kind == "leave_one_out" else (), answer)
+    struck: tuple[str, ...] = ()
+    if kind == "leave_one_out":
+        struck = (*names, *(other for each in answer["effects"] for other in stand_ins(each, answer)))
+    return Case(recording, other, body, regime, struck, answer)
 
 
 def _measured(rng: np.random.Generator, body: Body) -> Body:

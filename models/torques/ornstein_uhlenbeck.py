@@ -10,6 +10,9 @@ How much noise one step of length δ carries is a choice, by name:
 | "wiener"  | (1 − λδ) τ   | √δ σ                         | N·m/√s          |
 | "exact"   | e^(−λδ) τ    | σ √((1 − e^(−2λδ)) / (2λ))   | N·m/√s          |
 
+A recording may begin in the middle of a motion: with ``underway`` the sd of τ_0 is larger than the stationary one, by
+"torque.initial_scale" (N·m) in quadrature.
+
 "printed" is the paper's covariance δ²σ²; its torque becomes smooth as δ → 0, so its σ belongs
 to one frame rate. "wiener" is Euler–Maruyama with a true Wiener increment; "exact" is the
 process itself, the right one for irregular or coarse sampling.
@@ -24,19 +27,22 @@ SCALINGS = ("printed", "wiener", "exact")
 
 
 class OrnsteinUhlenbeck(TorqueProcess):
-    """Ornstein–Uhlenbeck torque; ``scaling`` is "printed", "wiener" or "exact" (default)."""
+    """Ornstein–Uhlenbeck torque; ``scaling`` is "printed", "wiener" or "exact" (default), ``underway`` as above."""
 
-    def __init__(self, scaling: str = "exact", decay: float = 5.0):
+    def __init__(self, scaling: str = "exact", decay: float = 5.0, underway: bool = False):
         if scaling not in SCALINGS:
             raise ValueError(f"expected a noise scaling among {', '.join(SCALINGS)}, got {scaling!r}")
         self.scaling = scaling
         self.decay = decay
+        self.underway = underway
 
     def defaults(self, scale: Tensor) -> dict[str, Tensor]:
         """λ as given and the σ whose stationary sd is ``scale`` in continuous time."""
+        begun = {"torque.initial_scale": scale.clone()} if self.underway else {}
         return {
             "torque.decay": from_torques(scale, self.decay),
             "torque.scale": scale * (2 * self.decay) ** 0.5,
+            **begun,
         }
 
     def _factor(self, dt: Tensor, parameters: Parameters) -> Tensor:
@@ -58,9 +64,10 @@ class OrnsteinUhlenbeck(TorqueProcess):
         return sigma * torch.sqrt(-torch.expm1(-2 * decay * dt) / (2 * decay))
 
     def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Stationary sd of the discrete chain, (..., K) N·m."""
+        """Sd of τ_0, (..., K) N·m: that of the discrete chain, and what is not known of the beginning."""
         factor = self._factor(dt, parameters)
-        return self.noise(dt, parameters) / torch.sqrt(1 - factor**2)
+        known = self.noise(dt, parameters) / torch.sqrt(1 - factor**2)
+        return torch.hypot(known, parameters["torque.initial_scale"]) if self.underway else known
 
 
 class RandomWalk(TorqueProcess):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from invdyn.diagnosis.blind.alike import stand_ins
 from invdyn.diagnosis.blind.camera import film
 from invdyn.diagnosis.blind.mechanisms import MECHANISMS
 from invdyn.diagnosis.blind.reality import World
@@ -85,3 +86,55 @@ def test_a_clock_is_inertia_on_one_passive_link():
     more = (0.008 + 0.14**2) * (rate**2 - 1)
     fast = picture(arm, seen=SEEN / rate, time=time)
     check(fast, picture(arm, [("armature", 0, {"inertia": more})], qd=[0.3 / rate], time=time))
+
+
+@pytest.mark.parametrize(
+    ("special", "general", "joints"),
+    [
+        (
+            ("coulomb_friction", 0, {"torque": 0.1}),
+            ("stribeck_friction", 0, {"coulomb": 0.1, "static": 0.1, "velocity": 1.0}),
+            2,
+        ),
+        (("viscous_friction", 1, {"damping": 0.05}), ("drifting_friction", 1, {"damping": 0.05, "slope": 0.0}), 2),
+        (("armature", 0, {"inertia": 0.01}), ("inertial_error", 0, {"mass": 0.0, "com": 0.0, "inertia": 0.01}), 2),
+        (
+            ("payload", None, {"mass": 0.2}),
+            ("inertial_error", 0, {"mass": 0.2, "com": 0.16 * 0.2 / 1.2, "inertia": 0.16**2 * 0.2 / 1.2}),
+            1,
+        ),
+        (
+            ("actuator_gain", 0, {"gain": -0.2}),
+            ("inertial_error", 0, {"mass": 0.25, "com": 0.0, "inertia": 0.002}),
+            1,
+        ),
+    ],
+)
+def test_what_can_play_an_effect_is_struck_with_it(special, general, joints):
+    arm = body(joints)
+    check(picture(arm, [special], torque=0.5), picture(arm, [general], torque=0.5))
+    names = [f"j{k}" for k in range(joints)]
+    answer = {
+        "joints": names,
+        "links": ["l0", "l1"][:joints],
+        "body": {"gravity": [0.0, -9.81], "base": [0.0, 0.0]},
+        "regime": "commanded",
+    }
+    truth = {"effect": special[0]} | ({} if special[1] is None else {"joint": names[special[1]]})
+    assert general[0] in stand_ins(truth, answer)
+    assert special[0] not in stand_ins({"effect": general[0], "joint": names[0], "link": "l0"}, answer)
+
+
+def test_what_cannot_play_an_effect_stays():
+    answer = {
+        "joints": ["j0", "j1"],
+        "links": ["l0", "l1"],
+        "body": {"gravity": [0.0, -9.81], "base": [0.0, 0.0]},
+        "regime": "commanded",
+    }
+    assert stand_ins({"effect": "armature", "joint": "j1"}, answer) == ()
+    assert stand_ins({"effect": "actuator_gain", "joint": "j0"}, answer) == ()
+    assert stand_ins({"effect": "actuator_delay", "joint": "j0"}, answer) == ()
+    assert stand_ins({"effect": "camera_latency"}, answer) == ("actuator_delay",)
+    assert stand_ins({"effect": "gravity_tilt"}, answer) == ("camera_roll",)
+    assert stand_ins({"effect": "soft_tissue", "keypoint": "p1"}, answer) == ()
