@@ -1,7 +1,7 @@
 """The pool of causes of a search: which effects are considered, what was refined, and how it ranks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
@@ -27,6 +27,7 @@ class Search:
         path: (T, D) that the data ask for, whatever the cause.
         aside: (T, D) of the simulation alone; None where nobody knows its torques.
         workers: processes that may work side by side.
+        twins: log evidence by key of causes that were followed to their exact twins of that key.
         stray: whether some detections are far from it.
     """
 
@@ -37,6 +38,7 @@ class Search:
     stray: bool
     aside: Tensor | None = None
     workers: int = 1
+    twins: dict[str, float] = field(default_factory=dict)
 
     @property
     def top(self) -> float:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
-from invdyn.diagnosis.refine import Refined, refine
+from invdyn.diagnosis.refine import Refined, key_of, refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -38,6 +38,9 @@ KIN = (
     ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
 )
 """Effects that stand in for one another exactly: names, parameters, and the factor between them."""
+
+ALIKE = 1.0
+"""Nats behind its twin in which a cause has arrived; and that a twin must have gained to be followed again."""
 
 DOUBT, SURE = 5.0, 2.0
 """Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
@@ -126,6 +129,12 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
                 if setting.regime == "unknown_torque" and imitable(twin):
                     continue
                 rest = tuple(e for e in cause.effects if e is not mine)
+                key = key_of((*rest, twin))
+                there = found.pool.get(key)
+                arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
+                if arrived or found.twins.get(key, -np.inf) > cause.log_evidence - ALIKE:
+                    continue
+                found.twins[key] = cause.log_evidence
                 known = values_of(cause)
                 value = known.pop(f"{mine.key}.{parameter[0]}")
                 values = known | {f"{twin.key}.{parameter[1]}": factor * value}

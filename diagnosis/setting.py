@@ -151,7 +151,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         for quantity in QUANTITIES
         if isinstance(prior := getattr(link, quantity), Distribution)
     )
-    whole = arm_problem(recording, body, passive=passive, parameters={"torque.decay": DECAY[regime]}, substeps=1)
+    whole = arm_problem(recording, body, passive=passive, substeps=1)
     rows = (~torch.isnan(whole.observations)).any(-1).numpy()
     seen = int(rows.sum())
     if seen < FEWEST:
@@ -161,12 +161,12 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque)
-    model = _as_seen(problem, regime)
+    usual = calm(problem.observations)
+    model = _as_seen(problem, usual, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
-    usual = calm(problem.observations)
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if starts:
@@ -189,17 +189,22 @@ def calm(observations: Tensor) -> Tensor:
     return torch.as_tensor(np.where(away > JUMP * usual, np.nan, values))
 
 
-def _as_seen(problem: Problem, regime: str) -> ArmModel:
-    """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics."""
-    model, rows = problem.model, problem.observations.numpy()
+def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
+    """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics.
+
+    ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
+    """
+    model = problem.model
     points = 2 * len(model.emission_model.tips)
     reach = model.body_parameters().length.sum().item()
     found = {}
     if regime != "unknown_torque":
         found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if points:
-        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), rows[:, :points]))
+        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:
-        found["emission.angle_scale"] = torch.as_tensor(jitter(rows[:, points:])).clamp_min(1e-5)
+        found["emission.angle_scale"] = torch.as_tensor(jitter(problem.observations[:, points:].numpy())).clamp_min(
+            1e-5
+        )
     return model.replace(**found)

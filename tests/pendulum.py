@@ -56,17 +56,23 @@ def causes(damping=DAMPING):
 
 
 @cache
-def wheel():
+def wheel(commanded=False):
     """A wheel that turns freely but for viscous friction, seen by an encoder: a linear-Gaussian chain."""
     rng = np.random.default_rng(0)
     time = 0.02 * np.arange(60)
     angle = 0.3 + 2.0 * INERTIA / BRAKE * -np.expm1(-BRAKE / INERTIA * time) + 0.002 * rng.normal(size=60)
-    recording = Recording(time, np.zeros((60, 0, 2)), (), angles=angle[:, None], joint_names=("pivot",))
-    return setting(recording, WHEEL, passive=True)
+    torques = np.zeros((60, 1)) if commanded else None
+    recording = Recording(
+        time, np.zeros((60, 0, 2)), (), angles=angle[:, None], torques=torques, joint_names=("pivot",)
+    )
+    return setting(recording, WHEEL, passive=not commanded)
 
 
 def wheel_chain(model, kappa=1.0, damping=0.0):
-    """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row."""
+    """The same as numbers: Runge–Kutta steps on unit vectors, the torque on a straight line within a row.
+
+    All noise is ``kappa`` times as large, but for what is not known of the torque where it begins.
+    """
     p = {name: value.numpy() for name, value in model.parameters.items()}
     dt, steps = 0.02, model.substeps
     keep = np.exp(-DECAY["passive"] * dt)
@@ -87,7 +93,8 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
         columns.append([keep * torque, *state])
     stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY["passive"])
     noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
-    first = [stationary, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
+    begun = np.hypot(stationary, p.get("torque.initial_scale", np.zeros(1)).item())
+    first = [begun, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
     sd = p["emission.angle_scale"].item()
     return Chain(
         np.array(columns).T,

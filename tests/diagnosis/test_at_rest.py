@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import torch
 
 from invdyn.diagnosis.at_rest import noise_at_rest
+from invdyn.diagnosis.setting import calm
 from invdyn.inference.initialise import jitter
 
 SIGMA, ROWS = 0.001, 800
@@ -49,6 +51,20 @@ def test_stray_detections_and_gaps_are_passed_over():
     points[rng.random(ROWS) < 0.03] += 0.2
     points[rng.random(ROWS) < 0.1, 0] = np.nan
     assert noise_at_rest(TIME, points) == pytest.approx([SIGMA], rel=0.4)
+
+
+def test_stray_detections_are_no_growth_with_speed():
+    """Where a detection strays its neighbours look fast: without it the noise at rest is nearer the truth."""
+    off = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        points = track(rng)[0][:216]
+        points[rng.random(216) < 0.08] += 0.1 * rng.standard_normal(2)
+        calmed = calm(torch.as_tensor(points)).numpy()
+        off.append([np.log(noise_at_rest(TIME[:216], each)[0] / SIGMA) for each in (points, calmed)])
+    stray, calmed = np.abs(off).mean(0)
+    assert calmed < 0.7 * stray
+    assert calmed < 0.35
 
 
 def test_of_too_few_frames_the_average_is_taken():

@@ -33,7 +33,7 @@ def recorded(*effects, rows=80, **values):
 
 def test_a_set_loses_what_it_does_not_need():
     """From friction and a spring that is not there, friction alone."""
-    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.05), PENDULUM)
+    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)

@@ -10,7 +10,7 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
-from invdyn.diagnosis.promising import KIN, later, refine_kin, refine_promising
+from invdyn.diagnosis.promising import ALIKE, KIN, later, refine_kin, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -90,3 +90,13 @@ def test_the_twin_of_a_delay_starts_from_a_path_of_its_own(monkeypatch, name, tw
     shift = 0.03 if twin == "camera_latency" else -0.03
     assert torch.equal(started[0], later(bound, cause.path, shift))
     assert torch.equal(started[1], path)
+    # Followed once: not again before it has gained something.
+    tried = len(started)
+    pool = Search(candidates, {"": none, one.key: cause}, [], path, stray)
+    refine_kin(bound, pool, 1)
+    assert len(started) == 2 * tried
+    refine_kin(bound, pool, 1)
+    assert len(started) == 2 * tried
+    pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * ALIKE)
+    refine_kin(bound, pool, 1)
+    assert len(started) == 3 * tried

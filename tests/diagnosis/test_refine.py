@@ -26,14 +26,15 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 from scipy.stats import halfnorm
 
+from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import SETTLED, _distance, _within, key_of, refine
-from invdyn.diagnosis.setting import LOOSE, calm, setting
+from invdyn.diagnosis.setting import BEGINNING, LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.diagnosis.whiten import log_prior, sizes
+from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -63,6 +64,20 @@ def test_evidence_of_a_linear_chain_is_exact():
     exact, increments, _, _ = kalman(wheel_chain(here.with_residual(size), none.kappa), here.observations.numpy())
     assert evidence == pytest.approx(exact, abs=1e-5)
     np.testing.assert_allclose(scores(here, none).score, increments, atol=1e-5)
+
+
+def test_nobody_knows_the_torque_before_a_recording():
+    """Where commands are known the first torque is known less than the residual, whatever the size of that."""
+    here = wheel(commanded=True)
+    path = path_of(here)
+    chains = [wheel_chain(here.with_residual(size)) for size in sizes(here.regime)]
+    first = BEGINNING * here.model.scale.torque[0]
+    np.testing.assert_allclose([c.P[0, 0] for c in chains], first**2 * (1 + (sizes(here.regime) / BEGINNING) ** 2))
+    none = Columns(np.zeros((59, 3, 0)), np.zeros((60, 1, 0)))
+    whitened = whiten(here, filter_of(here, here.model, path, sizes(here.regime)), none)
+    found = -0.5 * whitened.gram[:, 0, 0] - whitened.log_det - 30 * np.log(2 * np.pi)
+    exact = [kalman(chain, here.observations.numpy())[0] for chain in chains]
+    np.testing.assert_allclose(found, exact, atol=1e-5)
 
 
 def test_a_parameter_is_integrated_out():
@@ -106,12 +121,12 @@ def rubbed(level=0.15, torque=0.5):
 
 
 def test_a_path_is_led_through_what_sticks():
-    """Where Gauss–Newton by itself ends in a path that nothing explains."""
+    """Where Gauss–Newton by itself ends in a path that nothing explains: from one of an arm that does not stick."""
     here, effect, values = rubbed(0.3, 1.0)
     model = here.model.with_effects(effect).replace(**values)
-    loose = path_of(here)
-    by_itself = gauss_newton(here.with_residual(FIRM, model), here.observations, start=loose, max_iterations=24)
-    path = led(here, model, loose, FIRM)
+    free = gauss_newton(here.with_residual(FIRM), here.observations, start=path_of(here), max_iterations=24).path
+    by_itself = gauss_newton(here.with_residual(FIRM, model), here.observations, start=free, max_iterations=24)
+    path = led(here, model, free, FIRM)
     quiet = gauss_newton(here.with_residual(FIRM, model), here.observations, start=path, max_iterations=1)
     assert quiet.log_joint > by_itself.log_joint + 1e4
     assert 3 < (path[1:, -1].abs() < 1e-3).sum() < len(path) / 2

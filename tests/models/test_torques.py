@@ -76,6 +76,16 @@ def test_default_scale_is_the_stationary_sd():
         assert np.sqrt(np.diag(covariance(process, root))[:2]) == pytest.approx(SCALE.numpy())
 
 
+def test_a_torque_that_is_underway_is_known_less_at_its_beginning():
+    dt, more = torch.tensor([0.01], dtype=F64), {"torque.initial_scale": torch.tensor([0.3, 0.0], dtype=F64)}
+    plain, underway = OrnsteinUhlenbeck(), OrnsteinUhlenbeck(underway=True)
+    values = underway.defaults(SCALE) | more
+    first = underway.stationary(dt, values)
+    assert first.square().tolist() == pytest.approx([SCALE[0].item() ** 2 + 0.09, SCALE[1].item() ** 2])
+    torch.testing.assert_close(underway.noise(dt, values), plain.noise(dt, plain.defaults(SCALE)))
+    assert "torque.initial_scale" not in plain.defaults(SCALE)
+
+
 def test_random_walk():
     parameters = RandomWalk().defaults(SCALE)
     matrix, cov = step(RandomWalk("wiener"), 0.04, parameters)
