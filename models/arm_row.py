@@ -10,9 +10,12 @@ or moves as the motors make it. Effects act in the order
 Shapes: states (..., D), joint quantities (..., K).
 """
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.composition import own_values
 from invdyn.models.effects.situation import Situation
 from invdyn.models.integrators import INTEGRATORS
@@ -41,10 +44,21 @@ class ArmRow:
         if self.effects.hinge:
             p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
 
+            links, whole = hinge.chain(p, body), dynamics_for(joints + 1)
+
             def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
                 return self._rubbed(*smooth(q, qd, s))
 
-            return join(z_next, *hinge.step(p, body, net, self.dynamics, hidden, q, qd, dt, parts))
+            def pull(angles: Tensor, rates: Tensor, s: float) -> Tensor | float:
+                if not self.effects.pulls:
+                    return 0.0
+                (q, _), (qd, _) = hinge.gathered(angles), hinge.gathered(rates)
+                here = self._now(q, qd, start, body, t - 1, s, dt / parts)
+                bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
+                rigid = self.effects.pull(self.parameters, here)
+                return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
+
+            return join(z_next, *hinge.step(p, body, net, pull, self.dynamics, hidden, q, qd, dt, parts))
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
@@ -74,10 +88,16 @@ class ArmRow:
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
             return motor, own, None
+        now = self._now(q, qd, motor, body, t, s, step)
+        return motor + self.effects.force(self.parameters, now), own, now
+
+    def _now(
+        self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
+    ) -> Situation:
+        """The moment a part ``s`` of a row after row ``t``."""
         passed = s * self._interval(t + 1) if s else 0.0
         time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
-        now = Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
-        return motor + self.effects.force(self.parameters, now), own, now
+        return Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
 
     def _friction(self, torque: Tensor, own: Tensor | None, now: Situation) -> Tensor:
         """Dry friction, (..., K) N·m, under all other torques."""

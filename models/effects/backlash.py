@@ -17,7 +17,7 @@ from torch import Tensor
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import Dynamics, dynamics_for
 from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.hidden import HiddenHinge, Net, split_link, substeps_for
+from invdyn.models.effects.hidden import HiddenHinge, Net, Pull, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
@@ -70,18 +70,12 @@ class Backlash(HiddenHinge):
         rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
         return torch.cat([angles[..., :j], rotor + hinge, angles[..., j + 2 :]], -1), hinge
 
-    def _on_rotor(self, values: Tensor | None) -> Tensor | None:
-        """Torques or inertias (..., K) of the joints, with none on the gap."""
-        if values is None:
-            return None
-        j = self.place[0]
-        return torch.cat([values[..., : j + 1], torch.zeros_like(values[..., :1]), values[..., j + 1 :]], -1)
-
     def step(
         self,
         p: Values,
         body: BodyParameters,
         net: Net,
+        pull: Pull,
         rigid: Dynamics,
         hidden: Tensor,
         q: Tensor,
@@ -102,7 +96,8 @@ class Backlash(HiddenHinge):
 
         def free(angles, rates, s):
             torque, own = net(self.gathered(angles)[0], self.gathered(rates)[0], s)
-            return whole.forward(angles, rates, self._on_rotor(torque), links, self._on_rotor(own))
+            turning = self.on_joints(torque) + pull(angles, rates, s)
+            return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
         if bool(none.any()):
             tight = (torch.zeros_like(hidden), *rk4(held, q, qd, dt, n))
@@ -118,7 +113,8 @@ class Backlash(HiddenHinge):
             qdd = held(q, qd, i / parts)
             still = torch.zeros_like(qdd[..., :1])
             rigid_motion = [self.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
-            push = whole.inverse(*rigid_motion, links)[..., j + 1, None]
+            needed = whole.inverse(*rigid_motion, links) - pull(*rigid_motion[:2], i / parts)
+            push = needed[..., j + 1, None]
             pushes = ((psi <= -half) & (rate <= 0) & (push > 0)) | ((psi >= half) & (rate >= 0) & (push < 0))
             q_held, qd_held = rk4(within(held), q, qd, dt / parts)
 
@@ -128,7 +124,7 @@ class Backlash(HiddenHinge):
             struck = ((gap > half) & (speed > 0)) | ((gap < -half) & (speed < 0))
             unit = torch.zeros_like(rates)
             unit[..., j + 1] = 1.0
-            own = self._on_rotor(net(q_free, qd, (i + 1) / parts)[1])
+            own = self.on_joints(net(q_free, qd, (i + 1) / parts)[1])
             rest = whole.forward(angles, torch.zeros_like(rates), torch.zeros_like(rates), links, own)
             answer = whole.forward(angles, torch.zeros_like(rates), unit, links, own) - rest
             rates = torch.where(struck, rates - answer * speed / answer[..., j + 1, None], rates)

@@ -90,6 +90,9 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     """Hooks are called in this order: markers 0, timing 1, geometry of the camera 2."""
 
+    pulls: ClassVar[bool] = False
+    """Whether its force acts on points of the links, so that a hidden hinge among them feels it too."""
+
     located: ClassVar[tuple[str, ...]] = ()
     """Parameters that a recording itself suggests values of, such as when a push began; any grid is a makeshift."""
 

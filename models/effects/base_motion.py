@@ -20,6 +20,7 @@ class BaseMotion(Effect):
     """
 
     site = "arm"
+    pulls = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Amplitudes, m, of sine and cosine along x and y, and frequency f, Hz.

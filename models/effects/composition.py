@@ -29,6 +29,7 @@ class Composition:
             raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
+        self.pulls = any(effect.pulls for effect in effects)
         self.abrupt = any(effect.abrupt for effect in effects)
         self.has_friction = any(type(effect).friction is not Effect.friction for effect in effects)
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
@@ -68,6 +69,11 @@ class Composition:
         """Sum of the generalised forces, (..., K) N·m."""
         forces = [effect.force(p, now) for effect, p in self._each(parameters)]
         return sum((force for force in forces if force is not None), start=torch.zeros_like(now.q))
+
+    def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
+        """Of these forces those on points of the links."""
+        forces = [effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls]
+        return sum(forces, start=torch.zeros_like(now.q))
 
     def friction(self, parameters: Mapping[str, Tensor], now: Situation, torque: Tensor, own: Tensor | None) -> Tensor:
         """Dry friction on all joints under the other torques (..., K) N·m; several effects at a joint add up."""

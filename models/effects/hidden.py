@@ -7,7 +7,7 @@ state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything e
     spread     the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
     gathered   its inverse
 
-The other effects act on the chain of K links; on the hinge itself none of them does.
+The other effects act on the K joints; forces on points of the arm (:attr:`.Effect.pulls`) turn the hinge as well.
 """
 
 import math
@@ -26,6 +26,10 @@ from invdyn.models.shapes import join
 
 Net = Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor | None]]
 """(q, q̇, fraction of the step) → the torques on the joints and the joints' own inertias (or None), (..., K)."""
+Pull = Callable[[Tensor, Tensor, float], Tensor | float]
+"""(angles, rates, fraction of the step) → what forces on points of the arm do to the K + 1 hinges beyond those torques.
+
+Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
 
 class HiddenHinge(Effect):
@@ -55,12 +59,20 @@ class HiddenHinge(Effect):
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
+    def on_joints(self, values: Tensor | None) -> Tensor | None:
+        """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
+        if values is None:
+            return None
+        k = self.place[0]
+        return torch.cat([values[..., : k + 1], torch.zeros_like(values[..., :1]), values[..., k + 1 :]], -1)
+
     @abstractmethod
     def step(
         self,
         p: Values,
         body: BodyParameters,
         net: Net,
+        pull: Pull,
         rigid: Dynamics,
         hidden: Tensor,
         q: Tensor,

@@ -17,7 +17,7 @@ from torch import Tensor
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import Dynamics, dynamics_for
 from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.hidden import HiddenHinge, Net, split_link, substeps_for
+from invdyn.models.effects.hidden import HiddenHinge, Net, Pull, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
@@ -88,6 +88,7 @@ class LinkFlexibility(HiddenHinge):
         p: Values,
         body: BodyParameters,
         net: Net,
+        pull: Pull,
         rigid: Dynamics,
         hidden: Tensor,
         q: Tensor,
@@ -115,8 +116,8 @@ class LinkFlexibility(HiddenHinge):
         def bending(angles, rates, s):
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
             torque, own = net(q, qd, s)
-            own = None if own is None else self.spread(own, torch.zeros_like(own[..., :1]))
-            return whole.forward(angles, rates, self.spread(torque, -stiffness * hinge - damping * rate), links, own)
+            turning = self.spread(torque, -stiffness * hinge - damping * rate) + pull(angles, rates, s)
+            return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
         angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)

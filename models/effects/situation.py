@@ -29,6 +29,7 @@ class Situation:
         step: s, the integrator's sub-step, (..., 1) or less.
         body: the links as the other effects leave them.
         dynamics: of this chain.
+        split: the link that a hidden hinge makes two of, where the chain has one; places count the arm's own links.
     """
 
     q: Tensor
@@ -39,6 +40,7 @@ class Situation:
     step: Tensor
     body: BodyParameters
     dynamics: Dynamics
+    split: int | None = None
 
     @cached_property
     def bias(self) -> Tensor:
@@ -51,6 +53,7 @@ class Situation:
 
     def at_tip(self, link: int, force: Tensor) -> Tensor:
         """Jᵀ F of a force (..., 2) N that pulls at a link's tip, (..., K)."""
+        link += self.split is not None and link >= self.split
         phi = self.q.cumsum(-1)
         turned = torch.stack([-phi.sin(), phi.cos()], -1) * self.body.length.unsqueeze(-1)
         lever = (turned[..., : link + 1, :] * force.unsqueeze(-2)).sum(-1)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from invdyn.models import ArmModel, Body, Emission, Link, dynamics_for
-from invdyn.models.effects import Backlash, LinkFlexibility
+from invdyn.models.effects import Backlash, BaseMotion, ExternalPush, JointStiffness, LinkFlexibility
 
 F64 = torch.float64
 
@@ -93,6 +93,47 @@ def test_a_spring_stiffer_than_the_steps_is_stable(stiffness, step, having):
     assert flexible[: int(0.5 / step), 2] == pytest.approx(rigid[: int(0.5 / step), 2], abs=0.05)
 
 
+def halves(rows, step):
+    """The rod in two hinged halves."""
+    links = [Link(f"half{k}", f"joint{k}", f"tip{k}", 0.15, 0.75, 0.075, 0.75 * 0.15**2 / 12) for k in range(2)]
+    return ArmModel(Body("halves", links, gravity=(0.0, -9.81)), step * np.arange(rows), Emission([0, 1], 2))
+
+
+@pytest.mark.parametrize(
+    ("effect", "other", "values"),
+    [
+        (
+            ExternalPush("tip"),
+            ExternalPush("tip1"),
+            {"impulse_x": 0.05, "impulse_y": 0.2, "moment": 0.1, "duration": 0.08},
+        ),
+        (
+            BaseMotion(),
+            BaseMotion(),
+            {"sine_x": 0.01, "cosine_x": 0.0, "sine_y": 0.0, "cosine_y": 0.02, "frequency": 3.0},
+        ),
+    ],
+    ids=["push", "base motion"],
+)
+def test_what_pulls_at_a_link_bends_it(effect, other, values, having):
+    """A flexible rod is two halves with a spring between them, whatever pulls at them."""
+    rows, step = 201, 0.0025
+    whole = having(
+        having(rod(rows, step, (0.0, -9.81)), LinkFlexibility("link"), stiffness=8.0, damping=0.0), effect, **values
+    )
+    split = having(having(halves(rows, step), JointStiffness("joint1"), stiffness=8.0, torque=0.0), other, **values)
+    bent = rolled(whole, [0.05, 0.3], [-1.0], [0.5])
+    swung = rolled(split, [], [-1.0, 0.05], [0.5, 0.3])
+    np.testing.assert_allclose(bent[:, [2, 0, 3, 1]], swung, atol=2e-4)
+    straight = rolled(
+        having(rod(rows, step, (0.0, -9.81)), LinkFlexibility("link"), stiffness=8.0, damping=0.0),
+        [0.05, 0.3],
+        [-1.0],
+        [0.5],
+    )
+    assert np.abs(bent[:, 0] - straight[:, 0]).max() > 0.02
+
+
 # -- play ------------------------------------------------------------------------------------------
 @pytest.fixture
 def pushed(having):
@@ -111,6 +152,16 @@ def test_the_gap_stays_within_its_stops_and_turns_over_with_the_load(pushed):
     assert np.abs(path[:, 0]).max() <= 0.01 + 1e-12
     assert (path[:190, 0] == -0.01).all()
     assert path[-1, 0] == pytest.approx(0.01)
+
+
+def test_a_push_on_a_loose_link_leaves_the_rotor_where_it_is(having):
+    """ψ̇ = J l / I, I the link's inertia about the joint but for the rotor's share."""
+    model = having(rod(81), Backlash("hinge"), width=1.0)
+    values = {"impulse_x": 0.0, "impulse_y": 0.01, "moment": 0.05, "duration": 0.04}
+    path = rolled(having(model, ExternalPush("tip"), **values), [0.0, 0.0], [0.0], [0.0])
+    rotor = 0.5 * 1.5 * 0.3**2 / 12
+    assert path[:, 2] - path[:, 0] == pytest.approx(0.0, abs=1e-9)
+    assert path[-1, 1] == pytest.approx(0.01 * 0.3 / (1.5 * 0.3**2 / 3 - rotor), rel=1e-3)
 
 
 def test_in_the_gap_the_link_coasts_for_as_long_as_the_rotor_needs(pushed):
