@@ -116,9 +116,13 @@ class ArmRow:
         return self.dynamics.forward(q, qd, torque, body, own)
 
     def acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:
-        """θ̈ at row ``t`` in ``state``, (..., K), under the command that holds from there on."""
-        mean, slope = (row.to(state) for row in self.motors.row(t + 1))
-        return self._under(state, t, body, None if self.command is None else mean - slope / 2)
+        """θ̈ at row ``t`` in ``state``, (..., K), under the mean of the commands before and after it, which may jump."""
+        if self.command is None:
+            return self._under(state, t, body, None)
+        (before, rising), (after, slope) = (
+            [value.to(state) for value in self.motors.row(row)] for row in (_since_the_first(t), t + 1)
+        )
+        return self._under(state, t, body, (before + rising / 2 + after - slope / 2) / 2)
 
     def _ahead(self, state: Tensor, t: int | Tensor, body: BodyParameters, seconds: Tensor) -> Tensor:
         """θ so many ``seconds`` τ (..., 1) after row ``t``, (..., K), to third order: q + τ q̇ + ½ τ² q̈(τ/3).
@@ -143,3 +147,8 @@ class ArmRow:
         """What a row's interval really takes, s."""
         dt = self._interval(t)
         return self.effects.interval(self.parameters, dt) if self.effects else dt
+
+
+def _since_the_first(t: int | Tensor) -> int | Tensor:
+    """The row that led into row ``t``; of the first one, which none did, the one that leads on."""
+    return t.clamp_min(1) if isinstance(t, Tensor) else max(t, 1)
