@@ -15,8 +15,6 @@ Within a step the mechanical integrator sees the torque move on a straight line 
 mean one step later; explicit Euler sees it held, as printed.
 """
 
-import copy
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -26,13 +24,13 @@ from torch import Tensor
 
 from invdyn.models.arm_row import ArmRow
 from invdyn.models.arm_start import kinematic_paths
+from invdyn.models.arm_variants import ArmVariants
 from invdyn.models.body import Body, BodyParameters, Learned
 from invdyn.models.dynamics import dynamics_for
-from invdyn.models.effects.base import SHORT, Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition, own_values
-from invdyn.models.effects.parameters import check_tracked, is_signed, parameters_of
-from invdyn.models.effects.scale import Scale, typical_torque
+from invdyn.models.effects.parameters import is_signed
+from invdyn.models.effects.scale import typical_torque
 from invdyn.models.effects.situation import View
 from invdyn.models.emission import Emission
 from invdyn.models.integrators import INTEGRATORS
@@ -43,7 +41,7 @@ from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 DERIVED = ("com", "inertia")
 
 
-class ArmModel(ArmRow, StateSpaceModel):
+class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
     """Hidden Markov model of a planar arm on a given time grid.
 
     Args:
@@ -174,96 +172,6 @@ class ArmModel(ArmRow, StateSpaceModel):
                 free = torch.tensor(free, device=self.device)
                 values[f"body.{name}"] = torch.where(free, drawn[name], self.parameters[f"body.{name}"])
         return super(ArmModel, self.replace(**values)).sampled()
-
-    # -- effects -------------------------------------------------------------------------------
-    @property
-    def scale(self) -> Scale:
-        """What is large and small for this body, which effects' priors follow."""
-        command = None if self.command is None else self.command.cpu()
-        return Scale(self.body.parameters(), self.time.cpu(), command, self._motion, self._range)
-
-    def with_effects(self, *effects: Effect) -> "ArmModel":
-        """The model of an arm that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
-
-        Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,), with priors, so that
-        :meth:`sequence` draws them; until then they stand where the effect is absent (or, for those that are
-        never absent, in the middle of their grid or prior).
-
-        A hidden hinge (:mod:`.effects.hidden`) lengthens the state to (z, ψ, ψ̇, θ, θ̇), with the parameters
-        "initial.hidden_scale" and "noise.hidden", standard deviations (2,) of ψ, rad, and ψ̇, rad/s.
-
-        Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place,
-        and for a second hidden hinge.
-        """
-        bound = tuple(effect.bound(self.body) for effect in effects)
-        other = self.replace()
-        other.effects = Composition((*self.effects, *bound))
-        if other.effects.abrupt:
-            other._abrupt = math.ceil(self.dt.median().item() / SHORT)
-        starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
-        other.parameters |= starts
-        other.priors = {**self.priors, **priors}
-        if other.effects.hinge and not self.effects.hinge:
-            spread = torch.tensor(other.effects.hinge.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
-            other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 1e-4 * spread}
-            other.state_dim += 2
-        check_tracked(bound, [self.body.keypoint_names[k] for k in self.emission_model.tips])
-        return other
-
-    def replace(self, **values: Tensor) -> "ArmModel":
-        """Other parameter values; see :meth:`StateSpaceModel.replace`."""
-        other = super().replace(**values)
-        other._motors = None
-        if other.device != other.time.device:
-            other._follow(other.device)
-        return other
-
-    def _follow(self, device: torch.device) -> None:
-        """Move what rows need besides parameters to where these are: a row must not wait for the host."""
-        self.time, self._elapsed, self.dt = (clock.to(device) for clock in (self.time, self._elapsed, self.dt))
-        self._derived = {quantity: which.to(device) for quantity, which in self._derived.items()}
-        self.emission_model = self.emission_model.to(device)
-        if self.command is not None:
-            self.command = self.command.to(device)
-        if self._finer is not None:
-            self._finer = self._finer.to(device)
-        if self._anew is not None:
-            self._anew = tuple(value.to(device) for value in self._anew)
-
-    def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
-        """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
-
-        ``command`` becomes its mean over each row.
-        """
-        other = copy.copy(self)
-        other._finer, other._motors = Command.held(time, torque).to(self.device), None
-        other.command = other._finer.onto(self.time).mean
-        return other
-
-    def moving(self, speed: Tensor) -> "ArmModel":
-        """The model of an arm whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
-        other = copy.copy(self)
-        other._motion = speed.detach().cpu().double()
-        return other
-
-    def turning(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
-        """The model of an arm whose joints turn between two angles (K,) rad, where effects are looked for."""
-        other = copy.copy(self)
-        other._range = torch.stack([lowest, highest], -1).detach().cpu().double()
-        return other
-
-    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
-        """The model of several recordings one after another: at ``rows`` (R,) the arm starts anew.
-
-        There the state does not follow from the row before, but is drawn as the first one is, with angles within
-        about half a turn of ``angle`` (R, K) rad.
-        """
-        other = copy.copy(self)
-        first = torch.zeros(self.num_steps, dtype=torch.bool)
-        middle = torch.zeros(self.num_steps, self.body.num_joints, dtype=torch.float64)
-        first[list(rows)], middle[list(rows)] = True, angle.double()
-        other._anew = first.to(self.device), middle.to(self.device)
-        return other
 
     @property
     def motors(self) -> Command:
