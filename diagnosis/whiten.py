@@ -21,7 +21,7 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import Linearisation, linearise
 from invdyn.inference.square_root import square
 from invdyn.models import ArmModel
-from invdyn.models.missing import gaussian_rows
+from invdyn.models.missing import gaussian_rows, times
 
 SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
@@ -78,7 +78,7 @@ class Filter:
         sizes: (G,) of the residual.
         linear: the model about the path.
         gained: the filter's gains.
-        whitening: (T, O) of what is seen; zero where missing.
+        whitening: (T, O) or (T, O, O) of what is seen; zero where missing.
         normaliser: (T,) log densities of what is seen where it is expected.
     """
 
@@ -121,7 +121,7 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
         linear.e,
         linear.m0,
         columns.g,
-        about.whitening[..., None] * columns.d,
+        times(torch.as_tensor(about.whitening), torch.as_tensor(columns.d)).numpy(),
     )
     rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
     if not rows_seen.all():

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from invdyn.inference.banded import Singular, chain_mean
 from invdyn.inference.square_root import BackwardFactors, backward, forward_covariance, forward_mean, log_abs_det
-from invdyn.models.missing import explained, gaussian_rows
+from invdyn.models.missing import explained, gaussian_rows, times
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
 
@@ -126,10 +126,7 @@ def linearise(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Lin
         whitening, constant = gaussian_rows(emission, observations)
     observations = explained(emission, observations)
     residual = torch.where(torch.isnan(observations), 0.0, observations - h)
-    if isinstance(emission, torch.distributions.MultivariateNormal):
-        E, e = whitening @ H, (whitening @ residual.unsqueeze(-1)).squeeze(-1)
-    else:
-        E, e = whitening.unsqueeze(-1) * H, whitening * residual
+    E, e = times(whitening, H), times(whitening, residual.unsqueeze(-1)).squeeze(-1)
     pieces = (F, predicted - path[..., 1:, :], L, E, e, m0, constant.sum(-1))
     return Linearisation(*(piece.detach().numpy() for piece in pieces))
 

@@ -22,7 +22,7 @@ from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from scipy.stats import rankdata
 from torch import Tensor
 
-from invdyn.models.mixture import MistakenRows, Stray, Swap
+from invdyn.models.mixture import MistakenRows, Shift, Stray, Swap
 from invdyn.models.shapes import join
 
 FAMILIES = ("gaussian", "student_t")
@@ -89,7 +89,7 @@ class Emission:
         t: int | Tensor,
         parameters: Mapping[str, Tensor],
         noise: Callable[[Tensor], Tensor] | None = None,
-        mistakes: Sequence[Stray | Swap] = (),
+        mistakes: Sequence[Stray | Swap | Shift] = (),
     ) -> Distribution:
         """Distribution of row ``t``: tips (..., K, 2) and angles q (..., K) → event shape (O,).
 
@@ -120,7 +120,7 @@ class Emission:
             return _UncheckedStudentT(parameters["emission.df"], loc, scales).to_event(1)
         return Normal(loc, scales, validate_args=False).to_event(1)
 
-    def _mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap]) -> Distribution:
+    def _mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap | Shift]) -> Distribution:
         if self.family != "gaussian":
             raise ValueError(f"expected gaussian noise under outliers and swaps, got {self.family!r}; drop one of them")
         strays = [self._of_tips(mistake) for mistake in mistakes if isinstance(mistake, Stray)]
@@ -129,13 +129,13 @@ class Emission:
             for mistake in mistakes
             if isinstance(mistake, Swap)
         ]
-        return MistakenRows(loc, scale, len(self.tips), strays, swaps)
+        shift = next((self._of_tips(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
+        return MistakenRows(loc, scale, len(self.tips), strays, swaps, shift)
 
-    def _of_tips(self, stray: Stray) -> Stray:
+    def _of_tips(self, mistake: Stray | Shift) -> Stray | Shift:
         """The tracked ones of all tips' widths."""
-        if stray.scale.shape[-2] == 1:
-            return stray
-        return replace(stray, scale=torch.stack([stray.scale[..., k, :] for k in self.tips], -2))
+        sizes = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
+        return replace(mistake, **{n: torch.stack([v[..., k, :] for k in self.tips], -2) for n, v in sizes.items()})
 
     def _keypoint_scale(self, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         scale = parameters["emission.keypoint_scale"]

@@ -80,7 +80,7 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
     exact. For Student-t, W is that of iteratively reweighted least squares,
     w = (ν + 1)/(ν + r²)/σ², which has the same value and gradient in h; so have the rows of a
     mixture, with what :func:`explained` makes of y. Missing entries get zero rows. Returns W as
-    (..., O) for independent emissions and mixtures, (..., O, O) otherwise, and c with shape (...).
+    (..., O) for independent emissions and mixtures that shift no row, (..., O, O) otherwise, and c with shape (...).
 
     Raises TypeError for other families.
     """
@@ -111,6 +111,11 @@ def explained(emission: Distribution, observation: Tensor) -> Tensor:
     A detection that another keypoint explains better stands, in that share, where it belongs.
     """
     return emission.gaussian_rows(observation)[1] if isinstance(emission, MistakenRows) else observation
+
+
+def times(whitening: Tensor, rows: Tensor) -> Tensor:
+    """W times rows (..., O, D), W as :func:`gaussian_rows` has it."""
+    return whitening @ rows if whitening.ndim == rows.ndim else whitening.unsqueeze(-1) * rows
 
 
 def _correlated_rows(emission, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,12 +1,18 @@
 """Keypoints of a tracker that errs now and then: a mixture over what it may have got wrong in a row.
 
 A stray detection is off by s more, in each coordinate, with probability ρ for each keypoint; a swap exchanges the
-detections of two keypoints, with probability ρ for the row. With h_p, σ_p the mean and the deviations of keypoint p,
-and π_a the keypoint whose detection stands at p under the row's alternative a (none swapped, or one swap),
+detections of two keypoints, with probability ρ for the row; a shift moves all of a row by one chance. With h_p, σ_p
+the mean and the deviations of keypoint p, and π_a the keypoint whose detection stands at p under the row's
+alternative a (none swapped, or one swap),
 
     p(y) = Σ_a w_a Π_p [ (1 − ρ) N(y_p; h_{π_a(p)}, σ²_{π_a(p)}) + ρ N(y_p; h_{π_a(p)}, σ²_{π_a(p)} + s²) ]
 
-Several effects that stray make one width: ρ and s of independent errors, in turn. A missing coordinate, NaN, drops out.
+Several effects that stray make one width: ρ and s of independent errors, in turn. A row that is shifted by ξ v, with
+ξ ~ N(0, 1) for all of its keypoints, is one of correlated detections, for each choice of which of them stray:
+
+    N(y; h, S + v vᵀ),    S = diag(σ² + s² of those that stray + w²)
+
+A missing coordinate, NaN, drops out.
 
 Shapes: rows (..., O) = P keypoints' (x, y), then E encoder angles, which are never mistaken; ρ, s (..., 1).
 """
@@ -14,6 +20,7 @@ Shapes: rows (..., O) = P keypoints' (x, y), then E encoder angles, which are ne
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from pyro.distributions import TorchDistribution
@@ -35,6 +42,18 @@ class Stray:
 
 
 @dataclass(frozen=True)
+class Shift:
+    """All keypoints of a row off together: probability (..., 1) of each row.
+
+    By ξ ``along`` (..., P, 2) m, ξ ~ N(0, 1), and each coordinate by ``beside`` (..., P, 2) m more, its own deviation.
+    """
+
+    rate: Tensor
+    along: Tensor
+    beside: Tensor
+
+
+@dataclass(frozen=True)
 class Swap:
     """Two keypoints, by number, exchanged with a probability (..., 1) in each row."""
 
@@ -43,31 +62,56 @@ class Swap:
     rate: Tensor
 
 
+@dataclass(frozen=True)
+class _Alternative:
+    """One of the things that a row's keypoints may be.
+
+    Attributes:
+        log_density: (...) of the row's detections and this.
+        order: whose detection stands at each place.
+        precision: (..., P, 2) of each detection, by its place.
+        pull: (..., P, 2) u, if the detections are correlated, whose precision is then diag(precision) − u uᵀ.
+    """
+
+    log_density: Tensor
+    order: list[int]
+    precision: Tensor
+    pull: Tensor | None = None
+
+
 class MistakenRows(TorchDistribution):
     """Distribution of observation rows; see the top of the file.
 
     Args:
         loc, scale: (..., O) mean and standard deviations of a row without mistakes.
         points: P.
-        strays, swaps: what may go wrong; the keypoints of swaps by their place in the row.
+        strays, swaps, shift: what may go wrong; the keypoints of swaps by their place in the row.
     """
 
     support = constraints.real_vector
     has_rsample = False
     arg_constraints: dict = {}  # noqa: RUF012
 
-    def __init__(self, loc: Tensor, scale: Tensor, points: int, strays: Sequence[Stray], swaps: Sequence[Swap]):
-        rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps)]
+    def __init__(
+        self,
+        loc: Tensor,
+        scale: Tensor,
+        points: int,
+        strays: Sequence[Stray],
+        swaps: Sequence[Swap],
+        shift: Shift | None = None,
+    ):
+        rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps, *([shift] if shift else []))]
         batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
-        self.points, self.strays, self.swaps = points, tuple(strays), tuple(swaps)
+        self.points, self.strays, self.swaps, self.shift = points, tuple(strays), tuple(swaps), shift
         super().__init__(batch, loc.shape[-1:], validate_args=False)
 
     def expand(self, batch_shape, _instance=None):
         """See :class:`torch.distributions.Distribution`."""
         size = self.loc.shape[-1]
         loc, scale = (value.expand(*batch_shape, size) for value in (self.loc, self.scale))
-        return MistakenRows(loc, scale, self.points, self.strays, self.swaps)
+        return MistakenRows(loc, scale, self.points, self.strays, self.swaps, self.shift)
 
     # -- the alternatives ----------------------------------------------------------------------
     @property
@@ -98,45 +142,76 @@ class MistakenRows(TorchDistribution):
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the coordinates that are not NaN."""
-        return self._explain(value)[0]
+        return self._total(value, self._explain(value))
 
-    def _explain(self, value: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-        """Log-density, each alternative's probability given the row (...), and precisions (..., P, 2) under it."""
-        (y, angles), (loc, mean), (scale, sd) = map(self._split, (value, self.loc, self.scale))
-        logs, precisions = [], []
+    def _total(self, value: Tensor, found: "Sequence[_Alternative]") -> Tensor:
+        _, angles = self._split(value)
+        mean, sd = self._split(self.loc)[1], self._split(self.scale)[1]
+        return torch.stack([each.log_density for each in found]).logsumexp(0) + _normal(angles, mean, sd).sum(-1)
+
+    def _explain(self, value: Tensor) -> "list[_Alternative]":
+        """What the row's keypoints may be: of every order those that are not shifted, and those that are."""
+        y, loc, scale = (self._split(each)[0] for each in (value, self.loc, self.scale))
+        timely = _log(1 - self.shift.rate[..., 0]) if self.shift else 0.0
+        found = []
         for order, weight in zip(self.orders, self._log_weights(), strict=True):
-            options = [
-                (w + _normal(y, loc[..., order, :], width).sum(-1), width)
-                for w, width in self._widths(scale[..., order, :])
-            ]
-            stacked = torch.stack([log for log, _ in options])
-            logs.append(weight + stacked.logsumexp(0).sum(-1))
+            widths = self._widths(scale[..., order, :])
+            options = [w + _normal(y, loc[..., order, :], width).sum(-1) for w, width in widths]
+            stacked = torch.stack(options)
             share = stacked.softmax(0).unsqueeze(-1)
-            precisions.append(sum(r / width**2 for r, (_, width) in zip(share, options, strict=True)))
-        stacked = torch.stack(logs)
-        total = stacked.logsumexp(0) + _normal(angles, mean, sd).sum(-1)
-        return total, list(stacked.softmax(0)), precisions
+            precision = sum(r / width**2 for r, (_, width) in zip(share, widths, strict=True))
+            found.append(_Alternative(weight + timely + stacked.logsumexp(0).sum(-1), order, precision))
+            for which in product(widths, repeat=self.points) if self.shift else ():
+                width = torch.stack([width[..., p, :] for p, (_, width) in enumerate(which)], -2)
+                chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(self.shift.rate[..., 0]) + weight
+                width = torch.hypot(width, self.shift.beside[..., order, :])
+                density, pull = _shifted(y, loc[..., order, :], width, self.shift.along[..., order, :])
+                found.append(_Alternative(chance + density, order, width**-2, pull))
+        return found
 
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """W (..., O), ỹ (..., O) and c (...) with log p(y) ≥ −½|W (ỹ − h)|² + c in h, and equal at ``loc``.
 
         The bound of expectation–maximisation: what a detection says goes, in the shares that the alternatives have
-        given the row, to the keypoints that it may be of. ỹ is 0 where W is.
+        given the row, to the keypoints that it may be of. ỹ is 0 where W is. Of rows that may be shifted W is a matrix
+        (..., O, O), upper triangular, with rows and columns of zeros for what is missing.
         """
-        total, shares, precisions = self._explain(value)
+        found = self._explain(value)
+        total, shares = self._total(value, found), torch.stack([each.log_density for each in found]).softmax(0)
         y, angles = self._split(value)
         seen = ~torch.isnan(y)
         filled = torch.where(seen, y, 0.0)
         weight, pulled = torch.zeros_like(self._split(self.loc)[0]), torch.zeros_like(self._split(self.loc)[0])
-        for order, share, precision in zip(self.orders, shares, precisions, strict=True):
-            back = sorted(range(self.points), key=order.__getitem__)
-            own = share[..., None, None] * precision * seen
+        joint = 0.0
+        for each, share in zip(found, shares, strict=True):
+            back = sorted(range(self.points), key=each.order.__getitem__)
+            own = share[..., None, None] * each.precision * seen
             weight, pulled = weight + own[..., back, :], pulled + (own * filled)[..., back, :]
-        aim = torch.where(weight > 0, pulled / weight.clamp_min(torch.finfo(weight.dtype).tiny), 0.0)
+            if each.pull is not None:
+                moved = share.sqrt()[..., None, None] * each.pull
+                pulled = pulled - (moved * (moved * filled).sum((-2, -1), keepdim=True))[..., back, :]
+                moved = moved[..., back, :].flatten(-2)
+                joint = joint + moved.unsqueeze(-1) * moved.unsqueeze(-2)
         sd = self._split(self.scale)[1]
-        whitening = torch.cat([weight.sqrt().flatten(-2), (~torch.isnan(angles)) / sd], -1)
-        target = torch.cat([aim.flatten(-2), torch.where(torch.isnan(angles), 0.0, angles).expand_as(sd)], -1)
-        return whitening, target, total + 0.5 * (whitening * (target - self.loc)).square().sum(-1)
+        known = (~torch.isnan(angles)) / sd
+        given = torch.where(torch.isnan(angles), 0.0, angles).expand_as(sd)
+        if self.shift is None:
+            aim = torch.where(weight > 0, pulled / weight.clamp_min(torch.finfo(weight.dtype).tiny), 0.0)
+            whitening, target = (
+                torch.cat([weight.sqrt().flatten(-2), known], -1),
+                torch.cat([aim.flatten(-2), given], -1),
+            )
+            return whitening, target, total + 0.5 * (whitening * (target - self.loc)).square().sum(-1)
+        weight, there = weight.flatten(-2), (weight > 0).flatten(-2)
+        # What is missing stands by itself, and is then struck out.
+        tril = torch.linalg.cholesky(torch.diag_embed(torch.where(there, weight, 1.0)) - joint)
+        aim = torch.cholesky_solve(pulled.flatten(-2).unsqueeze(-1), tril)[..., 0]
+        whitening = self.loc.new_zeros(*weight.shape[:-1], self.loc.shape[-1], self.loc.shape[-1])
+        whitening[..., : 2 * self.points, : 2 * self.points] = tril.mT * there.unsqueeze(-2)
+        whitening.diagonal(dim1=-2, dim2=-1)[..., 2 * self.points :] = known
+        target = torch.cat([aim, given.expand(*aim.shape[:-1], -1)], -1)
+        off = (whitening @ (target - self.loc).unsqueeze(-1))[..., 0]
+        return whitening, target, total + 0.5 * off.square().sum(-1)
 
     # -- drawing -------------------------------------------------------------------------------
     @property
@@ -157,6 +232,10 @@ class MistakenRows(TorchDistribution):
         for stray in self.strays:
             hit = torch.rand_like(points[..., :1]) < stray.rate.unsqueeze(-1)
             points = points + hit * stray.scale * torch.randn_like(points)
+        if self.shift is not None:
+            hit = (torch.rand_like(points[..., :1, :1]) < self.shift.rate.unsqueeze(-1)).to(points)
+            points = points + hit * self.shift.along * torch.randn_like(points[..., :1, :1])
+            points = points + hit * self.shift.beside * torch.randn_like(points)
         chance, passed = torch.rand_like(points[..., 0, 0]), 0.0
         whole = points
         for order, swap in zip(self.orders[1:], self.swaps, strict=True):
@@ -172,6 +251,19 @@ def _normal(y: Tensor, loc: Tensor, scale: Tensor) -> Tensor:
     seen = ~torch.isnan(y)
     standard = (torch.where(seen, y, loc) - loc) / scale
     return -(0.5 * standard**2 + torch.log(scale) + 0.5 * math.log(2 * math.pi)) * seen
+
+
+def _shifted(y: Tensor, loc: Tensor, width: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+    """Log N(y; loc, diag(width²) + v vᵀ) (...) of (..., P, 2) that are not missing, v = ``along``; u of its precision.
+
+    By Sherman and Morrison, with S = diag(width²): (S + v vᵀ)⁻¹ = S⁻¹ − u uᵀ, u = S⁻¹ v / √(1 + vᵀ S⁻¹ v).
+    """
+    seen = ~torch.isnan(y)
+    moved = along * seen / width**2
+    more = 1 + (along * moved).sum((-2, -1))
+    off = ((torch.where(seen, y, loc) - loc) * moved).sum((-2, -1))
+    log_density = _normal(y, loc, width).sum((-2, -1)) - 0.5 * torch.log(more) + 0.5 * off**2 / more
+    return log_density, moved / more.sqrt()[..., None, None]
 
 
 def _log(probability: Tensor) -> Tensor:

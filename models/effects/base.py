@@ -12,7 +12,7 @@ it is absent, and overrides those hooks that it changes; the others pass on what
     interval   the time that a step really takes, s                 (...) → (...)
     points     where the camera sees the links' tips, m             View → (..., K, 2)
     noise      the keypoints' standard deviations, m                View, (..., K, 2) → (..., K, 2)
-    mistake    what the tracker gets wrong now and then             → Stray, Swap or None
+    mistake    what the tracker gets wrong now and then             → Stray, Swap, Shift or None
 
 An effect with a coordinate of its own that nobody sees is a :class:`.hidden.HiddenHinge`.
 
@@ -36,7 +36,7 @@ from invdyn.models.body import Body, BodyParameters
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mixture import Stray, Swap
+from invdyn.models.mixture import Shift, Stray, Swap
 
 SHORT = 0.006
 """s, longest sub-step under a force that jumps; dry friction is held within one, at its mean about a stop."""
@@ -203,7 +203,7 @@ class Effect(ABC):
         """Standard deviation of each tip's coordinates, (..., K, 2) m."""
         return sd
 
-    def mistake(self, p: Values, view: View) -> Stray | Swap | None:
+    def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:
         """What the tracker gets wrong now and then; see :mod:`invdyn.models.mixture`."""
         return None
 

@@ -11,7 +11,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mixture import Stray, Swap
+from invdyn.models.mixture import Shift, Stray, Swap
 
 PREFIX = "effect."
 
@@ -109,7 +109,7 @@ class Composition:
             sd = effect.noise(p, view, sd)
         return sd
 
-    def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap]:
+    def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap | Shift]:
         """What the tracker gets wrong now and then."""
         found = [effect.mistake(p, view) for effect, p in self._each(parameters)]
         return [mistake for mistake in found if mistake is not None]

@@ -6,20 +6,24 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from invdyn.models import ArmModel, Body, Emission, Link
 from invdyn.models.effects import LabelSwap, Outliers
-from invdyn.models.missing import explained, gaussian_rows, observed_log_prob
-from invdyn.models.mixture import MistakenRows, Stray, Swap
+from invdyn.models.missing import explained, gaussian_rows, observed_log_prob, times
+from invdyn.models.mixture import MistakenRows, Shift, Stray, Swap
 
 F64 = torch.float64
 POINTS = 3
 LOC = np.array([0.1, 0.2, 0.5, -0.1, 0.9, 0.3, 1.2])  # three points and an encoder
 SCALE = np.array([0.02, 0.02, 0.03, 0.03, 0.04, 0.04, 0.01])
 RATE, WIDTH, FIRST, SECOND = 0.1, 0.5, 0.06, 0.03
+MOVED = 0.3
+ALONG = np.array([[0.2, -0.1], [0.3, 0.0], [-0.4, 0.2]])
+BESIDE = np.array([[0.01, 0.02], [0.0, 0.03], [0.05, 0.0]])
 ROWS = {
     "plain": LOC + 0.01,
+    "shifted": LOC + np.append(1.4 * ALONG, 0.0) + 0.01,
     "stray": LOC + np.array([0.0, 0.0, 0.6, -0.4, 0.0, 0.0, 0.0]),
     "swapped": LOC[[2, 3, 0, 1, 4, 5, 6]] + 0.02,
     "half missing": np.where(np.arange(7) == 2, np.nan, LOC[[2, 3, 0, 1, 4, 5, 6]]),
@@ -28,42 +32,50 @@ ROWS = {
     "nothing": np.full(7, np.nan),
 }
 EVERY = pytest.mark.parametrize("row", ROWS)
+SHIFTED = pytest.mark.parametrize("shifted", [False, True], ids=["not shifted", "shifted"])
 
 
 def tensor(value):
     return torch.tensor(value, dtype=F64)
 
 
-def rows_of(loc=LOC, scale=SCALE, rate=RATE, strays=1):
+def rows_of(loc=LOC, scale=SCALE, rate=RATE, strays=1, shifted=False):
+    shift = Shift(tensor([MOVED]), torch.as_tensor(ALONG), torch.as_tensor(BESIDE)) if shifted else None
     stray = Stray(tensor([rate]), tensor([[WIDTH]]))
     swaps = [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))]
-    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), POINTS, [stray] * strays, swaps)
+    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), POINTS, [stray] * strays, swaps, shift)
 
 
-def by_hand(y, loc=LOC, strays=1):
-    """Sum over orders and over which detections are stray, entry by entry."""
+def by_hand(y, loc=LOC, strays=1, shifted=False):
+    """Sum over orders, over which detections are stray and over whether the row is shifted."""
+    seen = np.isfinite(y[:6])
     total = 0.0
     for weight, order in ((1 - FIRST - SECOND, (0, 1, 2)), (FIRST, (1, 0, 2)), (SECOND, (0, 2, 1))):
         for hits in itertools.product(range(strays + 1), repeat=POINTS):
             term = weight
+            mean = np.concatenate([loc[2 * k : 2 * k + 2] for k in order])
+            variance = np.concatenate([SCALE[2 * k : 2 * k + 2] ** 2 for k in order])
             for p, count in enumerate(hits):
-                k = order[p]
                 term *= math.comb(strays, count) * RATE**count * (1 - RATE) ** (strays - count)
-                for axis in range(2):
-                    sd = math.sqrt(SCALE[2 * k + axis] ** 2 + count * WIDTH**2)
-                    if np.isfinite(y[2 * p + axis]):
-                        term *= norm.pdf(y[2 * p + axis], loc[2 * k + axis], sd)
-            total += term
+                variance[2 * p : 2 * p + 2] += count * WIDTH**2
+            for moved in (False, True) if shifted else (False,):
+                chance = (MOVED if moved else 1 - MOVED) if shifted else 1.0
+                along, beside = (np.concatenate([part[k] for k in order]) for part in (ALONG, BESIDE))
+                covariance = np.diag(variance + moved * beside**2) + moved * np.outer(along, along)
+                density = multivariate_normal(mean[seen], covariance[np.ix_(seen, seen)]) if seen.any() else None
+                total += term * chance * (density.pdf(y[:6][seen]) if density else 1.0)
     angle = norm.logpdf(y[6], loc[6], SCALE[6]) if np.isfinite(y[6]) else 0.0
     return math.log(total) + angle
 
 
 @EVERY
-@pytest.mark.parametrize("strays", [1, 2])
-def test_density(row, strays):
-    y = tensor(ROWS[row])
-    assert rows_of(strays=strays).log_prob(y).item() == pytest.approx(by_hand(ROWS[row], strays=strays), abs=1e-9)
-    assert observed_log_prob(rows_of(strays=strays), y).item() == pytest.approx(by_hand(ROWS[row], strays=strays))
+@SHIFTED
+@pytest.mark.parametrize("strays", [0, 1, 2])
+def test_density(row, strays, shifted):
+    y, emission = tensor(ROWS[row]), rows_of(strays=strays, shifted=shifted)
+    expected = by_hand(ROWS[row], strays=strays, shifted=shifted)
+    assert emission.log_prob(y).item() == pytest.approx(expected, abs=1e-9)
+    assert observed_log_prob(emission, y).item() == pytest.approx(expected)
 
 
 def test_density_of_batches():
@@ -80,24 +92,32 @@ def test_density_of_batches():
 
 
 @EVERY
-def test_gaussian_rows_touch_the_density_from_below(row):
+@SHIFTED
+def test_gaussian_rows_touch_the_density_from_below(row, shifted):
     """−½|W (ỹ − h)|² + c has its value and slope at h, and is nowhere above it."""
     y = tensor(ROWS[row])
     loc = torch.as_tensor(LOC).clone().requires_grad_()
-    emission = rows_of(loc)
+    emission = rows_of(loc, shifted=shifted)
     with torch.no_grad():
         whitening, constant = gaussian_rows(emission, y)
         target = explained(emission, y)
+    whole = whitening if shifted else torch.diag(whitening)
+    torch.testing.assert_close(times(whitening, target.unsqueeze(-1)), whole @ target.unsqueeze(-1))
 
     def bound(at):
-        return constant - 0.5 * (whitening * (target - at)).square().sum(-1)
+        return constant - 0.5 * (whole @ (target - at).unsqueeze(-1)).square().sum((-2, -1))
 
     expected = observed_log_prob(emission, y)
     torch.testing.assert_close(bound(loc), expected)
     slopes = [torch.autograd.grad(f, loc, allow_unused=True)[0] for f in (bound(loc), expected)]
     torch.testing.assert_close(*(torch.zeros(7, dtype=F64) if slope is None else slope for slope in slopes))
     elsewhere = torch.as_tensor(LOC) + 0.05 * torch.randn(500, 7, generator=torch.Generator().manual_seed(1)).double()
-    assert bool((bound(elsewhere) <= observed_log_prob(rows_of(elsewhere), y) + 1e-9).all())
+    there = observed_log_prob(rows_of(elsewhere, shifted=shifted), y)
+    assert bool((bound(elsewhere) <= there + 1e-9).all())
+    if row in ("unread", "nothing"):  # what is missing of points that change places is another's
+        missing = torch.isnan(y)
+        assert not whole[missing].any()
+        assert not whole[:, missing].any()
 
 
 def test_a_swap_is_seen_where_it_belongs():
@@ -129,6 +149,19 @@ def test_draws():
     error = y.std(0) / math.sqrt(n)
     assert (np.abs(y.mean(0) - emission.mean.numpy()) < 5 * error).all()
     assert emission.expand((2, 3)).sample().shape == (2, 3, 7)
+
+
+def test_shifted_draws():
+    """All detections of a shifted row are off by one and the same chance."""
+    torch.manual_seed(1)
+    n = 40000
+    y = rows_of(rate=0.0, shifted=True).expand((n,))
+    y.swaps = ()
+    off = (y.sample() - y.loc)[:, :6].numpy()
+    covariance = np.diag(SCALE[:6] ** 2 + MOVED * BESIDE.ravel() ** 2) + MOVED * np.outer(ALONG, ALONG)
+    # Fourth moments of a mixture of a share ρ: three times the variance's square, over ρ.
+    error = np.sqrt(np.outer(covariance.diagonal(), covariance.diagonal()) * 3 / MOVED / n)
+    assert (np.abs(np.cov(off.T) - covariance) < 5 * error).all()
 
 
 def test_rates_of_zero_are_no_mixture_and_have_slopes():

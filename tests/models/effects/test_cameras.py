@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.stats import norm
+from scipy.stats import multivariate_normal
 
 from invdyn.models.effects import (
     CameraLatency,
@@ -139,12 +139,15 @@ def test_jitter_is_a_mixture_that_widens_along_the_motion(arm, having, states):
     plain = ideal.emission(x, 5)
     y = plain.mean + 0.01
     residual = (y - plain.mean)[..., :4].unflatten(-1, (2, 2)).numpy()
-    on_time = norm.logpdf(residual, scale=own).sum(-1)
     delta = sd / rate**0.5
-    off = np.hypot(delta * velocity, 0.75**0.5 * delta**2 * acceleration)
-    mistimed = norm.logpdf(residual, scale=np.hypot(own, off)).sum(-1)
-    gained = (np.logaddexp(np.log(1 - rate) + on_time, np.log(rate) + mistimed) - on_time).sum(-1)
-    assert (model.emission(x, 5).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-5)
+    gained = []
+    for each, v, a in zip(residual, velocity, acceleration, strict=True):
+        alone = np.diag(np.repeat(own.ravel() ** 2, 2))
+        beside = np.diag((0.75**0.5 * delta**2 * a).ravel() ** 2)
+        mistimed = alone + beside + delta**2 * np.outer(v, v)  # both keypoints by the same time
+        on_time, late = (multivariate_normal(np.zeros(4), c).logpdf(each.ravel()) for c in (alone, mistimed))
+        gained.append(np.logaddexp(np.log(1 - rate) + on_time, np.log(rate) + late) - on_time)
+    assert (model.emission(x, 5).log_prob(y) - plain.log_prob(y)).numpy() == pytest.approx(gained, rel=1e-4)
 
 
 def test_blur_widens_the_noise(seen):
