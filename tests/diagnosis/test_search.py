@@ -9,9 +9,9 @@ import pytest
 from pendulum import ARM, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import _scan, search
+from invdyn.diagnosis.search import _extend, _scan, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -66,6 +66,22 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     monkeypatch.setattr(sys.modules[search.__module__], "refine_searched", lambda *given: tried.append(given[2].name))
     bound = setting(recorded(damping), PENDULUM)
     assert search(bound, *data_path(bound)).ranked[0].complete
+    assert ("backlash" in tried) is looked
+
+
+@pytest.mark.parametrize(("other", "looked"), [("viscous_friction", True), ("coulomb_friction", False)])
+def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, looked):
+    """Where that one leaves something: a spring, which is not in it."""
+    tried, module = [], sys.modules[search.__module__]
+    spring = EFFECTS["joint_stiffness"]("pivot")
+    bound = setting(recording_of(spring, stiffness=1.0, torque=0.5), PENDULUM)
+    path, stray = data_path(bound)
+    none, base = (refine(bound, effects, {}, path, LOOSE, rounds=2) for effects in ((), (EFFECTS[other]("pivot"),)))
+    assert not base.complete
+    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
+    monkeypatch.setattr(module, "refine_promising", lambda *_: None)
+    found = Search(considered(bound), {"": none, base.key: base}, [], path, stray)
+    _extend(bound, found, base, 1)
     assert ("backlash" in tried) is looked
 
 
