@@ -174,8 +174,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     # Where joints stick, too, play takes minutes.
-    one = len(_others(base)) == 1 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
-    play = (alone or one) and not (found.ranked[0].complete and found.ranked[0].effects)
+    free_to_slip = len(_others(base)) < 2 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
+    play = free_to_slip and not (found.ranked[0].complete and found.ranked[0].effects)
     least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
     sought = [
         effect

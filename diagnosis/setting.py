@@ -204,7 +204,6 @@ def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
         sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:
-        found["emission.angle_scale"] = torch.as_tensor(jitter(problem.observations[:, points:].numpy())).clamp_min(
-            1e-5
-        )
+        sd = torch.as_tensor(jitter(problem.observations[:, points:].numpy()))
+        found["emission.angle_scale"] = sd.clamp_min(1e-5)
     return model.replace(**found)
