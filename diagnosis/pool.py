@@ -27,7 +27,7 @@ class Search:
         path: (T, D) that the data ask for, whatever the cause.
         aside: (T, D) of the simulation alone; None where nobody knows its torques.
         workers: processes that may work side by side.
-        twins: log evidence by key of causes that were followed to their exact twins of that key.
+        relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.kin`).
         stray: whether some detections are far from it.
     """
 
@@ -38,7 +38,7 @@ class Search:
     stray: bool
     aside: Tensor | None = None
     workers: int = 1
-    twins: dict[str, float] = field(default_factory=dict)
+    relatives: dict[str, float] = field(default_factory=dict)
 
     @property
     def top(self) -> float:

@@ -1,4 +1,4 @@
-"""Screened effects that are worth refining, and their exact twins.
+"""Screened effects that are worth refining.
 
 A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
 screen says, which errs, and if it gains a fair share of what the best one gains.
@@ -10,16 +10,13 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
-from invdyn.diagnosis.refine import Refined, key_of, refine
+from invdyn.diagnosis.refine import Refined, refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.diagnosis.whiten import sizes
-from invdyn.models.effects.base import Effect
 
 T = TypeVar("T")
 
@@ -30,17 +27,6 @@ much."""
 
 PAIR = 2
 """Candidates that are refined side by side, before the next ones are measured by them."""
-
-KIN = (
-    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
-    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
-    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
-    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
-)
-"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
-
-ALIKE = 1.0
-"""Nats behind its twin in which a cause has arrived; and that a twin must have gained to be followed again."""
 
 DOUBT, SURE = 5.0, 2.0
 """Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
@@ -106,57 +92,6 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
 def idle(screened: Sequence[Screened]) -> float:
     """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
     return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
-
-
-def refine_kin(setting: Setting, found: Search, number: int) -> None:
-    """Refine the exact or near equivalents of what was found, of causes with so many effects, from values that follow.
-
-    A screen along the data's path cannot see them: the path itself is what they shift.
-    """
-    single = setting.model.body.num_joints == 1  # whose effect on one joint is that on all
-
-    def is_(effect: Effect, name: str) -> bool:
-        return effect.key == name or (single and effect.name == name)
-
-    for cause in list(found.pool.values()):
-        if len(cause.effects) != number or cause.log_evidence < found.top - HOPELESS:
-            continue
-        for mine in cause.effects:
-            for name, other, parameter, factor in KIN:
-                twin = next((e for e in found.candidates if is_(e, other)), None)
-                if not is_(mine, name) or twin is None or any(is_(e, other) for e in cause.effects):
-                    continue
-                if setting.regime == "unknown_torque" and imitable(twin):
-                    continue
-                rest = tuple(e for e in cause.effects if e is not mine)
-                key = key_of((*rest, twin))
-                there = found.pool.get(key)
-                arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
-                if arrived or found.twins.get(key, -np.inf) > cause.log_evidence - ALIKE:
-                    continue
-                found.twins[key] = cause.log_evidence
-                known = values_of(cause)
-                value = known.pop(f"{mine.key}.{parameter[0]}")
-                values = known | {f"{twin.key}.{parameter[1]}": factor * value}
-                size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
-                ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
-                starts = [found.path] if ahead == 0.0 else [later(setting, cause.path, ahead), found.path]
-                for path in starts:
-                    other_one = attempt(refine, setting, (*rest, twin), values, path, size, **cause.searched)
-                    if other_one is not None:
-                        found.add(other_one)
-                        if other_one.complete:
-                            break
-
-
-def later(setting: Setting, path: Tensor, seconds: float) -> Tensor:
-    """What a path (T, D) is so much later, between its rows on a straight line, at its ends as it is.
-
-    The arm itself is ahead of a camera that lags.
-    """
-    time = setting.model.time.numpy()
-    at = np.clip(time + seconds, time[0], time[-1])
-    return torch.as_tensor(np.stack([np.interp(at, time, column) for column in path.numpy().T], -1))
 
 
 def attempt(work: Callable[..., T], *arguments, **options) -> T | None:

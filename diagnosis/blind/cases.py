@@ -7,8 +7,8 @@ make the very same recording: no method could say that one is missing). A case f
 byte. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by nobody before.
 
 An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
-body, motion and size drawn again, at most `TRIES` times, from the fourth on larger by half each time. The answer has
-d′ of every effect.
+body, motion and size drawn again, at most `TRIES` times, from the fourth to the eighth larger by half each time, and
+then no more: a gear's play seldom shows. The answer has d′ of every effect.
 """
 
 import json
@@ -31,10 +31,10 @@ from .sizes import scene
 from .visibility import visibility
 
 KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
-TRIES = 8
+TRIES = 16
 ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
 WEAK = 0.25
-GROWING = 1.5
+GROWING, LARGEST = 1.5, 1.5**5
 
 TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
 NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
@@ -102,7 +102,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
         names = lot if _agree(lot) else None
     best = None
     for attempt in range(TRIES):
-        strength = WEAK if kind == "weak" else GROWING ** max(0, attempt - 2)
+        strength = WEAK if kind == "weak" else min(GROWING ** max(0, attempt - 2), LARGEST)
         stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
         case = _attempt(stream, kind, names, strength)
         if case is None:

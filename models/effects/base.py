@@ -102,6 +102,10 @@ class Effect(ABC):
     """Values of parameters that a search starts from, one after the other: where joints stick, the change near its
     absence does not tell how large an effect is."""
 
+    contains: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Effects, by name, that are a special case of it at the same place: with these of its parameters, by name, at the
+    values of theirs. A search follows them from there."""
+
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""
 

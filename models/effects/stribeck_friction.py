@@ -18,6 +18,7 @@ class StribeckFriction(Effect):
     """
 
     abrupt: ClassVar[bool] = True
+    contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction in motion τ_c and near rest τ_s, N·m; speed ω_s of the change, rad/s."""

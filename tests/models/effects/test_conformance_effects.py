@@ -73,6 +73,22 @@ def test_grids_lie_where_the_prior_is(name, arm):
             assert max(p.grid) <= draws[-4]
 
 
+@pytest.mark.parametrize(("name", "narrow"), [(n, other) for n, e in EFFECTS.items() for other in e.contains])
+def test_what_it_contains_is_a_special_case(name, narrow, arm, states):
+    model = arm(2)
+    theirs = drawn(model.with_effects(one(narrow, model)), seed=3)[0]
+    mine = drawn(model.with_effects(one(name, model)), seed=4)[0]
+    values = {
+        f"effect.{one(name, model).key}.{own}": theirs.parameters[f"effect.{one(narrow, model).key}.{its}"]
+        for own, its in EFFECTS[name].contains[narrow].items()
+    }
+    rows = torch.arange(mine.num_steps)
+    x = states(mine, mine.num_steps)
+    here, there = (m.transition_mean(x[:-1], rows[1:]) for m in (mine.replace(**values), theirs))
+    torch.testing.assert_close(here, there, rtol=1e-10, atol=1e-10)
+    assert not torch.allclose(mine.transition_mean(x[:-1], rows[1:]), there, rtol=1e-6)
+
+
 @EVERY
 def test_reports_have_units(name, arm):
     model = arm(2)

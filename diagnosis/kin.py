@@ -1,0 +1,122 @@
+"""Relatives of what was found: effects that stand in for it exactly, and wider ones of which it is a special case.
+
+A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
+shift. And where joints stick, Gauss–Newton may lose its way to a wider effect's parameters from any but those with
+which it is the narrower one (continuation: Allgower & Georg 1990, "Numerical continuation methods").
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.pool import Search, imitable
+from invdyn.diagnosis.promising import HOPELESS, attempt, values_of
+from invdyn.diagnosis.refine import Refined, key_of, refine
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import sizes
+from invdyn.models.effects.base import Effect
+
+TWINS = (
+    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
+    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
+    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
+    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
+)
+"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
+
+ALIKE = 1.0
+"""Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
+
+
+def refine_kin(setting: Setting, found: Search, number: int) -> None:
+    """Refine the relatives of what was found, of causes with so many effects, from values that follow."""
+    for cause in list(found.pool.values()):
+        if len(cause.effects) == number and cause.log_evidence > found.top - HOPELESS:
+            for mine in cause.effects:
+                _refine_twins(setting, found, cause, mine)
+                if not cause.complete:
+                    _refine_wider(setting, found, cause, mine)
+
+
+def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine a cause with the exact equivalents of one of its effects, unless they have arrived."""
+    single = setting.model.body.num_joints == 1  # whose effect on one joint is that on all
+
+    def is_(effect: Effect, name: str) -> bool:
+        return effect.key == name or (single and effect.name == name)
+
+    for name, other, parameter, factor in TWINS:
+        twin = next((e for e in found.candidates if is_(e, other)), None)
+        if not is_(mine, name) or twin is None or any(is_(e, other) for e in cause.effects):
+            continue
+        if setting.regime == "unknown_torque" and imitable(twin):
+            continue
+        there = found.pool.get(_in_place(cause, mine, twin))
+        if (there is not None and there.log_evidence > cause.log_evidence - ALIKE) or _followed(
+            found, cause, mine, twin
+        ):
+            continue
+        value = values_of(cause)[f"{mine.key}.{parameter[0]}"]
+        ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
+        starts = [found.path] if ahead == 0.0 else [later(setting, cause.path, ahead), found.path]
+        _refine(setting, found, cause, mine, twin, {parameter[1]: factor * value}, starts)
+
+
+def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine a cause with what contains one of its effects, from where the two are the same."""
+    for wider in found.candidates:
+        narrow = wider.contains.get(mine.name)
+        if narrow is None or wider.where != mine.where or any(e.key == wider.key for e in cause.effects):
+            continue
+        there = found.pool.get(_in_place(cause, mine, wider))
+        if (there is not None and there.complete) or _followed(found, cause, mine, wider):
+            continue
+        known = values_of(cause)
+        values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
+        _refine(setting, found, cause, mine, wider, values, [cause.path])
+
+
+def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:
+    """Key of a cause with another effect in place of one."""
+    return key_of((*(e for e in cause.effects if e is not mine), other))
+
+
+def _followed(found: Search, cause: Refined, mine: Effect, other: Effect) -> bool:
+    """Whether the relative was refined from as good a cause before; from now on it was."""
+    key = _in_place(cause, mine, other)
+    if found.relatives.get(key, -np.inf) > cause.log_evidence - ALIKE:
+        return True
+    found.relatives[key] = cause.log_evidence
+    return False
+
+
+def _refine(
+    setting: Setting,
+    found: Search,
+    cause: Refined,
+    mine: Effect,
+    other: Effect,
+    values: dict[str, float],
+    starts: list[Tensor],
+) -> None:
+    """Refine a cause with another effect in place of one, from its values, along one path after the other."""
+    effects = (*(e for e in cause.effects if e is not mine), other)
+    kept = {name: value for name, value in values_of(cause).items() if not name.startswith(f"{mine.key}.")}
+    values = kept | {f"{other.key}.{name}": value for name, value in values.items()}
+    size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
+    for path in starts:
+        refined = attempt(refine, setting, effects, values, path, size, **cause.searched)
+        if refined is not None:
+            found.add(refined)
+            if refined.complete:
+                break
+
+
+def later(setting: Setting, path: Tensor, seconds: float) -> Tensor:
+    """What a path (T, D) is so much later, between its rows on a straight line, at its ends as it is.
+
+    The arm itself is ahead of a camera that lags.
+    """
+    time = setting.model.time.numpy()
+    at = np.clip(time + seconds, time[0], time[-1])
+    return torch.as_tensor(np.stack([np.interp(at, time, column) for column in path.numpy().T], -1))

@@ -1,0 +1,76 @@
+"""Relatives of what was found: exact twins, and wider effects from where they are the narrower one."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pendulum import ARM, PENDULUM, recording_of
+
+from invdyn.diagnosis.kin import ALIKE, TWINS, later, refine_kin
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.models.effects import EFFECTS
+
+
+def test_a_lagging_camera_is_refined_from_a_path_ahead_of_what_it_saw():
+    bound = setting(recording_of(), PENDULUM)
+    rows, time = len(bound.observations), bound.model.time
+    path = torch.stack([3.0 * time, time**0, -time], -1)
+    ahead = later(bound, path, 0.03)
+    assert torch.allclose(ahead[: rows - 2], path[: rows - 2] + 0.03 * torch.tensor([3.0, 0.0, -1.0]))
+    assert torch.equal(ahead[-1], path[-1])
+    assert torch.equal(later(bound, path, 0.0), path)
+
+
+@pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
+@pytest.mark.parametrize(("name", "twin", "parameter", "sign"), [TWINS[0], TWINS[1]])
+def test_the_twin_of_a_delay_starts_from_a_path_of_its_own(monkeypatch, name, twin, parameter, sign, body):
+    """On one joint the motors' delay is that of its motor."""
+    bound = setting(recording_of(body=body), body)
+    path, stray = data_path(bound)
+    none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
+    one = next(e for e in candidates if e.name == name)
+    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter[0]}",), mean=np.array([0.03]))
+    started = []
+    monkeypatch.setattr(
+        sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
+    )
+    refine_kin(bound, Search(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    shift = 0.03 if twin == "camera_latency" else -0.03
+    assert torch.equal(started[0], later(bound, cause.path, shift))
+    assert torch.equal(started[1], path)
+    # Followed once: not again before it has gained something.
+    tried = len(started)
+    pool = Search(candidates, {"": none, one.key: cause}, [], path, stray)
+    refine_kin(bound, pool, 1)
+    assert len(started) == 2 * tried
+    refine_kin(bound, pool, 1)
+    assert len(started) == 2 * tried
+    pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * ALIKE)
+    refine_kin(bound, pool, 1)
+    assert len(started) == 3 * tried
+
+
+def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one():
+    """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
+    truth = EFFECTS["stribeck_friction"]("pivot")
+    bound = setting(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
+    lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence + 10)
+    assert not narrow.complete
+    pool = {cause.key: cause for cause in (none, narrow, lost)}
+    found = Search(considered(bound), pool, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.pool[truth.key]
+    assert cause.complete
+    assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
+    assert found.relatives == {truth.key: narrow.log_evidence}
+    there = Search(considered(bound), {**pool, truth.key: cause}, [], path, stray)
+    refine_kin(bound, there, 1)
+    assert not there.relatives
