@@ -1,8 +1,8 @@
-"""Relatives of what was found: effects that stand in for it exactly, and wider ones of which it is a special case.
+"""Relatives of what was found: effects that stand in for it exactly, those that contain it, and those it contains.
 
 A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
-shift. And where joints stick, Gauss–Newton may lose its way to a wider effect's parameters from any but those with
-which it is the narrower one (continuation: Allgower & Georg 1990, "Numerical continuation methods").
+shift. And where joints stick, Gauss–Newton may lose its way to an effect, but not from its relative's parameters and
+path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
 """
 
 import numpy as np
@@ -27,6 +27,9 @@ TWINS = (
 ALIKE = 1.0
 """Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
 
+ALLOWED = 3.0
+"""Standard deviations from a special case up to which an effect's parameters allow it."""
+
 
 def refine_kin(setting: Setting, found: Search, number: int) -> None:
     """Refine the relatives of what was found, of causes with so many effects, from values that follow."""
@@ -34,8 +37,8 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
         if len(cause.effects) == number and cause.log_evidence > found.top - HOPELESS:
             for mine in cause.effects:
                 _refine_twins(setting, found, cause, mine)
-                if not cause.complete:
-                    _refine_wider(setting, found, cause, mine)
+                _refine_wider(setting, found, cause, mine)
+                _refine_narrower(setting, found, cause, mine)
 
 
 def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -63,10 +66,10 @@ def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect)
 
 
 def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
-    """Refine a cause with what contains one of its effects, from where the two are the same."""
+    """Refine a cause with what contains one of its effects, from where the two are the same, if it leaves something."""
     for wider in found.candidates:
         narrow = wider.contains.get(mine.name)
-        if narrow is None or wider.where != mine.where or any(e.key == wider.key for e in cause.effects):
+        if cause.complete or narrow is None or wider.where != mine.where or wider.key in cause.key.split("+"):
             continue
         there = found.pool.get(_in_place(cause, mine, wider))
         if (there is not None and there.complete) or _followed(found, cause, mine, wider):
@@ -74,6 +77,27 @@ def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect)
         known = values_of(cause)
         values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
         _refine(setting, found, cause, mine, wider, values, [cause.path])
+
+
+def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine a cause with a special case of one of its effects that its parameters allow: it may not have arrived.
+
+    Where several parameters are to be the same one, that which is known best gives its value.
+    """
+    for narrow in found.candidates:
+        names = mine.contains.get(narrow.name)
+        if names is None or narrow.where != mine.where or narrow.key in cause.key.split("+"):
+            continue
+        there = found.pool.get(_in_place(cause, mine, narrow))
+        if there is not None and there.log_evidence > cause.log_evidence:
+            continue
+        known, sd = values_of(cause), dict(zip(cause.names, cause.sd, strict=True))
+        worst_first = sorted(names, key=lambda name: -sd[f"{mine.key}.{name}"])
+        values = {names[name]: known[f"{mine.key}.{name}"] for name in worst_first}
+        off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
+        if max(off) > ALLOWED or _followed(found, cause, mine, narrow):
+            continue
+        _refine(setting, found, cause, mine, narrow, values, [cause.path])
 
 
 def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:

@@ -62,7 +62,7 @@ def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one():
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
-    lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence + 10)
+    lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence - 1)
     assert not narrow.complete
     pool = {cause.key: cause for cause in (none, narrow, lost)}
     found = Search(considered(bound), pool, [], path, stray)
@@ -74,3 +74,22 @@ def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one():
     there = Search(considered(bound), {**pool, truth.key: cause}, [], path, stray)
     refine_kin(bound, there, 1)
     assert not there.relatives
+
+
+def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
+    truth, wide = (EFFECTS[name]("pivot") for name in ("coulomb_friction", "stribeck_friction"))
+    bound = setting(recording_of(truth, torque=0.06, rows=200), PENDULUM)
+    path, stray = data_path(bound)
+    start = {f"{wide.key}.coulomb": 0.06, f"{wide.key}.static": 0.06}
+    none, narrow, wider = (
+        refine(bound, effects, values, path, LOOSE) for effects, values in (((), {}), ((truth,), {}), ((wide,), start))
+    )
+    lost = replace(narrow, log_evidence=wider.log_evidence - 10)
+    found = Search(considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
+    refine_kin(bound, found, 1)
+    assert found.pool[truth.key].log_evidence > wider.log_evidence
+    assert abs(found.pool[truth.key].mean[0] - 0.06) < 4 * narrow.sd[0]
+    assert found.relatives == {truth.key: wider.log_evidence}
+    arrived = Search(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
+    refine_kin(bound, arrived, 1)
+    assert not arrived.relatives
