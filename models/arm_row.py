@@ -62,7 +62,7 @@ class ArmRow:
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
-            held = self._friction(*smooth(q, qd, begun)) if self.effects.has_friction else 0.0
+            held = self._friction(*smooth(q, qd, begun), held=True) if self.effects.has_friction else 0.0
 
             def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
                 torque, own, _ = smooth(q, qd, begun + share * s)
@@ -99,9 +99,9 @@ class ArmRow:
         time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
         return Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
 
-    def _friction(self, torque: Tensor, own: Tensor | None, now: Situation) -> Tensor:
-        """Dry friction, (..., K) N·m, under all other torques."""
-        return self.effects.friction(self.parameters, now, torque, own)
+    def _friction(self, torque: Tensor, own: Tensor | None, now: Situation, held: bool = False) -> Tensor:
+        """Dry friction, (..., K) N·m, under all other torques, at a moment or ``held`` over a sub-step."""
+        return self.effects.friction(self.parameters, now, torque, own, held)
 
     def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""

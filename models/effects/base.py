@@ -98,6 +98,8 @@ class Effect(ABC):
 
     abrupt: ClassVar[bool] = False
     """Whether its force jumps within a motion, as dry friction's where a joint turns around: see :data:`SHORT`."""
+    steady: ClassVar[bool] = False
+    """Whether its dry friction, where it has any, is the same at all speeds and loads."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     """Values of parameters that a search starts from, one after the other: where joints stick, the change near its
     absence does not tell how large an effect is."""

@@ -1,6 +1,7 @@
 """Several effects on one arm: their hooks, one after the other."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -32,6 +33,9 @@ class Composition:
         self.pulls = any(effect.pulls for effect in effects)
         self.abrupt = any(effect.abrupt for effect in effects)
         self.has_friction = any(type(effect).friction is not Effect.friction for effect in effects)
+        self.has_changing_friction = self.has_friction and any(
+            type(effect).friction is not Effect.friction and not effect.steady for effect in effects
+        )
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
         self.has_command = any(type(effect).command is not Effect.command for effect in effects)
         self.has_points = any(type(effect).points is not Effect.points for effect in effects)
@@ -75,15 +79,33 @@ class Composition:
         forces = [effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls]
         return sum(forces, start=torch.zeros_like(now.q))
 
-    def friction(self, parameters: Mapping[str, Tensor], now: Situation, torque: Tensor, own: Tensor | None) -> Tensor:
-        """Dry friction on all joints under the other torques (..., K) N·m; several effects at a joint add up."""
-        levels: dict[int, Tensor] = {}
-        for effect, p in self._each(parameters):
-            level = effect.friction(p, now)
-            if level is not None:
-                joint = effect.place[0]
-                levels[joint] = levels[joint] + level if joint in levels else level
-        return dry_friction(levels, now, torque, own)
+    def friction(
+        self,
+        parameters: Mapping[str, Tensor],
+        now: Situation,
+        torque: Tensor,
+        own: Tensor | None,
+        held: bool = False,
+    ) -> Tensor:
+        """Dry friction on all joints under the other torques (..., K) N·m; several effects at a joint add up.
+
+        At the moment ``now``, or as it is to be ``held`` over the sub-step that begins there.
+        """
+
+        def levels(now: Situation) -> dict[int, Tensor]:
+            found: dict[int, Tensor] = {}
+            for effect, p in self._each(parameters):
+                level = effect.friction(p, now)
+                if level is not None:
+                    joint = effect.place[0]
+                    found[joint] = found[joint] + level if joint in found else level
+            return found
+
+        def levels_at(q: Tensor, qd: Tensor) -> dict[int, Tensor]:
+            return levels(replace(now, q=q, qd=qd))
+
+        changing = held and self.has_changing_friction
+        return dry_friction(levels(now), now, torque, own, levels_at if changing else None)
 
     def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
         """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""

@@ -17,6 +17,7 @@ class CoulombFriction(Effect):
     """
 
     abrupt: ClassVar[bool] = True
+    steady: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction torque τ_c, N·m."""

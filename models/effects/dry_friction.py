@@ -9,9 +9,12 @@ by projected Gauss–Seidel sweeps (Jean & Moreau's contact solver) from what wo
 joint, and for any that all stick. A joint that slides gets −L sgn θ̇; one at rest that nothing overcomes stays at rest,
 and does not creep as under a smoothed sign. A joint that is pushed through a stop within h, at t* = |θ̇| / (|a| + A L)
 with a its acceleration but for its own friction, gets the mean of what acts before and after, L (1 − 2 t*/h) sgn θ̇.
+
+Levels that change with speed or load are those half a sub-step later, where the friction of the beginning leads
+(midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of second order in h, not of first.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -21,11 +24,17 @@ from invdyn.models.effects.situation import Situation
 SWEEPS = 3
 
 
-def dry_friction(levels: Mapping[int, Tensor], now: Situation, torque: Tensor, own: Tensor | None) -> Tensor:
+def dry_friction(
+    levels: Mapping[int, Tensor],
+    now: Situation,
+    torque: Tensor,
+    own: Tensor | None,
+    levels_at: Callable[[Tensor, Tensor], Mapping[int, Tensor]] | None = None,
+) -> Tensor:
     """Friction torques (..., K), N·m.
 
-    ``levels`` maps joints to L (..., 1); ``torque`` and ``own`` (..., K) are all other torques and the joints' own
-    inertias (or None).
+    ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
+    change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None).
     """
     q, still = now.q, torch.zeros_like(now.q)
     weightless = now.body._replace(gravity=torch.zeros_like(now.body.gravity))
@@ -34,15 +43,27 @@ def dry_friction(levels: Mapping[int, Tensor], now: Situation, torque: Tensor, o
     friction = _stopping(levels, wanted, columns) if len(levels) > 1 else dict.fromkeys(levels, still[..., :1])
     for j, f in friction.items():
         wanted = wanted + columns[j] * f
+    wanted = _swept(friction, levels, wanted, columns)
+    if levels_at is not None:
+        half = now.step / 2
+        levels = levels_at(q + half * now.qd, now.qd + half * (wanted - now.qd / now.step))
+        wanted = _swept(friction, levels, wanted, columns)
+    for j, level in levels.items():
+        friction[j] = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
+    return sum((now.at(j, f) for j, f in friction.items()), start=still)
+
+
+def _swept(
+    friction: dict[int, Tensor], levels: Mapping[int, Tensor], wanted: Tensor, columns: Mapping[int, Tensor]
+) -> Tensor:
+    """Sweep over the joints; changes ``friction`` and returns what is ``wanted`` under it."""
     for _ in range(SWEEPS if len(levels) > 1 else 1):
         for j, level in levels.items():
             column = columns[j]
             best = friction[j] - wanted[..., j : j + 1] / column[..., j : j + 1]
             new = _within(best, level)
             wanted, friction[j] = wanted + column * (new - friction[j]), new
-    for j, level in levels.items():
-        friction[j] = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
-    return sum((now.at(j, f) for j, f in friction.items()), start=still)
+    return wanted
 
 
 def _through_stops(f: Tensor, level: Tensor, wanted: Tensor, mobility: Tensor, now: Situation, j: int) -> Tensor:

@@ -155,6 +155,20 @@ def test_load_friction_of_a_level_rod(having):
         assert (torque - given).item() == pytest.approx(-0.1 * load * np.sign(speed), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [(StribeckFriction, {"coulomb": 0.1, "static": 0.6, "velocity": 4.0}), (LoadFriction, {"coefficient": 0.2})],
+)
+def test_friction_that_changes_while_it_slides_is_of_second_order(kind, values, having):
+    model = having(rod(rows=2, step=0.04, gravity=(0.0, -9.81)), kind("hinge"), **values)
+    after = []
+    for steps in (4, 8, 256):
+        model._abrupt = steps
+        after.append(np.concatenate(rolled(model, [0.5], [6.0]))[[1, 3]])
+    coarse, fine = (np.abs(end - after[-1]).max() for end in after[:2])
+    assert coarse / fine == pytest.approx(4, rel=0.15)
+
+
 def test_quadratic_drag(having):
     """ω = ω₀ / (1 + c ω₀ t / I)."""
     _, qd = rolled(having(rod(), QuadraticDrag("hinge"), drag=0.05), [0.0], [-6.0])
