@@ -22,7 +22,8 @@ from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from scipy.stats import rankdata
 from torch import Tensor
 
-from invdyn.models.mixture import MistakenRows, Shift, Stray, Swap
+from invdyn.models.mistakes import Shift, Stray, Swap
+from invdyn.models.mixture import MistakenRows
 from invdyn.models.shapes import join
 
 FAMILIES = ("gaussian", "student_t")

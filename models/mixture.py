@@ -27,39 +27,8 @@ from pyro.distributions import TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
+from invdyn.models.mistakes import Shift, Stray, Swap
 from invdyn.models.shapes import common
-
-
-@dataclass(frozen=True)
-class Stray:
-    """Detections from elsewhere: probability (..., 1) of each keypoint in each row, and width, m.
-
-    The width is (..., 1, 1) for all alike, or (..., P, 2) for each coordinate.
-    """
-
-    rate: Tensor
-    scale: Tensor
-
-
-@dataclass(frozen=True)
-class Shift:
-    """All keypoints of a row off together: probability (..., 1) of each row.
-
-    By ξ ``along`` (..., P, 2) m, ξ ~ N(0, 1), and each coordinate by ``beside`` (..., P, 2) m more, its own deviation.
-    """
-
-    rate: Tensor
-    along: Tensor
-    beside: Tensor
-
-
-@dataclass(frozen=True)
-class Swap:
-    """Two keypoints, by number, exchanged with a probability (..., 1) in each row."""
-
-    one: int
-    other: int
-    rate: Tensor
 
 
 @dataclass(frozen=True)
@@ -195,22 +164,13 @@ class MistakenRows(TorchDistribution):
         sd = self._split(self.scale)[1]
         known = (~torch.isnan(angles)) / sd
         given = torch.where(torch.isnan(angles), 0.0, angles).expand_as(sd)
+        parts = weight.flatten(-2), pulled.flatten(-2), known, given
         if self.shift is None:
-            aim = torch.where(weight > 0, pulled / weight.clamp_min(torch.finfo(weight.dtype).tiny), 0.0)
-            whitening, target = (
-                torch.cat([weight.sqrt().flatten(-2), known], -1),
-                torch.cat([aim.flatten(-2), given], -1),
-            )
-            return whitening, target, total + 0.5 * (whitening * (target - self.loc)).square().sum(-1)
-        weight, there = weight.flatten(-2), (weight > 0).flatten(-2)
-        # What is missing stands by itself, and is then struck out.
-        tril = torch.linalg.cholesky(torch.diag_embed(torch.where(there, weight, 1.0)) - joint)
-        aim = torch.cholesky_solve(pulled.flatten(-2).unsqueeze(-1), tril)[..., 0]
-        whitening = self.loc.new_zeros(*weight.shape[:-1], self.loc.shape[-1], self.loc.shape[-1])
-        whitening[..., : 2 * self.points, : 2 * self.points] = tril.mT * there.unsqueeze(-2)
-        whitening.diagonal(dim1=-2, dim2=-1)[..., 2 * self.points :] = known
-        target = torch.cat([aim, given.expand(*aim.shape[:-1], -1)], -1)
-        off = (whitening @ (target - self.loc).unsqueeze(-1))[..., 0]
+            whitening, target = _whitened(*parts)
+            off = whitening * (target - self.loc)
+        else:
+            whitening, target = _whitened_together(*parts, joint)
+            off = (whitening @ (target - self.loc).unsqueeze(-1))[..., 0]
         return whitening, target, total + 0.5 * off.square().sum(-1)
 
     # -- drawing -------------------------------------------------------------------------------
@@ -264,6 +224,27 @@ def _shifted(y: Tensor, loc: Tensor, width: Tensor, along: Tensor) -> tuple[Tens
     off = ((torch.where(seen, y, loc) - loc) * moved).sum((-2, -1))
     log_density = _normal(y, loc, width).sum((-2, -1)) - 0.5 * torch.log(more) + 0.5 * off**2 / more
     return log_density, moved / more.sqrt()[..., None, None]
+
+
+def _whitened(weight: Tensor, pulled: Tensor, known: Tensor, given: Tensor) -> tuple[Tensor, Tensor]:
+    """W and ỹ (..., O) from keypoints' precisions (..., 2P) and their pulls, and angles' 1/σ and values (..., E)."""
+    aim = torch.where(weight > 0, pulled / weight.clamp_min(torch.finfo(weight.dtype).tiny), 0.0)
+    return torch.cat([weight.sqrt(), known], -1), torch.cat([aim, given], -1)
+
+
+def _whitened_together(
+    weight: Tensor, pulled: Tensor, known: Tensor, given: Tensor, joint: Tensor
+) -> tuple[Tensor, Tensor]:
+    """W (..., O, O) and ỹ (..., O) where the keypoints' precision is diag(weight) − ``joint`` (..., 2P, 2P)."""
+    there = weight > 0
+    # What is missing stands by itself, and is then struck out.
+    tril = torch.linalg.cholesky(torch.diag_embed(torch.where(there, weight, 1.0)) - joint)
+    aim = torch.cholesky_solve(pulled.unsqueeze(-1), tril)[..., 0]
+    size, points = known.shape[-1] + weight.shape[-1], weight.shape[-1]
+    whitening = weight.new_zeros(*weight.shape[:-1], size, size)
+    whitening[..., :points, :points] = tril.mT * there.unsqueeze(-2)
+    whitening.diagonal(dim1=-2, dim2=-1)[..., points:] = known
+    return whitening, torch.cat([aim, given.expand(*aim.shape[:-1], -1)], -1)
 
 
 def _log(probability: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ from invdyn.models.body import Body, BodyParameters
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mixture import Shift, Stray, Swap
+from invdyn.models.mistakes import Shift, Stray, Swap
 
 SHORT = 0.006
 """s, longest sub-step under a force that jumps; dry friction is held within one, at its mean about a stop."""
@@ -210,7 +210,7 @@ class Effect(ABC):
         return sd
 
     def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:
-        """What the tracker gets wrong now and then; see :mod:`invdyn.models.mixture`."""
+        """What the tracker gets wrong now and then; see :mod:`invdyn.models.mistakes`."""
         return None
 
 

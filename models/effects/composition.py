@@ -12,7 +12,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mixture import Shift, Stray, Swap
+from invdyn.models.mistakes import Shift, Stray, Swap
 
 PREFIX = "effect."
 

@@ -10,7 +10,7 @@ from invdyn.models.body import Body
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
-from invdyn.models.mixture import Swap
+from invdyn.models.mistakes import Swap
 
 
 class LabelSwap(Effect):

@@ -7,7 +7,7 @@ from pyro.distributions import Beta, LogNormal
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
-from invdyn.models.mixture import Stray
+from invdyn.models.mistakes import Stray
 
 
 class Outliers(Effect):

@@ -5,7 +5,7 @@ from pyro.distributions import HalfNormal, Uniform
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
-from invdyn.models.mixture import Shift
+from invdyn.models.mistakes import Shift
 
 
 class TimestampJitter(Effect):

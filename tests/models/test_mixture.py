@@ -11,7 +11,8 @@ from scipy.stats import multivariate_normal, norm
 from invdyn.models import ArmModel, Body, Emission, Link
 from invdyn.models.effects import LabelSwap, Outliers
 from invdyn.models.missing import explained, gaussian_rows, observed_log_prob, times
-from invdyn.models.mixture import MistakenRows, Shift, Stray, Swap
+from invdyn.models.mistakes import Shift, Stray, Swap
+from invdyn.models.mixture import MistakenRows
 
 F64 = torch.float64
 POINTS = 3
