@@ -7,6 +7,7 @@ import arviz as az
 import numpy as np
 import torch
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.describe import Formula
 from invdyn.diagnosis.findings import finding, key
@@ -14,7 +15,6 @@ from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.promising import FAINT
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Shrinkage, Tracks, Visibility, Where
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import Setting

@@ -23,7 +23,7 @@ from pyro.infer.smcfilter import SMCFailed
 from scipy.stats import multivariate_t
 from torch import Tensor
 
-from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes

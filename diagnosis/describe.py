@@ -14,8 +14,8 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.evidence import regression
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import SHARE
 from invdyn.diagnosis.whiten import SLAB, filter_of, linear_of, whiten

@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search

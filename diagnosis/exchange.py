@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_promising, values_of
-from invdyn.diagnosis.refine import Refined, key_of, refine
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting

@@ -10,8 +10,8 @@ the refined precision Λ and the prior's S⁻¹,
 import numpy as np
 import torch
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.noise import is_searched, log_spread
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.result import Estimate, Finding
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns, unknowns, upper_bound

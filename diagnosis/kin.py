@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.promising import HOPELESS, attempt, values_of
-from invdyn.diagnosis.refine import Refined, key_of, refine
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from torch import Tensor
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.prior import log_prior_of, tempered
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.models.effects import EFFECTS

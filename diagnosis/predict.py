@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
-from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import SPIKE, Whitened, filter_of, sizes, whiten
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton

@@ -11,9 +11,10 @@ from typing import TypeVar
 import numpy as np
 import torch
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
-from invdyn.diagnosis.refine import Refined, refine
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side

@@ -31,6 +31,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, without
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
@@ -38,7 +39,7 @@ from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_promising, values_of
-from invdyn.diagnosis.refine import ROUNDS, Refined, refine
+from invdyn.diagnosis.refine import ROUNDS, refine
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting, calm

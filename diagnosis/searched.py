@@ -11,9 +11,10 @@ import torch
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.candidates import slopes
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.noise import climb, grid, log_prior_of
 from invdyn.diagnosis.paths import FIRM, lifted
-from invdyn.diagnosis.refine import Refined, expansions, refine
+from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten

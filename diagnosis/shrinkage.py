@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.paths import led
 from invdyn.diagnosis.predict import Scores, best_size, scores
-from invdyn.diagnosis.refine import Refined, refine
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import gauss_newton
 

@@ -18,11 +18,11 @@ from functools import partial
 import numpy as np
 from scipy.special import logsumexp
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import Confirmed, confirm
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size, correlation
 from invdyn.diagnosis.prior import believed
-from invdyn.diagnosis.refine import Refined
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.whiten import log_prior, sizes

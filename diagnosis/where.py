@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invdyn.diagnosis.refine import Refined
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.result import Interval, Where
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect

@@ -27,11 +27,12 @@ from scipy.special import logsumexp
 from scipy.stats import halfnorm
 
 from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.cause import key_of
 from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
-from invdyn.diagnosis.refine import SETTLED, _distance, _within, key_of, refine
+from invdyn.diagnosis.refine import SETTLED, _distance, _within, refine
 from invdyn.diagnosis.setting import BEGINNING, LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
