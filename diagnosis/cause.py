@@ -1,0 +1,98 @@
+"""A cause that was refined: one or several effects together, and what is known of them.
+
+Shapes: p parameters, T rows, states of D coordinates, G sizes of the residual.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.setting import Setting
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import PREFIX
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A cause, one or several effects together, with its parameters' posterior.
+
+    Attributes:
+        effects: bound; empty for "no effect".
+        names: p parameters, "viscous_friction.elbow.damping".
+        mean, covariance: (p,), (p, p) of their posterior.
+        log_evidence: parameters and sizes of the residual integrated out.
+        by_size: (G,) log-evidence with the prior weight of each size.
+        kappa: factor on the observations' noise at the best size.
+        path: (T, D) its own.
+        model: with the parameters at their means.
+        noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
+        noise_log: what their integral added to the log evidence.
+        plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
+        about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
+    """
+
+    effects: tuple[Effect, ...]
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    by_size: np.ndarray
+    kappa: float
+    path: Tensor
+    model: ArmModel
+    noise: dict[str, float]
+    noise_sd: dict[str, float]
+    noise_log: float
+    plausible: bool = True
+    about: np.ndarray | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the cause does without a residual torque."""
+        return int(self.by_size.argmax()) == 0
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, sorted and joined; "" for none."""
+        return key_of(self.effects)
+
+    @property
+    def searched(self) -> dict:
+        """What :func:`refine` needs to know of parameters that were searched."""
+        return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
+
+    def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
+        """The same cause with another model and path."""
+        return replace(self, model=model, path=path)
+
+    def carried_to(self, other: Setting) -> ArmModel:
+        """The model of another recording with this cause's effects and parameters, and with the noise that they know.
+
+        What is said of the noise is said of its scale: another recording's own jitter is no part of it, but at a
+        keypoint that this one did not track.
+        """
+        mine, theirs = self.model, other.model
+        values = {name: value for name, value in mine.parameters.items() if name.startswith(PREFIX)}
+        values |= {name: mine.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")}
+        keypoint, angle = "emission.keypoint_scale", "emission.angle_scale"
+        if keypoint in theirs.parameters:
+            known = dict(zip(mine.emission_model.tips, mine.parameters.get(keypoint, ()), strict=True))
+            own = zip(theirs.emission_model.tips, theirs.parameters[keypoint], strict=True)
+            values[keypoint] = torch.stack([known.get(tip, scale) for tip, scale in own])
+        if angle in theirs.parameters and angle in mine.parameters:
+            values[angle] = mine.parameters[angle]
+        return theirs.with_effects(*self.effects).replace(**values)
+
+
+def key_of(effects: Sequence[Effect]) -> str:
+    """Keys of effects, sorted and joined."""
+    return "+".join(sorted(effect.key for effect in effects))
