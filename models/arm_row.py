@@ -62,13 +62,17 @@ class ArmRow:
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
-            held = self._friction(*smooth(q, qd, begun), held=True) if self.effects.has_friction else 0.0
+            held, off = 0.0, None
+            if self.effects.has_friction:
+                torque, own, now = smooth(q, qd, begun)
+                held, off = self.effects.friction(self.parameters, now, torque, own, held=True)
 
             def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
                 torque, own, _ = smooth(q, qd, begun + share * s)
                 return self.dynamics.forward(q, qd, torque + held, body, own)
 
-            return INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
+            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
+            return (q if off is None else q + off), qd
 
         if not self.effects.has_friction:
             return join(z_next, *integrate(q, qd, 0.0, 1.0, parts))
@@ -99,13 +103,11 @@ class ArmRow:
         time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
         return Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
 
-    def _friction(self, torque: Tensor, own: Tensor | None, now: Situation, held: bool = False) -> Tensor:
-        """Dry friction, (..., K) N·m, under all other torques, at a moment or ``held`` over a sub-step."""
-        return self.effects.friction(self.parameters, now, torque, own, held)
-
     def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
-        return (torque + self._friction(torque, own, now) if self.effects.has_friction else torque), own
+        if self.effects.has_friction:
+            torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
+        return torque, own
 
     def _under(self, state: Tensor, t: int | Tensor, body: BodyParameters, command: Tensor | None) -> Tensor:
         """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""

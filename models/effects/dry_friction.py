@@ -7,8 +7,12 @@ within a sub-step h. With a_0 the accelerations without friction and A = (D + di
 
 by projected Gauss–Seidel sweeps (Jean & Moreau's contact solver) from what would stop all joints; that is exact for one
 joint, and for any that all stick. A joint that slides gets −L sgn θ̇; one at rest that nothing overcomes stays at rest,
-and does not creep as under a smoothed sign. A joint that is pushed through a stop within h, at t* = |θ̇| / (|a| + A L)
-with a its acceleration but for its own friction, gets the mean of what acts before and after, L (1 − 2 t*/h) sgn θ̇.
+and does not creep as under a smoothed sign. A joint that comes to a stop within h, at t* = |θ̇| / (A L − a sgn θ̇) with a
+its acceleration but for its own friction, and is pushed on, |a| > A L, gets the mean of what acts before and after,
+L (1 − 2 t*/h) sgn θ̇. Where friction f(t) jumps within h like this, or holds what has stopped, its mean f̄ alone leads
+to the right speed, but not to the right place: that is off by
+
+    A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
 Levels that change with speed or load are those half a sub-step later, where the friction of the beginning leads
 (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of second order in h, not of first.
@@ -30,8 +34,8 @@ def dry_friction(
     torque: Tensor,
     own: Tensor | None,
     levels_at: Callable[[Tensor, Tensor], Mapping[int, Tensor]] | None = None,
-) -> Tensor:
-    """Friction torques (..., K), N·m.
+) -> tuple[Tensor, Tensor]:
+    """Friction's mean over a sub-step (..., K), N·m, and by how much q (..., K), rad, is off at its end under the mean.
 
     ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
     change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None).
@@ -48,9 +52,13 @@ def dry_friction(
         half = now.step / 2
         levels = levels_at(q + half * now.qd, now.qd + half * (wanted - now.qd / now.step))
         wanted = _swept(friction, levels, wanted, columns)
+    moved = still
     for j, level in levels.items():
-        friction[j] = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
-    return sum((now.at(j, f) for j, f in friction.items()), start=still)
+        friction[j], off = _through_stops(
+            friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j
+        )
+        moved = moved + columns[j] * off
+    return sum((now.at(j, f) for j, f in friction.items()), start=still), moved
 
 
 def _swept(
@@ -66,15 +74,20 @@ def _swept(
     return wanted
 
 
-def _through_stops(f: Tensor, level: Tensor, wanted: Tensor, mobility: Tensor, now: Situation, j: int) -> Tensor:
-    """Friction (..., 1) of a joint, or the mean of both its signs where the joint turns around within the step."""
-    v = now.qd[..., j : j + 1]
-    pushed = wanted - v / now.step - mobility * f
-    pace = pushed.abs() + mobility * level
-    turns = (pushed * v < 0) & (pushed.abs() > mobility * level) & (v.abs() < now.step * pace)
-    # where nothing turns the quotient's slope must not count either
-    share = v.abs() / torch.where(turns, now.step * pace, torch.ones_like(pace))
-    return torch.where(turns, v.sign() * level * (1 - 2 * share), f)
+def _through_stops(
+    f: Tensor, level: Tensor, wanted: Tensor, mobility: Tensor, now: Situation, j: int
+) -> tuple[Tensor, Tensor]:
+    """A joint's mean friction (..., 1), and ∫ (h − t) (f − f̄) dt, N·m·s², where it comes to a stop within the step."""
+    v, step = now.qd[..., j : j + 1], now.step
+    pushed = wanted - v / step - mobility * f
+    pace = mobility * level - pushed * v.sign()
+    stops = (pace > 0) & (v.abs() < step * pace)
+    turns = stops & (pushed * v < 0) & (pushed.abs() > mobility * level)
+    # where nothing stops the quotient's slope must not count either
+    time = v.abs() / torch.where(stops, pace, torch.ones_like(pace))
+    f = torch.where(turns, v.sign() * level * (1 - 2 * time / step), f)
+    late = torch.where(turns, -v.sign() * level * time, -v / (2 * mobility)) * (step - time)
+    return f, torch.where(stops, late, torch.zeros_like(late))
 
 
 def _stopping(levels: Mapping[int, Tensor], wanted: Tensor, columns: Mapping[int, Tensor]) -> dict[int, Tensor]:
