@@ -56,9 +56,8 @@ def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect)
         if setting.regime == "unknown_torque" and imitable(twin):
             continue
         there = found.pool.get(_in_place(cause, mine, twin))
-        if (there is not None and there.log_evidence > cause.log_evidence - ALIKE) or _followed(
-            found, cause, mine, twin
-        ):
+        arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
+        if arrived or _followed(found, cause, mine, twin):
             continue
         value = values_of(cause)[f"{mine.key}.{parameter[0]}"]
         ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
