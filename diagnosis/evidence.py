@@ -18,6 +18,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 ROUNDS = 6
+RUNAWAY = 1e10
+"""More standard deviations than any effect moves the data by; beyond it nothing is left of their digits."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +59,22 @@ def regression(
         lower, upper: (H, p) bounds, infinite for none.
         count: n.
         log_det: Σ ½ log |S_t|, (H,) or a number.
+
+    A candidate under which the simulation runs away has evidence −∞ and NaN as its mean: products that are not finite,
+    or a parameter of typical size that moves the data by more than ``RUNAWAY`` of their standard deviations.
     """
     p = index.shape[1]
     used = index > 0
     i = index
     AA = gram[i[:, :, None], i[:, None, :]] * (used[:, :, None] & used[:, None, :])
     has = (offset > 0).astype(float)
-    Ar = (gram[i, 0] + has[:, None] * gram[i, offset[:, None]]) * used
+    Ar = (gram[i, 0] + np.where(has[:, None] > 0, gram[i, offset[:, None]], 0.0)) * used
     rr = gram[0, 0] + has * (2 * gram[0, offset] + gram[offset, offset])
+    follows = np.isfinite(AA).all((1, 2)) & np.isfinite(Ar).all(1) & np.isfinite(rr)
+    moved = np.where(used, np.diagonal(AA, axis1=1, axis2=2) * prior_sd**2, 0.0)
+    follows &= (moved < RUNAWAY**2).all(1)
+    AA, Ar = np.where(follows[:, None, None], AA, 0.0), np.where(follows[:, None], Ar, 0.0)
+    rr = np.where(follows, rr, 1.0)
     precision = np.where(used, 1 / prior_sd**2, 1.0)
     mu = np.where(used, prior_mean, 0.0)
     kappa2 = np.maximum(rr / count, 1e-12)
@@ -88,7 +98,8 @@ def regression(
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     root = np.sqrt(precision)
     cut = log_mass((lower - mean) / sd, (upper - mean) / sd) - log_mass((lower - mu) * root, (upper - mu) * root)
-    log_evidence = log_evidence + np.where(used, cut, 0.0).sum(-1)
+    log_evidence = np.where(follows, log_evidence + np.where(used, cut, 0.0).sum(-1), -np.inf)
+    mean = np.where(follows[:, None], mean, np.nan)
     return Regression(log_evidence, mean, covariance, np.sqrt(kappa2))
 
 

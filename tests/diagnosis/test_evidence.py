@@ -160,3 +160,20 @@ def test_bounds_cut_prior_and_posterior(bounds):
 
     expected = log_mass(free.mean[0, 0], free.covariance[0, 0, 0] ** 0.5) - log_mass(0.0, SD[0])
     assert cut.log_evidence[0] - free.log_evidence[0] == pytest.approx(expected, rel=1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("far", [np.inf, 1e14])
+def test_a_candidate_that_runs_away_has_no_evidence_and_leaves_the_others_alone(far):
+    """Beyond what numbers can hold, two columns that are alike make a matrix that nobody can invert."""
+    columns = data()
+    gram = columns.T @ columns
+    index, p = np.array([[1, 2], [2, 3]]), 2
+    settings = np.zeros(2, int), np.zeros((2, p)), np.ones((2, p)), np.full((2, p), -np.inf), np.full((2, p), np.inf)
+    usual = regression(gram, index, *settings, N, 0.0)
+    gram[1] *= far
+    gram[:, 1] *= far
+    beside = regression(gram, index, *settings, N, 0.0)
+    assert beside.log_evidence[0] == -np.inf
+    assert np.isnan(beside.mean[0]).all()
+    assert beside.log_evidence[1] == usual.log_evidence[1]
+    assert np.array_equal(beside.mean[1], usual.mean[1])
