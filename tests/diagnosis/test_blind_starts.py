@@ -26,8 +26,8 @@ def film(trajectory):
     return trajectory.points[rows, 1:]
 
 
-def unlike(real, stated, body=ARM):
-    return unlike_any_start(stated, body, lambda: World(body), film, film(real), FRAMES, NOISE)
+def unlike(real, stated):
+    return unlike_any_start(stated, ARM, lambda: World(ARM), film, film(real), FRAMES, NOISE)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.02, 0.1])

@@ -1,4 +1,4 @@
-"""Relatives of what was found: exact twins, and wider effects from where they are the narrower one."""
+"""Relatives of what was found: exact twins, wider effects from where they are the narrower one, and back."""
 
 import sys
 from dataclasses import replace
