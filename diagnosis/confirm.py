@@ -15,6 +15,7 @@ Shapes: M filters, N particles, T rows, p unknowns.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import arviz as az
 import numpy as np
@@ -25,21 +26,22 @@ from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.inference.nested import OuterWeights, outer_weights
-from invdyn.inference.particles import FilterResult
+from invdyn.inference.particles import FilterResult, joined
 from invdyn.inference.posterior import to_inference_data
-from invdyn.inference.seeds import seeded
+from invdyn.inference.seeds import derived, seeded
 from invdyn.inference.smoothing import genealogy
 from invdyn.models import ArmModel
 
-FILTERS, PARTICLES = (8, 16), 20
-"""Filters, and those of a second run where the first one's standard error is above ``CLEAR``; particles of each."""
+FILTERS, RUNS, PARTICLES = 8, 2, 20
+"""Filters of a run, runs at most, particles of each filter."""
 CLEAR = 0.2
-"""Nats."""
+"""Nats: a standard error with which no further run is needed."""
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -64,47 +66,76 @@ class Confirmed:
     model: ArmModel
 
 
-def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: Sequence[int] = FILTERS) -> Confirmed:
-    """Run M of ``filters``, of ``PARTICLES`` particles each, under the cause: the first M that gives clear evidence.
+def confirm(
+    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS, workers: int = 1
+) -> Confirmed:
+    """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
 
-    The last one, if none does. Same seed, same result. Where a filter dies, because parameters that may be let the
-    simulation run away, all run at the estimates and under a larger residual: that gives paths, but no evidence (−∞,
-    and NaN as its error).
+    Same seed, same result, whatever the number of ``workers``: those that there are begin all runs at once. Where a
+    filter dies, because parameters that may be let the simulation run away, all of a run's are at the estimates and
+    under a larger residual: that gives paths, but no evidence (−∞, and NaN as its error).
     """
-    for count in filters:
-        confirmed = _confirmed(setting, cause, seed, count)
-        if confirmed.log_evidence_sd < CLEAR:
+    parts = [partial(_run, setting, cause, derived(seed, number), filters) for number in range(runs)]
+    done: list[tuple[Tensor, FilterResult | None]] = []
+    for run in side_by_side(parts, workers) if workers > 1 else (part() for part in parts):
+        done.append(run)
+        if run[1] is None:
             break
-    return confirmed
+        confirmed = _together(setting, cause, done)
+        if confirmed.log_evidence_sd < CLEAR:
+            return confirmed
+    return confirmed if done[-1][1] is not None else _at_estimates(setting, cause, seed, filters)
 
 
-def _confirmed(setting: Setting, cause: Refined, seed: int, filters: int) -> Confirmed:
-    levels = sizes(setting.regime)
-    top = int(cause.by_size.argmax())
-    with seeded(seed):
-        values, log_ratio = _draw(setting, cause, filters, seed)
-        try:
-            result, model = _run(setting, cause, values, float(levels[top]))
-        except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            values = torch.as_tensor(np.broadcast_to(cause.mean, values.shape).copy())
-            result, model = _run(setting, cause, values, float(levels[min(top + 2, len(levels) - 1)]))
-            return Confirmed(-math.inf, math.nan, values.numpy(), outer_weights(result.log_evidence), result, model)
-    result = replace(result, log_evidence=result.log_evidence + log_ratio)
-    outer = outer_weights(result.log_evidence)
-    rest = cause.log_evidence - cause.by_size[top] + log_prior(levels)[top] + cause.noise_log
+def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Tensor, FilterResult | None]:
+    """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
+    values, log_ratio = _draw(setting, cause, filters, seed)
+    try:
+        result = _filtered(setting, cause, values, _size(setting, cause), seed)
+    except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return values, None
+    return values, replace(result, log_evidence=result.log_evidence + log_ratio)
+
+
+def _together(setting: Setting, cause: Refined, runs: Sequence[tuple[Tensor, FilterResult]]) -> Confirmed:
+    """Evidence of all runs' filters."""
+    values, result = torch.cat([values for values, _ in runs]), joined([result for _, result in runs])
+    outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
+    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top] + cause.noise_log
+    model = _model(setting, cause, values, _size(setting, cause))
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), outer, result, model)
 
 
-def _run(setting: Setting, cause: Refined, values: Tensor, size: float) -> tuple[FilterResult, ArmModel]:
-    """One filter for each set of parameters (M, p), under a residual of ``size``; and their models."""
-    among = unknowns(setting, cause.effects)
-    model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
-    model = scaled(setting, model, size, cause.kappa)
+def _at_estimates(setting: Setting, cause: Refined, seed: int, filters: int) -> Confirmed:
+    """Paths without evidence."""
+    values = torch.as_tensor(np.tile(cause.mean, (filters, 1)))
+    size = _size(setting, cause, larger=2)
+    result, model = _filtered(setting, cause, values, size, seed), _model(setting, cause, values, size)
+    return Confirmed(-math.inf, math.nan, values.numpy(), outer_weights(result.log_evidence), result, model)
+
+
+def _size(setting: Setting, cause: Refined, larger: int = 0) -> float:
+    """The residual that the cause goes best with, or one so many steps of the grid larger."""
+    levels = sizes(setting.regime)
+    return float(levels[min(int(cause.by_size.argmax()) + larger, len(levels) - 1)])
+
+
+def _filtered(setting: Setting, cause: Refined, values: Tensor, size: float, seed: int) -> FilterResult:
+    """One filter for each set of parameters (M, p), under a residual of ``size``."""
+    model = _model(setting, cause, values, size)
     start = cause.path.expand(len(values), *cause.path.shape)
     smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
     # No linearised dynamics tell where a gap's state goes.
     block = BLOCK if model.driven is None else 1
-    return BlockFilter(model, smoothers, PARTICLES, block=block).run(setting.observations), model
+    with seeded(seed):
+        return BlockFilter(model, smoothers, PARTICLES, block=block).run(setting.observations)
+
+
+def _model(setting: Setting, cause: Refined, values: Tensor, size: float) -> ArmModel:
+    """The cause's model with each set of parameters (M, p)."""
+    among = unknowns(setting, cause.effects)
+    model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
+    return scaled(setting, model, size, cause.kappa)
 
 
 def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmModel:

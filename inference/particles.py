@@ -1,7 +1,8 @@
 """What particle filters carry: their result, its history, and Pyro's particle state for many filters at once."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import torch
 from pyro.infer.smcfilter import SMCState
@@ -31,6 +32,16 @@ class FilterResult:
     log_weights: Tensor
     log_twist: Tensor | None
     ancestors: Tensor
+
+
+def joined(results: Sequence[FilterResult]) -> FilterResult:
+    """All filters of several runs over the same rows, as of one."""
+
+    def beside(name: str) -> Tensor | None:
+        values = [getattr(result, name) for result in results]
+        return None if values[0] is None else torch.cat(values, 0 if name == "log_evidence" else 1)
+
+    return FilterResult(**{field.name: beside(field.name) for field in fields(FilterResult)})
 
 
 class History:

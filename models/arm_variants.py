@@ -11,7 +11,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from invdyn.models.effects.base import SHORT, Effect
+from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import Composition
 from invdyn.models.effects.parameters import check_tracked, parameters_of
@@ -44,7 +44,7 @@ class ArmVariants:
         other = self.replace()
         other.effects = Composition((*self.effects, *bound))
         if other.effects.abrupt:
-            other._abrupt = math.ceil(self.dt.median().item() / SHORT)
+            other._abrupt = math.ceil(self.dt.median().item() / other.effects.longest)
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         other.parameters |= starts
         other.priors = {**self.priors, **priors}

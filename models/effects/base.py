@@ -21,6 +21,7 @@ everywhere in this room, so that joint quantities (..., K) broadcast.
 """
 
 import copy
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -37,9 +38,6 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mistakes import Shift, Stray, Swap
-
-SHORT = 0.006
-"""s, longest sub-step under a force that jumps; dry friction is held within one, at its mean about a stop."""
 
 Values = Mapping[str, Tensor]
 """An effect's own parameters by their own names, (..., 1) each."""
@@ -96,8 +94,8 @@ class Effect(ABC):
     located: ClassVar[tuple[str, ...]] = ()
     """Parameters that a recording itself suggests values of, such as when a push began; any grid is a makeshift."""
 
-    abrupt: ClassVar[bool] = False
-    """Whether its force jumps within a motion, as dry friction's where a joint turns around: see :data:`SHORT`."""
+    longest: ClassVar[float] = math.inf
+    """s, longest sub-step, where its force jumps within a motion, as dry friction's where a joint turns around."""
     steady: ClassVar[bool] = False
     """Whether its dry friction, where it has any, is the same at all speeds and loads."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}

@@ -1,5 +1,6 @@
 """Several effects on one arm: their hooks, one after the other."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -31,7 +32,8 @@ class Composition:
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
         self.pulls = any(effect.pulls for effect in effects)
-        self.abrupt = any(effect.abrupt for effect in effects)
+        self.longest = min((effect.longest for effect in effects), default=math.inf)
+        self.abrupt = self.longest < math.inf
         self.has_friction = any(type(effect).friction is not Effect.friction for effect in effects)
         self.has_changing_friction = self.has_friction and any(
             type(effect).friction is not Effect.friction and not effect.steady for effect in effects

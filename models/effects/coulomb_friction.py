@@ -16,7 +16,7 @@ class CoulombFriction(Effect):
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
 
-    abrupt: ClassVar[bool] = True
+    longest: ClassVar[float] = 0.006
     steady: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

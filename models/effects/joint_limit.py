@@ -40,7 +40,7 @@ class JointLimit(Effect):
         """Both stops of every joint."""
         return [cls(joint, side) for joint in body.joint_names for side in SIDES]
 
-    abrupt: ClassVar[bool] = True
+    longest: ClassVar[float] = 0.006
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""

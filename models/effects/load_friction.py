@@ -17,7 +17,7 @@ class LoadFriction(Effect):
     gear from both sides. Told apart from Coulomb friction by varying the load.
     """
 
-    abrupt: ClassVar[bool] = True
+    longest: ClassVar[float] = 0.003
     scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -17,7 +17,7 @@ class StribeckFriction(Effect):
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
 
-    abrupt: ClassVar[bool] = True
+    longest: ClassVar[float] = 0.006
     contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -7,6 +7,9 @@ from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
+SHARES = (0.01, 0.1, 0.4, 1.2)
+"""Of the prior's spread, where a screen looks: what stops a light link within a row does no more when it is doubled."""
+
 
 class ViscousFriction(Effect):
     """Torque −b θ̇ at a joint.
@@ -17,7 +20,8 @@ class ViscousFriction(Effect):
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""
         j = self.place[0]
-        return (Parameter("damping", "N·m·s/rad", HalfNormal(0.2 * scale.torque[j] / scale.speed[j])),)
+        typical = 0.2 * float(scale.torque[j] / scale.speed[j])
+        return (Parameter("damping", "N·m·s/rad", HalfNormal(typical), 0.0, tuple(typical * x for x in SHARES)),)
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−b θ̇."""

@@ -17,7 +17,7 @@ def test_smc_evidence_of_a_linear_chain_is_exact():
     """The twisted proposal is perfect there: every filter finds the same number."""
     here = wheel()
     none = refine(here, (), {}, path_of(here), LOOSE)
-    confirmed = confirm(here, none, filters=[4])
+    confirmed = confirm(here, none, filters=4)
     exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
     other_sizes = none.log_evidence - at_best(here, none)[0]
     assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
@@ -32,18 +32,17 @@ def test_smc_agrees_with_the_linearised_evidence():
         assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
 
 
-@pytest.mark.parametrize(("errors", "runs"), [((0.1, 0.1), [8]), ((0.3, 0.5), [8, 16]), ((np.nan, 0.1), [8, 16])])
-def test_more_filters_run_where_few_are_not_clear(monkeypatch, errors, runs):
+@pytest.mark.parametrize(("clear", "filters"), [(np.inf, 4), (0.0, 8)])
+def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, filters):
+    """All of them weigh together, whether they ran one after the other or at once."""
     here, _, cause = causes()
-    few, told, asked = confirm(here, cause, filters=[2]), iter(errors), []
-
-    def run(setting, cause, seed, count):
-        asked.append(count)
-        return replace(few, log_evidence_sd=next(told))
-
-    monkeypatch.setattr(sys.modules[confirm.__module__], "_confirmed", run)
-    np.testing.assert_equal(confirm(here, cause).log_evidence_sd, errors[len(runs) - 1])
-    assert asked == runs
+    monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", clear)
+    alone, beside = (confirm(here, cause, 3, filters=4, workers=workers) for workers in (1, 2))
+    assert alone.result.log_evidence.shape == (filters,)
+    assert alone.result.states.shape[1] == len(alone.values) == filters
+    assert len(set(alone.result.log_evidence.tolist())) == filters
+    np.testing.assert_array_equal(alone.result.log_evidence, beside.result.log_evidence)
+    assert alone.log_evidence == beside.log_evidence
 
 
 def test_where_filters_die_there_are_paths_and_no_evidence():
@@ -60,7 +59,7 @@ def test_where_filters_die_there_are_paths_and_no_evidence():
 
 def test_same_seed_same_numbers_and_all_within_bounds():
     here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
-    first, again, other = (confirm(here, cause, seed, filters=[8]) for seed in (1, 1, 2))
+    first, again, other = (confirm(here, cause, seed, runs=1) for seed in (1, 1, 2))
     assert first.log_evidence == again.log_evidence
     assert np.array_equal(first.values, again.values)
     assert not np.array_equal(first.values, other.values)
@@ -72,7 +71,7 @@ def test_same_seed_same_numbers_and_all_within_bounds():
 
 def test_posterior_has_the_parameters():
     here, _, cause = causes()
-    idata = posterior(here, cause, confirm(here, cause, filters=[4]), 0)
+    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
     drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
     assert drawn.shape == idata["posterior"]["torque"].shape[:2]
     assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]
