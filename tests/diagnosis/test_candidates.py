@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from pendulum import PENDULUM
 from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 
@@ -132,6 +133,22 @@ def test_columns_are_differences_of_the_model(name):
             for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
                 expected = (there - here) / step
                 np.testing.assert_allclose(got[..., column], expected, atol=1e-9 + 1e-7 * np.abs(expected).max())
+
+
+def test_friction_that_stops_a_link_within_a_row_is_followed_from_a_value_near_it():
+    """Ten rows a second: what large damping does is a hundredth off from the grid, a tenth from where there is none."""
+    arm = random_arm(PENDULUM, duration=6, fps=10, noise=0.002, torque_scale=2.0, commanded=True, seed=0)
+    model = setting(record(arm, 0)[0], PENDULUM).model
+    path = torch.as_tensor(np.random.default_rng(0).normal(size=(len(model.time), model.state_dim)))
+    effect = EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
+    found, columns = hypotheses(model, effect, path, unchanged(model, path))
+    for hypothesis in found:
+        there = hypothesis.point["damping"]
+        more = means(having(model, effect, {"damping": 1.5 * there}), path)[0] - means(model, path)[0]
+        near = columns.g[..., hypothesis.offset] + 0.5 * there * columns.g[..., hypothesis.columns[0]]
+        np.testing.assert_allclose(near, more, atol=0.01 * np.abs(more).max())
+    straight = columns.g[..., found[0].offset] * 1.5 * there / found[0].point["damping"]
+    assert np.abs(straight - more).max() > 0.05 * np.abs(more).max()
 
 
 def test_a_push_may_come_in_any_window():
