@@ -107,6 +107,20 @@ def test_dry_friction_holds_at_rest():
     assert np.abs(real.q[-1]).max() < 1e-3  # free, it would have turned by radians
 
 
+def test_dry_friction_turns_around_with_the_motion():
+    """A rod thrown against a torque: MuJoCo's friction creeps through the turn for no more than two steps."""
+    inertia, level, push = 1.0 * 0.3**2 / 3, 0.3, -0.6
+    world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
+    m.coulomb_friction(world, 0, level)
+    real = world.run(ROWS, lambda *_: np.array([push]), [0.0], [6.0])
+    stop = 6.0 * inertia / (level - push)
+    after = (push + level) / inertia * (real.time - stop)
+    late = real.time > 1.1 * stop
+    assert late.sum() > 1000
+    lost = 2 * 2e-4 * level / inertia
+    np.testing.assert_allclose(real.qd[late, 0], after[late], atol=lost)
+
+
 def test_coupling_pulls_on_both():
     _, real, inside, torque, _ = moved("joint_coupling", 1, {"stiffness": 0.5, "ratio": 0.7})
     pull = -0.5 * (real.q[inside, 1] - 0.7 * real.q[inside, 0])
