@@ -5,9 +5,10 @@ play nothing is changed; ψ is how far the link is ahead of it. Time-stepping af
 
     held     at an end of the gap, with the stop pushing: the rigid arm, ψ at rest
     free     the motor drives the rotor alone; a gap that the sub-step would leave ends at its stop, in a plastic
-             impact: with M the mass matrix, Δrates = −M⁻¹ e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ)
+             impact: with M the mass matrix, Δrates = −M⁻¹ e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ), and as the impact was
+             earlier by as long as the gap took for what it is too wide, Δangles = the same of that in place of ψ̇
 
-which keeps momentum and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
+which keeps momentum and the centre of inertia, and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
 """
 
 import torch
@@ -127,8 +128,11 @@ class Backlash(HiddenHinge):
             own = self.on_joints(net(q_free, qd, (i + 1) / parts)[1])
             rest = whole.forward(angles, torch.zeros_like(rates), torch.zeros_like(rates), links, own)
             answer = whole.forward(angles, torch.zeros_like(rates), unit, links, own) - rest
-            rates = torch.where(struck, rates - answer * speed / answer[..., j + 1, None], rates)
-            qd_free, rate_free = self.gathered(rates)
+            answer = answer / answer[..., j + 1, None]
+            # The impact was earlier than the sub-step's end, by as long as the gap takes for what it is too wide.
+            over = gap - torch.maximum(torch.minimum(gap, half), -half)
+            q_free, gap = self.gathered(torch.where(struck, angles - answer * over, angles))
+            qd_free, rate_free = self.gathered(torch.where(struck, rates - answer * speed, rates))
 
             q, qd = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
             psi, rate = torch.where(pushes, psi, gap), torch.where(pushes, torch.zeros_like(rate), rate_free)

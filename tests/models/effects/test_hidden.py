@@ -164,6 +164,19 @@ def test_a_push_on_a_loose_link_leaves_the_rotor_where_it_is(having):
     assert path[-1, 1] == pytest.approx(0.01 * 0.3 / (1.5 * 0.3**2 / 3 - rotor), rel=1e-3)
 
 
+@pytest.mark.parametrize("step", [0.002, 0.0173, 0.05])
+def test_an_impact_within_a_step_moves_no_centre_of_inertia(step, having):
+    """Rotor J catches up with its link I and takes it along: J θ_rotor + I θ_link moves as the torque says."""
+    width, level, rotor, total = 0.1, 0.2, 0.5 * 1.5 * 0.3**2 / 12, 1.5 * 0.3**2 / 3
+    rows = round(0.4 / step)
+    model = having(rod(rows, step, command=np.full((rows, 1), level)), Backlash("hinge"), width=width)
+    psi, _, q, _ = rolled(model, [width / 2, 0.0], [0.0], [0.0]).T
+    time = step * np.arange(rows)
+    assert psi[-1] == -width / 2
+    expected = level * time**2 / 2 - rotor * width / 2
+    assert rotor * (q - psi) + (total - rotor) * q == pytest.approx(expected, abs=1e-12)
+
+
 def test_in_the_gap_the_link_coasts_for_as_long_as_the_rotor_needs(pushed):
     """The rotor, of inertia J = I_com/2, crosses the width in √(2 w J/τ); after it the impulse is as without play."""
     width, level, total = 0.02, 0.2, 1.5 * 0.3**2 / 3
