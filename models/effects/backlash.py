@@ -8,7 +8,8 @@ play nothing is changed; ψ is how far the link is ahead of it. Time-stepping af
              impact: with M the mass matrix, Δrates = −M⁻¹ e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ), and as the impact was
              earlier by as long as the gap took for what it is too wide, Δangles = the same of that in place of ψ̇
 
-which keeps momentum and the centre of inertia, and is stable however hard the stops are. Joints' own friction and inertia sit on the rotor.
+which keeps momentum and the centre of inertia, and is stable however hard the stops are. Joints' own friction and
+inertia sit on the rotor.
 """
 
 import torch
