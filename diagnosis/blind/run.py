@@ -2,35 +2,35 @@
 
     OUT/sealed.json          hash of the answers, before anything is diagnosed
     OUT/cases/case-0000/     what the method gets (see `cases`)
+    OUT/.locked/case-0000    its answer, which only the seed opens
     OUT/diagnoses/case-0000/ what it says: diagnosis.json, or failed.txt; took.json
     OUT/answers.json         opened: answers, nonce, and the hash of all diagnoses as they were then
     OUT/scores.json, OUT/blind.html
 
 Goes on where an earlier run of the same call stopped: cases follow from the seed, and so does the nonce, so that the
-hash is the same; diagnoses that are there are not made again. The seed is on no disk before the answers are open.
+hash is the same; cases and diagnoses that are there are not made again. The seed is on no disk before the answers are
+open.
 """
 
 import hashlib
 import json
 import multiprocessing
-import os
 import shlex
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 from invdyn.diagnosis.blind.cases import make_case, planned
+from invdyn.diagnosis.blind.methods import Ours, Theirs
 from invdyn.diagnosis.blind.page import write_page
 from invdyn.diagnosis.blind.present import CATALOGUE
 from invdyn.diagnosis.blind.score import Scores, score
-from invdyn.diagnosis.blind.sealed import Sealed, digest, run_apart
+from invdyn.diagnosis.blind.sealed import Locked, Sealed, digest
 from invdyn.recordings import InputError, write_text
 
 Progress = Callable[[int, int, str], None]
@@ -41,75 +41,6 @@ OPENED = ("answers.json", "scores.json", "blind.html")
 def nonce_of(seed: int) -> bytes:
     """32 bytes that follow from the seed and take long to try: a resumed run seals with the same."""
     return hashlib.pbkdf2_hmac("sha256", str(seed).encode(), b"invdyn blind", 200_000)
-
-
-class Ours(AbstractContextManager):
-    """Our own method, in a process of its own that goes from case to case; where it dies with one, another comes."""
-
-    def __init__(self, threads: int | None = None):
-        self._process: subprocess.Popen | None = None
-        self._environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
-
-    def __exit__(self, *_: object) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            process.terminate()
-            _ended(process)
-
-    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
-        """Diagnose one case; returns what went wrong, if anything did."""
-        if self._process is None:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "invdyn.diagnosis.blind.apart"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                encoding="utf-8",
-                env=self._environment,
-            )
-        process, line = self._process, ""
-        with suppress(OSError, ValueError):  # it is dead, or was ended because all of the run is
-            job = {"case": str(case.resolve()), "out": str(out.resolve()), "without": list(without)}
-            process.stdin.write(json.dumps(job) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-        if not line:
-            self._process = None
-            return f"the diagnosis ended without an answer, exit code {_ended(process)}"
-        return json.loads(line).get("error")
-
-
-def _ended(process: subprocess.Popen) -> int:
-    """Exit code of a process that ends; its pipes are closed."""
-    code = process.wait()
-    with suppress(OSError):  # what was still to be written to it
-        process.stdin.close()
-    process.stdout.close()
-    return code
-
-
-class Theirs(AbstractContextManager):
-    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
-
-    def __init__(self, command: str):
-        self._words = shlex.split(command)
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
-        """Diagnose one case; returns what went wrong, if anything did."""
-        case, out = case.resolve(), out.resolve()
-        places = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
-        places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
-        words = self._words
-        for name, place in places.items():
-            words = [word.replace(f"{{{name}}}", str(place)) for word in words]
-        finished = run_apart(words, case)
-        if finished.returncode or not (out / "diagnosis.json").exists():
-            return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
-        return None
 
 
 class BlindRun:
@@ -144,7 +75,7 @@ class BlindRun:
                 raise InputError(f"--method-command: no program {words[0]!r} that can be run")
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: expected a folder, this is a file")
-        known = {"sealed.json", "cases", "diagnoses", "oracle", ".making", *OPENED}
+        known = {"sealed.json", "cases", "diagnoses", "oracle", ".making", ".locked", *OPENED}
         strange = sorted(p.name for p in self.folder.iterdir() if p.name not in known) if self.folder.exists() else []
         if strange:
             raise InputError(f"{self.folder}: expected an empty folder or an earlier run, has {strange[0]}")
@@ -152,22 +83,24 @@ class BlindRun:
 
     def make(self, progress: Progress | None = None) -> str:
         """Make the cases, seal the answers, and return the hash. Raises InputError over a run of another kind."""
-        making = self.folder / ".making"
-        shutil.rmtree(making, ignore_errors=True)
-        jobs = {name: (str(making / name), *rest) for name, *rest in planned(self.counts, self.seed)}
-        answers = dict(_each(_make, jobs, self.workers, progress, "cases made"))
+        making, cases = self.folder / ".making", self.folder / "cases"
+        locked = Locked(self.folder / ".locked", nonce_of(self.seed))
+        jobs = {name: job for name, *job in planned(self.counts, self.seed)}
+        opened = {name: locked.get(name, str(job)) for name, job in jobs.items()}
+        there = {path.name for folder in (making, cases) if folder.exists() for path in folder.iterdir()}
+        answers = {name: answer for name, answer in opened.items() if answer is not None and name in there}
+        if cases.exists() and not there == answers.keys() == jobs.keys():
+            raise InputError(f"{self.folder}: holds a run of other cases; give --out another folder")
+        for strange in there - answers.keys():
+            shutil.rmtree(making / strange)
+        todo = {name: (str(making / name), *job) for name, job in jobs.items() if name not in answers}
+        for name, answer in _each(_make, todo, self.workers, progress, "cases made"):
+            locked.put(name, str(jobs[name]), answer)
+            answers[name] = answer
         self._sealed = Sealed({name: answers[name] for name in jobs}, nonce_of(self.seed))
-        earlier = self.folder / "sealed.json"
-        if earlier.exists() and json.loads(earlier.read_text(encoding="utf-8"))["sha256"] != self._sealed.commitment:
-            shutil.rmtree(making)
-            raise InputError(
-                f"{self.folder}: holds a run of other cases, or of another MuJoCo; give --out another folder"
-            )
-        if (self.folder / "cases").exists():
-            shutil.rmtree(making)
-        else:
-            making.rename(self.folder / "cases")
-        return self._sealed.commit_to(earlier)
+        if not cases.exists():
+            making.rename(cases)
+        return self._sealed.commit_to(self.folder / "sealed.json")
 
     def diagnose(self, progress: Progress | None = None) -> None:
         """Diagnose every case that is not yet, in processes apart."""
@@ -267,7 +200,7 @@ def _each(
     work: Callable, jobs: Mapping[str, tuple], workers: int, progress: Progress | None, what: str
 ) -> Iterator[tuple[str, dict]]:
     """(name, result) of every job, as they come; in processes where there are several workers."""
-    if workers == 1:
+    if workers == 1 or not jobs:
         for number, (name, job) in enumerate(jobs.items(), 1):
             yield name, work(*job)
             if progress is not None:

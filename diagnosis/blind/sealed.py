@@ -5,10 +5,11 @@ spaces), and
 
     commitment = SHA-256(nonce ‖ canonical JSON),     nonce = 32 random bytes
 
-is printed and written. The answers and the nonce stay in the memory of the process that made them; nothing on the
-disk but the commitment has them, and the nonce keeps anybody from finding them by trying. The diagnosis runs as
-another process, which is given a case's folder and nothing else. Its results are hashed as well before the answers
-are opened: then `open_to` writes answers and nonce, and anybody can check that they are the ones that were promised.
+is printed and written. The answers and the nonce stay in the memory of the process that made them; the disk has the
+commitment, and for a run that is resumed the answers under lock, xor SHAKE-256(nonce ‖ label). The nonce keeps anybody
+from finding them by trying. The diagnosis runs as another process, which is given a case's folder and nothing else. Its
+results are hashed as well before the answers are opened: then `open_to` writes answers and nonce, and anybody can check
+that they are the ones that were promised.
 
 That protects from a mistake and from a peep at the disk. It does not hide answers from a method that makes the
 cases again from their seed: whoever enters a method keeps the seed from it.
@@ -22,7 +23,10 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 
-from invdyn.recordings import InputError, write_text
+from invdyn.recordings import InputError, atomic_path, write_text
+
+TAG = 32
+"""Bytes that tell whether a locked answer was read with its key."""
 
 
 def canonical(answers: Mapping) -> bytes:
@@ -51,6 +55,34 @@ class Sealed:
         opened = {"sha256": self.commitment, "nonce": self._nonce.hex(), "answers": self._answers}
         write_text(path, json.dumps(opened, sort_keys=True, indent=1, ensure_ascii=False) + "\n")
         return self._answers
+
+
+class Locked:
+    """Answers on the disk that only ``key`` reads, a file for each case."""
+
+    def __init__(self, folder: str | pathlib.Path, key: bytes):
+        self._folder, self._key = pathlib.Path(folder), key
+
+    def put(self, name: str, label: str, answer: Mapping) -> None:
+        """Lock the answer of case ``name``; ``label`` says what it was made from, and is told to nobody."""
+        text = canonical(answer)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(self._folder / name) as temporary:
+            temporary.write_bytes(self._tag(label, text) + self._blurred(label, text))
+
+    def get(self, name: str, label: str) -> dict | None:
+        """The answer of case ``name``; None where none was put under this key and ``label``."""
+        path = self._folder / name
+        locked = path.read_bytes() if path.is_file() else b""
+        text = self._blurred(label, locked[TAG:])
+        return json.loads(text) if locked[:TAG] == self._tag(label, text) else None
+
+    def _blurred(self, label: str, text: bytes) -> bytes:
+        stream = hashlib.shake_256(self._key + label.encode()).digest(len(text))
+        return bytes(a ^ b for a, b in zip(text, stream, strict=True))
+
+    def _tag(self, label: str, text: bytes) -> bytes:
+        return hashlib.blake2b(label.encode() + b"\0" + text, key=self._key, digest_size=TAG).digest()
 
 
 def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict:

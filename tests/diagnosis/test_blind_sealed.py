@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from invdyn.diagnosis.blind.sealed import Sealed, canonical, digest, read_opened, run_apart
+from invdyn.diagnosis.blind.sealed import Locked, Sealed, canonical, digest, read_opened, run_apart
 from invdyn.recordings import InputError
 
 ANSWERS = {"none-000": {"effects": []}, "commanded-000": {"effects": [{"effect": "armature", "unit": "kg·m²"}]}}
@@ -18,6 +18,20 @@ def test_opened_answers_are_those_that_were_sealed(tmp_path):
     assert "armature" not in repr(sealed)
     assert sealed.open_to(tmp_path / "answers.json") == ANSWERS
     assert read_opened(tmp_path / "answers.json", printed) == ANSWERS
+
+
+def test_locked_answers_open_to_their_key_and_label_alone(tmp_path):
+    answer = ANSWERS["commanded-000"]
+    locked = Locked(tmp_path / "locked", b"k" * 32)
+    locked.put("case-0000", "7, armature", answer)
+    on_disk = (tmp_path / "locked" / "case-0000").read_bytes()
+    assert b"armature" not in on_disk
+    assert locked.get("case-0000", "7, armature") == answer
+    assert locked.get("case-0000", "8, armature") is None
+    assert locked.get("case-0001", "7, armature") is None
+    assert Locked(tmp_path / "locked", b"l" * 32).get("case-0000", "7, armature") is None
+    (tmp_path / "locked" / "case-0000").write_bytes(on_disk[:-1])
+    assert locked.get("case-0000", "7, armature") is None
 
 
 def test_changed_answers_are_refused(tmp_path):

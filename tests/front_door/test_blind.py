@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +12,7 @@ import pytest
 from invdyn.diagnosis.blind import run as blind_run
 from invdyn.diagnosis.blind.apart import serve
 from invdyn.diagnosis.blind.cases import make_case
+from invdyn.diagnosis.blind.methods import Ours
 from invdyn.diagnosis.blind.present import CATALOGUE
 from invdyn.diagnosis.blind.sealed import read_opened
 
@@ -87,6 +89,31 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
     assert {path: path.read_bytes() for path in Path("run").rglob("*") if path.is_file()} == before
 
 
+def test_cases_that_were_made_before_an_interruption_are_not_made_again(tmp_path, monkeypatch):
+    made = []
+
+    def make(*job):
+        made.append(job)
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        return make_case(*job)
+
+    whole = blind_run.BlindRun(tmp_path / "whole", {"none": 3}, seed=5)
+    whole.check()
+    commitment = whole.make()
+    monkeypatch.setattr(blind_run, "make_case", make)
+    for _ in range(2):
+        blind = blind_run.BlindRun(tmp_path / "parts", {"none": 3}, seed=5)
+        blind.check()
+        with suppress(KeyboardInterrupt):
+            again = blind.make()
+    assert again == commitment
+    assert len(made) == 4
+    assert made[2] == made[3]
+    for path in (tmp_path / "whole" / "cases").rglob("*.*"):
+        assert (tmp_path / "parts" / path.relative_to(tmp_path / "whole")).read_bytes() == path.read_bytes()
+
+
 BAD = {
     "an unknown kind": (("--kinds", "weird"), "commanded"),
     "no number": (("--kinds", "none=0"), "number of cases"),
@@ -160,8 +187,8 @@ def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
         "    print(json.dumps({'seconds': 0.1, 'error': None, 'pid': os.getpid()}), flush=True)\n"
     )
     stand_in.chmod(0o755)
-    monkeypatch.setattr(blind_run.sys, "executable", str(stand_in))
-    with blind_run.Ours() as method:
+    monkeypatch.setattr(sys, "executable", str(stand_in))
+    with Ours() as method:
         assert method(tmp_path / "good", tmp_path) is None
         assert "exit code 3" in method(tmp_path / "bad", tmp_path)
         assert method(tmp_path / "good", tmp_path) is None
@@ -181,7 +208,7 @@ def test_the_oracle_is_told_the_effect_and_nothing_else(tmp_path, monkeypatch):
         "    print(json.dumps({'seconds': 0.1}), flush=True)\n"
     )
     stand_in.chmod(0o755)
-    monkeypatch.setattr(blind_run.sys, "executable", str(stand_in))
+    monkeypatch.setattr(sys, "executable", str(stand_in))
     run = blind_run.BlindRun(tmp_path / "run", {"commanded": 2, "none": 1}, seed=5)
     run.check()
     run.make()
