@@ -6,7 +6,8 @@ linearised about its own path, and the outer weight
 
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
-which is unbiased whatever q and the guide are. Noise scale, residual and parameters that were searched (:mod:`.noise`)
+which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
+error is large costs less than that error. Noise scale, residual and parameters that were searched (:mod:`.noise`)
 stand at their estimates; what integrating over the residual's size and over those adds is taken from the refinement.
 
 Shapes: M filters, N particles, T rows, p unknowns.
@@ -72,28 +73,28 @@ def confirm(
     """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
 
     Same seed, same result, whatever the number of ``workers``: those that there are begin all runs at once. Where a
-    filter dies, because parameters that may be let the simulation run away, all of a run's are at the estimates and
-    under a larger residual: that gives paths, but no evidence (−∞, and NaN as its error).
+    filter of any run dies, because parameters that may be let the simulation run away, filters at the estimates and
+    under a larger residual give paths, but no evidence (−∞, and NaN as its error).
     """
     parts = [partial(_run, setting, cause, derived(seed, number), filters) for number in range(runs)]
-    done: list[tuple[Tensor, FilterResult | None]] = []
+    done: list[tuple[Tensor, FilterResult]] = []
     for run in side_by_side(parts, workers) if workers > 1 else (part() for part in parts):
+        if run is None:
+            return _at_estimates(setting, cause, seed, filters)
         done.append(run)
-        if run[1] is None:
-            break
         confirmed = _together(setting, cause, done)
         if confirmed.log_evidence_sd < CLEAR:
-            return confirmed
-    return confirmed if done[-1][1] is not None else _at_estimates(setting, cause, seed, filters)
+            break
+    return confirmed
 
 
-def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Tensor, FilterResult | None]:
+def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Tensor, FilterResult] | None:
     """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
     values, log_ratio = _draw(setting, cause, filters, seed)
     try:
         result = _filtered(setting, cause, values, _size(setting, cause), seed)
     except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-        return values, None
+        return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 
 
@@ -169,7 +170,7 @@ def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int)
     """Posterior of torques, angles and effect parameters under a cause, one chain a filter."""
     with seeded(seed):
         # One model for all chains' predictions: the parameters differ by less than the paths know.
-        at_mean = scaled(setting, cause.model, float(sizes(setting.regime)[cause.by_size.argmax()]), cause.kappa)
+        at_mean = scaled(setting, cause.model, _size(setting, cause), cause.kappa)
         paths = genealogy(confirmed.result, 4)
         idata = to_inference_data(
             replace(setting.problem, model=at_mean),

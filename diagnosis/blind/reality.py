@@ -114,7 +114,7 @@ class World:
             parent.inertia = [max(segment.inertia, 1e-14)] * 3
             joint = parent.add_joint(name=segment.hinge, type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
             # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
-            # viscous one below a speed of level / inertia · time constant / 2.
+            # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
             joint.solref_friction, joint.solimp_friction = [2 * LONGEST_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
             joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
             if segment.driven:

@@ -20,9 +20,10 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
+from importlib.metadata import version
 from pathlib import Path
 
 from invdyn.diagnosis.blind.cases import make_case, planned
@@ -83,24 +84,32 @@ class BlindRun:
 
     def make(self, progress: Progress | None = None) -> str:
         """Make the cases, seal the answers, and return the hash. Raises InputError over a run of another kind."""
-        making, cases = self.folder / ".making", self.folder / "cases"
-        locked = Locked(self.folder / ".locked", nonce_of(self.seed))
+        making, cases, sealed = (self.folder / name for name in (".making", "cases", "sealed.json"))
+        nonce = nonce_of(self.seed)
+        locked = Locked(self.folder / ".locked", nonce)
         jobs = {name: job for name, *job in planned(self.counts, self.seed)}
-        opened = {name: locked.get(name, str(job)) for name, job in jobs.items()}
-        there = {path.name for folder in (making, cases) if folder.exists() for path in folder.iterdir()}
-        answers = {name: answer for name, answer in opened.items() if answer is not None and name in there}
-        if cases.exists() and not there == answers.keys() == jobs.keys():
-            raise InputError(f"{self.folder}: holds a run of other cases; give --out another folder")
-        for strange in there - answers.keys():
-            shutil.rmtree(making / strange)
+        answers = {}
+        for path in (path for folder in (making, cases) if folder.exists() for path in sorted(folder.iterdir())):
+            answer = locked.get(path.name, _label(jobs.get(path.name), path))
+            if answer is not None:
+                answers[path.name] = answer
+            elif path.parent == making:
+                shutil.rmtree(path)
+        if cases.exists() and answers.keys() != jobs.keys():
+            raise InputError(
+                f"{self.folder}: holds a run of other cases, or of another MuJoCo, or lacks .locked; "
+                "give --out another folder"
+            )
         todo = {name: (str(making / name), *job) for name, job in jobs.items() if name not in answers}
         for name, answer in _each(_make, todo, self.workers, progress, "cases made"):
-            locked.put(name, str(jobs[name]), answer)
+            locked.put(name, _label(jobs[name], making / name), answer)
             answers[name] = answer
-        self._sealed = Sealed({name: answers[name] for name in jobs}, nonce_of(self.seed))
+        self._sealed = Sealed({name: answers[name] for name in jobs}, nonce)
+        if sealed.exists() and json.loads(sealed.read_text(encoding="utf-8"))["sha256"] != self._sealed.commitment:
+            raise InputError(f"{self.folder}: sealed.json is of other cases; give --out another folder")
         if not cases.exists():
             making.rename(cases)
-        return self._sealed.commit_to(self.folder / "sealed.json")
+        return self._sealed.commit_to(sealed)
 
     def diagnose(self, progress: Progress | None = None) -> None:
         """Diagnose every case that is not yet, in processes apart."""
@@ -188,6 +197,11 @@ class BlindRun:
                 threads.shutdown(wait=False, cancel_futures=True)
                 methods.close()  # ends the processes, so that the threads end too
                 raise
+
+
+def _label(job: Sequence | None, case: Path) -> str:
+    """What a case was made from and by, and its files: an answer is that of no other."""
+    return f"{job}, MuJoCo {version('mujoco')}, {digest(case)}"
 
 
 def _make(folder: str, seed: int, kind: str, effect: str | None) -> dict:

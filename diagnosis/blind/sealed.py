@@ -6,10 +6,10 @@ spaces), and
     commitment = SHA-256(nonce ‖ canonical JSON),     nonce = 32 random bytes
 
 is printed and written. The answers and the nonce stay in the memory of the process that made them; the disk has the
-commitment, and for a run that is resumed the answers under lock, xor SHAKE-256(nonce ‖ label). The nonce keeps anybody
-from finding them by trying. The diagnosis runs as another process, which is given a case's folder and nothing else. Its
-results are hashed as well before the answers are opened: then `open_to` writes answers and nonce, and anybody can check
-that they are the ones that were promised.
+commitment, and for a run that is resumed the answers under lock, xor SHAKE-256(nonce ‖ label). The nonce, where it is
+random or follows from a seed that nobody guesses, keeps anybody from finding them by trying. The diagnosis runs as
+another process, which is given a case's folder and nothing else. Its results are hashed as well before the answers are
+opened: then `open_to` writes answers and nonce, and anybody can check that they are the ones that were promised.
 
 That protects from a mistake and from a peep at the disk. It does not hide answers from a method that makes the
 cases again from their seed: whoever enters a method keeps the seed from it.
@@ -25,8 +25,8 @@ from collections.abc import Mapping, Sequence
 
 from invdyn.recordings import InputError, atomic_path, write_text
 
-TAG = 32
-"""Bytes that tell whether a locked answer was read with its key."""
+TAG, SIZE = 32, 16384
+"""Bytes that tell whether a locked answer was read with its key; and of any answer: its length is to tell nothing."""
 
 
 def canonical(answers: Mapping) -> bytes:
@@ -58,14 +58,16 @@ class Sealed:
 
 
 class Locked:
-    """Answers on the disk that only ``key`` reads, a file for each case."""
+    """Answers on the disk that only ``key`` reads, a file for each case, all of one size."""
 
     def __init__(self, folder: str | pathlib.Path, key: bytes):
         self._folder, self._key = pathlib.Path(folder), key
 
     def put(self, name: str, label: str, answer: Mapping) -> None:
-        """Lock the answer of case ``name``; ``label`` says what it was made from, and is told to nobody."""
-        text = canonical(answer)
+        """Lock the answer of case ``name``; ``label`` says what it belongs to. Raises ValueError for a long answer."""
+        text = canonical(answer).ljust(SIZE)
+        if len(text) > SIZE:
+            raise ValueError(f"expected an answer of {SIZE} bytes at most, got {len(text)}")
         self._folder.mkdir(parents=True, exist_ok=True)
         with atomic_path(self._folder / name) as temporary:
             temporary.write_bytes(self._tag(label, text) + self._blurred(label, text))

@@ -5,7 +5,7 @@ from typing import ClassVar
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -16,7 +16,7 @@ class CoulombFriction(Effect):
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
 
-    longest: ClassVar[float] = 0.006
+    longest: ClassVar[float] = ABRUPT
     steady: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

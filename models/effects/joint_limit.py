@@ -8,7 +8,7 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.body import Body
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -40,7 +40,7 @@ class JointLimit(Effect):
         """Both stops of every joint."""
         return [cls(joint, side) for joint in body.joint_names for side in SIDES]
 
-    longest: ClassVar[float] = 0.006
+    longest: ClassVar[float] = ABRUPT
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""

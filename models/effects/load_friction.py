@@ -5,7 +5,7 @@ from typing import ClassVar
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -17,7 +17,8 @@ class LoadFriction(Effect):
     gear from both sides. Told apart from Coulomb friction by varying the load.
     """
 
-    longest: ClassVar[float] = 0.003
+    longest: ClassVar[float] = ABRUPT / 2
+    """The load jumps where any of the joints turns around: 6 ms lose up to 258 nats."""
     scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

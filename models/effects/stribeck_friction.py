@@ -6,7 +6,7 @@ import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -17,7 +17,7 @@ class StribeckFriction(Effect):
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
 
-    longest: ClassVar[float] = 0.006
+    longest: ClassVar[float] = ABRUPT
     contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -20,7 +20,7 @@ class ViscousFriction(Effect):
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""
         j = self.place[0]
-        typical = 0.2 * float(scale.torque[j] / scale.speed[j])
+        typical = 0.2 * scale.torque[j] / scale.speed[j]
         return (Parameter("damping", "N·m·s/rad", HalfNormal(typical), 0.0, tuple(typical * x for x in SHARES)),)
 
     def force(self, p: Values, now: Situation) -> Tensor:

@@ -32,6 +32,10 @@ def test_locked_answers_open_to_their_key_and_label_alone(tmp_path):
     assert Locked(tmp_path / "locked", b"l" * 32).get("case-0000", "7, armature") is None
     (tmp_path / "locked" / "case-0000").write_bytes(on_disk[:-1])
     assert locked.get("case-0000", "7, armature") is None
+    locked.put("case-0001", "9, none", ANSWERS["none-000"])
+    assert (tmp_path / "locked" / "case-0001").stat().st_size == len(on_disk)
+    with pytest.raises(ValueError, match="16384 bytes at most"):
+        locked.put("case-0002", "10", {"effects": "x" * 20000})
 
 
 def test_changed_answers_are_refused(tmp_path):

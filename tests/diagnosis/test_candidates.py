@@ -136,7 +136,7 @@ def test_columns_are_differences_of_the_model(name):
 
 
 def test_friction_that_stops_a_link_within_a_row_is_followed_from_a_value_near_it():
-    """Ten rows a second: what large damping does is a hundredth off from the grid, a tenth from where there is none."""
+    """Ten rows a second: what large damping does is a hundredth off from the grid, more from where there is none."""
     arm = random_arm(PENDULUM, duration=6, fps=10, noise=0.002, torque_scale=2.0, commanded=True, seed=0)
     model = setting(record(arm, 0)[0], PENDULUM).model
     path = torch.as_tensor(np.random.default_rng(0).normal(size=(len(model.time), model.state_dim)))

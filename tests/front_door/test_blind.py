@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -9,12 +10,13 @@ from types import ModuleType
 
 import pytest
 
-from invdyn.diagnosis.blind import run as blind_run
 from invdyn.diagnosis.blind.apart import serve
-from invdyn.diagnosis.blind.cases import make_case
+from invdyn.diagnosis.blind.cases import Case, make_case
 from invdyn.diagnosis.blind.methods import Ours
 from invdyn.diagnosis.blind.present import CATALOGUE
+from invdyn.diagnosis.blind.run import BlindRun
 from invdyn.diagnosis.blind.sealed import read_opened
+from invdyn.recordings import InputError
 
 pytest.importorskip("mujoco")
 
@@ -89,29 +91,60 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
     assert {path: path.read_bytes() for path in Path("run").rglob("*") if path.is_file()} == before
 
 
-def test_cases_that_were_made_before_an_interruption_are_not_made_again(tmp_path, monkeypatch):
-    made = []
+@pytest.fixture
+def making(tmp_path, monkeypatch):
+    """Function that makes three cases in a folder; what was begun; and whether the next one breaks off half-written."""
+    begun, breaks = [], []
+    write = Case.write
 
-    def make(*job):
-        made.append(job)
-        if len(made) == 3:
+    def broken(case, folder):
+        begun.append(Path(folder).name)
+        write(case, folder)
+        if breaks and begun[-1] == breaks[-1]:
+            breaks.pop()
+            (Path(folder) / "recording.csv").write_text("half")
             raise KeyboardInterrupt
-        return make_case(*job)
 
-    whole = blind_run.BlindRun(tmp_path / "whole", {"none": 3}, seed=5)
-    whole.check()
-    commitment = whole.make()
-    monkeypatch.setattr(blind_run, "make_case", make)
-    for _ in range(2):
-        blind = blind_run.BlindRun(tmp_path / "parts", {"none": 3}, seed=5)
+    monkeypatch.setattr(Case, "write", broken)
+
+    def make(name, seed=5):
+        begun.clear()
+        blind = BlindRun(tmp_path / name, {"none": 3}, seed=seed)
         blind.check()
-        with suppress(KeyboardInterrupt):
-            again = blind.make()
-    assert again == commitment
-    assert len(made) == 4
-    assert made[2] == made[3]
+        return blind.make()
+
+    return make, begun, breaks
+
+
+def test_cases_that_were_made_before_an_interruption_are_not_made_again(making, tmp_path):
+    make, begun, breaks = making
+    commitment, names = make("whole"), ["case-0000", "case-0001", "case-0002"]
+    assert begun == names
+    breaks.append(names[1])
+    with suppress(KeyboardInterrupt):
+        make("parts")
+    assert not (tmp_path / "parts" / "sealed.json").exists()
+    assert make("parts") == commitment
+    assert begun == names[1:]
     for path in (tmp_path / "whole" / "cases").rglob("*.*"):
         assert (tmp_path / "parts" / path.relative_to(tmp_path / "whole")).read_bytes() == path.read_bytes()
+    assert make("parts") == commitment
+    assert begun == []
+
+
+def test_what_another_run_left_is_no_case_of_this_one(making, tmp_path):
+    make, begun, breaks = making
+    commitment = make("whole")
+    for seed, last in ((5, "case-0002"), (6, "case-0000"), (5, None)):
+        breaks[:] = [last] if last else []
+        with suppress(KeyboardInterrupt):
+            again = make("parts", seed)
+    assert begun == ["case-0000", "case-0001", "case-0002"]
+    assert again == commitment
+    shutil.rmtree(tmp_path / "parts" / "cases")
+    with pytest.raises(InputError, match="other cases"):
+        make("parts", 6)
+    assert json.loads((tmp_path / "parts" / "sealed.json").read_text())["sha256"] == commitment
 
 
 BAD = {
@@ -209,7 +242,7 @@ def test_the_oracle_is_told_the_effect_and_nothing_else(tmp_path, monkeypatch):
     )
     stand_in.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(stand_in))
-    run = blind_run.BlindRun(tmp_path / "run", {"commanded": 2, "none": 1}, seed=5)
+    run = BlindRun(tmp_path / "run", {"commanded": 2, "none": 1}, seed=5)
     run.check()
     run.make()
     run.diagnose()
