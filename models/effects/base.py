@@ -40,7 +40,7 @@ from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mistakes import Shift, Stray, Swap
 
 ABRUPT = 0.006
-"""s, sub-step that follows a force that jumps: beside 3 ms, 35 of 40 recordings with dry friction lose less than 5 nats."""
+"""s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
 
 Values = Mapping[str, Tensor]
 """An effect's own parameters by their own names, (..., 1) each."""
