@@ -7,8 +7,9 @@ linearised about its own path, and the outer weight
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
 which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
-error is large costs less than that error. Noise scale, residual and parameters that were searched (:mod:`.noise`)
-stand at their estimates; what integrating over the residual's size and over those adds is taken from the refinement.
+error is large, as one heavy weight makes it, leaves it a little low. Noise scale, residual and parameters that were
+searched (:mod:`.noise`) stand at their estimates; what integrating over the residual's size and over those adds is
+taken from the refinement.
 
 Shapes: M filters, N particles, T rows, p unknowns.
 """

@@ -18,7 +18,7 @@ class LoadFriction(Effect):
     """
 
     longest: ClassVar[float] = ABRUPT / 2
-    """The load jumps where any of the joints turns around: 6 ms lose up to 258 nats."""
+    """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""
     scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
