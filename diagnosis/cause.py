@@ -61,6 +61,11 @@ class Refined:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name, those that were searched too."""
+        return dict(zip(self.names, self.mean.tolist(), strict=True)) | {k: float(v) for k, v in self.noise.items()}
+
+    @property
     def key(self) -> str:
         """Keys of the effects, sorted and joined; "" for none."""
         return key_of(self.effects)

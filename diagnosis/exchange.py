@@ -14,7 +14,7 @@ from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_promising, values_of
+from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
@@ -55,10 +55,10 @@ def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Re
     rest = tuple(e for e in whole.effects if e is not effect)
     searched = [e for e in rest if is_searched(e)]
     if not searched:
-        return refine(setting, rest, values_of(whole), whole.path, size)
+        return refine(setting, rest, whole.values, whole.path, size)
     if not is_searched(effect):
-        return refine(setting, rest, values_of(whole), whole.path, size, **whole.searched)
-    cause = refine(setting, tuple(e for e in rest if e not in searched), values_of(whole), whole.path, size)
+        return refine(setting, rest, whole.values, whole.path, size, **whole.searched)
+    cause = refine(setting, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)
     for each in searched:
         cause = cause and refine_searched(setting, cause, each)
     return cause

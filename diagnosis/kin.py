@@ -6,24 +6,23 @@ path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
 """
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import Search, imitable
-from invdyn.diagnosis.promising import HOPELESS, attempt, values_of
+from invdyn.diagnosis.promising import HOPELESS, attempt
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect
 
 TWINS = (
-    ("actuator_delay", "camera_latency", ("delay", "latency"), 1.0),
-    ("camera_latency", "actuator_delay", ("latency", "delay"), 1.0),
-    ("gravity_tilt", "camera_roll", ("angle", "angle"), -1.0),
-    ("camera_roll", "gravity_tilt", ("angle", "angle"), -1.0),
+    ("actuator_delay", "camera_latency", ("delay", "latency")),
+    ("camera_latency", "actuator_delay", ("latency", "delay")),
+    ("gravity_tilt", "camera_roll", ("angle", "angle")),
+    ("camera_roll", "gravity_tilt", ("angle", "angle")),
 )
-"""Effects that stand in for one another exactly: names, parameters, and the factor between them."""
+"""Effects that stand in for one another exactly: names, and parameters of the same value."""
 
 ALIKE = 1.0
 """Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
@@ -49,7 +48,7 @@ def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect)
     def is_(effect: Effect, name: str) -> bool:
         return effect.key == name or (single and effect.name == name)
 
-    for name, other, parameter, factor in TWINS:
+    for name, other, parameter in TWINS:
         twin = next((e for e in found.candidates if is_(e, other)), None)
         if not is_(mine, name) or twin is None or any(is_(e, other) for e in cause.effects):
             continue
@@ -59,10 +58,8 @@ def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect)
         arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
         if arrived or _followed(found, cause, mine, twin):
             continue
-        value = values_of(cause)[f"{mine.key}.{parameter[0]}"]
-        ahead = {"camera_latency": value, "actuator_delay": -value}.get(other, 0.0)
-        starts = [found.path] if ahead == 0.0 else [later(setting, cause.path, ahead), found.path]
-        _refine(setting, found, cause, mine, twin, {parameter[1]: factor * value}, starts)
+        value = {parameter[1]: cause.values[f"{mine.key}.{parameter[0]}"]}
+        _refine(setting, found, cause, mine, twin, value, [cause.path, found.path])
 
 
 def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -74,7 +71,7 @@ def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect)
         there = found.pool.get(_in_place(cause, mine, wider))
         if (there is not None and there.complete) or _followed(found, cause, mine, wider):
             continue
-        known = values_of(cause)
+        known = cause.values
         values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
         _refine(setting, found, cause, mine, wider, values, [cause.path])
 
@@ -91,7 +88,7 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         there = found.pool.get(_in_place(cause, mine, narrow))
         if there is not None and there.log_evidence > cause.log_evidence:
             continue
-        known, sd = values_of(cause), dict(zip(cause.names, cause.sd, strict=True))
+        known, sd = cause.values, dict(zip(cause.names, cause.sd, strict=True))
         worst_first = sorted(names, key=lambda name: -sd[f"{mine.key}.{name}"])
         values = {names[name]: known[f"{mine.key}.{name}"] for name in worst_first}
         off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
@@ -125,7 +122,7 @@ def _refine(
 ) -> None:
     """Refine a cause with another effect in place of one, from its values, along one path after the other."""
     effects = (*(e for e in cause.effects if e is not mine), other)
-    kept = {name: value for name, value in values_of(cause).items() if not name.startswith(f"{mine.key}.")}
+    kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
     values = kept | {f"{other.key}.{name}": value for name, value in values.items()}
     size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
     for path in starts:
@@ -134,13 +131,3 @@ def _refine(
             found.add(refined)
             if refined.complete:
                 break
-
-
-def later(setting: Setting, path: Tensor, seconds: float) -> Tensor:
-    """What a path (T, D) is so much later, between its rows on a straight line, at its ends as it is.
-
-    The arm itself is ahead of a camera that lags.
-    """
-    time = setting.model.time.numpy()
-    at = np.clip(time + seconds, time[0], time[-1])
-    return torch.as_tensor(np.stack([np.interp(at, time, column) for column in path.numpy().T], -1))

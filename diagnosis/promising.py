@@ -15,6 +15,7 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.relocate import relocated
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -80,13 +81,17 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
     for start in (each.values, each.elsewhere):
         if start is None:
             break
-        values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | values_of(base)
+        values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
         effects = (*base.effects, each.effect)
         cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
         if cause is not None:
             refined.append(cause)
             if cause.complete:
                 break
+    if "moment" in each.effect.located and refined:
+        best = max(refined, key=lambda cause: cause.log_evidence)
+        moved = attempt(relocated, setting, base, each.effect, best) if best.log_evidence > limits["enough"] else None
+        refined += [moved] if moved is not None else []
     return refined
 
 
@@ -101,9 +106,3 @@ def attempt(work: Callable[..., T], *arguments, **options) -> T | None:
         return work(*arguments, **options)
     except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
         return None
-
-
-def values_of(cause: Refined) -> dict[str, float]:
-    """Parameters of a cause by name, those that were searched too."""
-    noise = {name: float(value) for name, value in cause.noise.items()}
-    return dict(zip(cause.names, cause.mean.tolist(), strict=True)) | noise

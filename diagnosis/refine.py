@@ -35,6 +35,8 @@ from invdyn.models.effects.base import Effect
 ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+SHORTER = 25
+"""Steps, ever shorter ones, where none of those was a gain; half of it where each takes long, as with play."""
 
 LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
@@ -82,7 +84,11 @@ def refine(
         """Path and expansion about ``point``; the cause, and where its parameters would go."""
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
-        path = gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
+        before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
+        if torch.equal(path, before):
+            # It may be so far off, as what a looser chain left is, that no step was short enough.
+            tries = SHORTER if model.driven is None else SHORTER // 2
+            path = gauss_newton_path(quiet, setting.observations, path, tries, CLOSE)
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
@@ -122,13 +128,16 @@ def refine(
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
-            true = cause.log_evidence - 0.5 * _distance(target - point, cause.covariance)
+            promised = 0.5 * _distance(target - point, cause.covariance)
+            true = cause.log_evidence - promised
             if best is None or true > most_seen - UNKEPT:
                 # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
                 best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
             hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
             # A path that was found under another residual is bent by it.
-            if ((off < SETTLED).all() and max(used, FIRM) == max(size, FIRM)) or hopeless:
+            # Where several parameters are known only together, a step that is short in each may be a long one.
+            settled = (off < SETTLED).all() and promised < UNKEPT
+            if (settled and max(used, FIRM) == max(size, FIRM)) or hopeless:
                 break
             point = target
 

@@ -170,11 +170,13 @@ def screen(
     common: Unknowns,
     point: np.ndarray,
     quiet: bool = False,
+    times: Sequence[tuple[float, float]] = (),
 ) -> list[Screened]:
     """Evidence of each effect added to ``model``, and of none, best first.
 
     ``common`` are unknowns that stay free in all of them, now at ``point`` in ``model``; ``quiet`` says that ``model``
-    leaves little, so that the smaller sizes do.
+    leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
+    those where it would explain most if none are given.
     """
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
@@ -186,7 +188,8 @@ def screen(
     screened = []
     linear = linear_of(setting, model, path)
     about = filter_of(setting, model, path, levels, linear)
-    times = windows(setting, model, path, linear) if any("moment" in effect.located for effect in effects) else ()
+    if not times and any("moment" in effect.located for effect in effects):
+        times = windows(setting, model, path, linear)
     for found, columns, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         whitened = whiten(setting, about, beside([columns, rest]), [slice(1 + o[0], 2 + o[-1]) for o in own])

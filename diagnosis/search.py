@@ -38,7 +38,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_promising, values_of
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_promising
 from invdyn.diagnosis.refine import ROUNDS, refine
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
@@ -238,8 +238,8 @@ def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Ref
 
     tried = []
     for point in product(*effect.scan.values()):
-        values = values_of(base) | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
+        values = base.values | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
         tried.append(refined(values, base.path, 1))
     best = max(tried, key=lambda cause: cause.log_evidence)
     most = max(base.log_evidence, base.log_evidence + (1 - SHARE) * (enough - base.log_evidence))
-    return best if best.log_evidence < most else refined(values_of(best), best.path, ROUNDS)
+    return best if best.log_evidence < most else refined(best.values, best.path, ROUNDS)

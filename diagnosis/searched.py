@@ -1,10 +1,13 @@
 """Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and play.
 
 Their evidence is looked at on a grid, with what the base has left free integrated out at each point; from the best
-point on it is climbed, and its curvature at the top is their integral's width (Laplace).
+point on it is climbed, and its curvature at the top is their integral's width (Laplace). That is along one path, and
+play's gap bends it: its width is followed, a step and a path at a time, before it is climbed.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import torch
@@ -22,6 +25,9 @@ from invdyn.models.effects.base import Effect
 
 EARNED = 2.0
 """Nats that an effect whose parameters are searched must gain over its base on the grid, to be searched further."""
+FOLLOWED, STRIDES, ONWARD = 20.0, (0.15, 0.07, 0.035), 0.5
+"""Nats that play must gain for its width to be followed; steps of its logarithm, one after the other, and nats that
+each must gain."""
 
 
 def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
@@ -66,14 +72,43 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     start = np.log(start)
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
+    if model.driven is not None and cause.log_evidence > max(enough, base.log_evidence + FOLLOWED):
+        cause = _followed(setting, cause, names)
+        start = np.log([cause.noise[name] for name in names])
+    followed = cause
     path, some = cause.path, _telling(cause, levels)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
     volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=base.noise_log + volume, rounds=3)
+    if model.driven is not None and cause.log_evidence < followed.log_evidence + volume:
+        # Along the path it was climbed to somewhere else, and there it is not as good.
+        start = np.log([followed.noise[name] for name in names])
+        cause = replace(
+            followed,
+            noise_log=base.noise_log + volume,
+            log_evidence=followed.log_evidence + volume,
+            by_size=followed.by_size + volume,
+        )
     spreads = np.exp(start) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
+
+
+def _followed(setting: Setting, cause: Refined, names: Sequence[str]) -> Refined:
+    """The cause with other values of the parameters ``names``, each refined from the last one's path while it gains."""
+    for stride, name in product(STRIDES, names):
+        for step in (stride, -stride):
+            before = cause
+            while True:
+                values = cause.values | {name: cause.noise[name] * np.exp(step)}
+                there = refine(setting, cause.effects, values, cause.path, FIRM, noise_log=cause.noise_log, rounds=3)
+                if there.log_evidence < cause.log_evidence + ONWARD:
+                    break
+                cause = there
+            if cause is not before:
+                break
+    return cause
 
 
 def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:

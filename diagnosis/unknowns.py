@@ -113,5 +113,11 @@ def upper_bound(parameter: Parameter) -> float:
     return min(far, edge - EDGE * abs(edge)) if np.isfinite(edge) else far
 
 
+def at_far_end(parameter: Parameter, value: float) -> bool:
+    """Whether a value is as large as it may be, and larger ones are not impossible, only beyond what is plausible."""
+    edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
+    return value > (1 - EDGE) * upper_bound(parameter) and upper_bound(parameter) < edge - EDGE * abs(edge)
+
+
 def _far(parameter: Parameter) -> float:
     return FAR_ONE_SIDED if type(parameter.prior).__name__ == "HalfNormal" else FAR

@@ -6,7 +6,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row.
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if its parameters
+are such that its effects would not be what they are called (:meth:`Effect.credible`).
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not surely
 improve the prediction of held-out rows is taken back.
@@ -20,11 +21,13 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import Confirmed, confirm
+from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size, correlation
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
 
 NEAR = 3.0
@@ -58,10 +61,26 @@ class Weighed:
         return next(iter(self.causes.values()))[0]
 
 
+def credible(bound: Setting, cause: Refined) -> bool:
+    """Whether what was found of each effect is what its name says, and is not as large as anything may be."""
+    mean, sd = cause.values, dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
+    for effect in cause.effects:
+        parameters = effect.parameters(bound.model.scale)
+        names = {p.name: f"{effect.key}.{p.name}" for p in parameters}
+        own = [{name: known[key] for name, key in names.items()} for known in (mean, sd)]
+        if not effect.credible(*own, bound.model.scale):
+            return False
+        if is_searched(effect) and any(at_far_end(p, own[0][p.name]) for p in parameters):
+            return False
+    return True
+
+
 def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
     if bound.regime == "unknown_torque":
         return 1.0
+    if not credible(bound, cause):
+        return 0.0
     alike, chance = correlation(bound, cause)
     if alike > ALIKE + CHANCE * chance:
         return 0.0

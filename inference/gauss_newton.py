@@ -226,10 +226,11 @@ def _ascend(
             path = torch.where(torch.as_tensor(better)[..., None, None], candidate, path)
             linear = there if better.all() else _where(better, there, linear)
         merit = np.where(better, reached, merit)
+        near = (damping == 0) & (gain > -tolerance)  # a whole step, and hardly a difference
         damping = np.where(better, damping / 10, np.maximum(damping, 1e-5) * 10)
         damping = np.where(damping < 1e-4, 0.0, damping)
         # A step that gains nothing, or none that can, ends the search.
-        done = done | (better & (gain < tolerance)) | (np.abs(gain) < 1e-9) | (damping > 1e12)
+        done = done | (better & (gain < tolerance)) | (~better & near) | (np.abs(gain) < 1e-9) | (damping > 1e12)
         if done.all():
             break
     return path, torch.as_tensor(merit), torch.as_tensor(done), linear

@@ -230,18 +230,21 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
             tips = effects.hinge.tips(own_values(effects.hinge, p), q, z[..., self.torque_size :], body)
         else:
             tips = self.dynamics.keypoints(q, body)
-        if not (effects.has_points or effects.has_noise or effects.has_mistakes):
+        if not (effects.has_points or effects.has_angles or effects.has_noise or effects.has_mistakes):
             return self.emission_model.distribution(tips, q, t, p)
         elapsed = self._elapsed[t].to(state).unsqueeze(-1)
 
-        def ahead(seconds: Tensor) -> Tensor:
-            moved = self._ahead(state, t, body, seconds)
-            return self.dynamics.keypoints(moved, body) - self.dynamics.keypoints(q, body)
+        def turned(seconds: Tensor) -> Tensor:
+            return self._ahead(state, t, body, seconds)
 
-        view = View(q, qd, lambda: self.acceleration(state, t, body), ahead, body, elapsed, tips)
+        def ahead(seconds: Tensor) -> Tensor:
+            return self.dynamics.keypoints(turned(seconds), body) - self.dynamics.keypoints(q, body)
+
+        view = View(q, qd, lambda: self.acceleration(state, t, body), turned, ahead, body, elapsed, tips)
+        angles = effects.angles(p, view) if self.emission_model.num_encoders else q
         view = effects.points(p, view)
         noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
-        return self.emission_model.distribution(view.points, q, t, p, noise, effects.mistakes(p, view))
+        return self.emission_model.distribution(view.points, angles, t, p, noise, effects.mistakes(p, view))
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """State (..., D) → torque state z (..., Z) and any hidden hinge's (2), angles (..., K), velocities (..., K)."""

@@ -11,6 +11,7 @@ it is absent, and overrides those hooks that it changes; the others pass on what
     inertia    a joint's own inertia, on the diagonal, kg·m²        → (..., K)
     interval   the time that a step really takes, s                 (...) → (...)
     points     where the camera sees the links' tips, m             View → (..., K, 2)
+    angles     what the encoders show, rad                          View → (..., K)
     noise      the keypoints' standard deviations, m                View, (..., K, 2) → (..., K, 2)
     mistake    what the tracker gets wrong now and then             → Stray, Swap, Shift or None
 
@@ -41,6 +42,9 @@ from invdyn.models.mistakes import Shift, Stray, Swap
 
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
+
+DOUBT = 4.0
+"""Standard deviations by which a parameter may be off where it is asked whether values are credible."""
 
 Values = Mapping[str, Tensor]
 """An effect's own parameters by their own names, (..., 1) each."""
@@ -177,6 +181,14 @@ class Effect(ABC):
         """What to report of parameter values, name → (value, unit), where it is not the parameters themselves."""
         return {}
 
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """Whether parameters that were found, by name, mean what the effect's name says.
+
+        A spring whose rest is turns away is a constant torque: such values tell of something that the catalogue lacks.
+        The effect is bound.
+        """
+        return True
+
     # -- hooks ---------------------------------------------------------------------------------
     def body(self, p: Values, body: BodyParameters) -> BodyParameters:
         """The links' numbers, (..., K)."""
@@ -205,6 +217,10 @@ class Effect(ABC):
     def points(self, p: Values, view: View) -> Tensor:
         """Where the camera sees the tips, (..., K, 2) m; ``view.points`` is what earlier effects made of them."""
         return view.points
+
+    def angles(self, p: Values, view: View) -> Tensor:
+        """What the encoders show, (..., K) rad."""
+        return view.q
 
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
         """Standard deviation of each tip's coordinates, (..., K, 2) m."""

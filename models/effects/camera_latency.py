@@ -1,25 +1,37 @@
-"""Keypoints that come late: a row shows p(t − δ)."""
+"""Keypoints that come late: a row shows p(t − δ).
+
+A row's state is the arm's when its picture was taken. To that state the motors are late, and encoders, whose clock is
+the motors', are ahead:
+
+    u'(t) = u(t − δ),     encoders show θ(t + δ)
+"""
 
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.command import Command
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
 
 
 class CameraLatency(Effect):
-    """The picture in a row was taken δ before the row's time: to third order in δ, under the commands before it.
+    """The picture in a row was taken δ before the row's time; encoders are followed to third order in δ.
 
-    Cannot be told from motors that act late without a common clock.
+    Without encoders it cannot be told from motors that act late, and without commands either from nothing at all.
     """
 
-    side, site, order = "observation", "arm", 1
+    side, site = "observation", "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Latency δ, s."""
-        return (Parameter("latency", "s", HalfNormal(0.03)),)
+        prior = HalfNormal(0.03)
+        return (Parameter("latency", "s", prior, 0.0, quantiles(prior, 6)),)
 
-    def points(self, p: Values, view: View) -> Tensor:
-        """p(t − δ)."""
-        return view.later(-p["latency"].unsqueeze(-1))
+    def command(self, p: Values, command: Command) -> Command:
+        """u(t − δ)."""
+        return command.delayed(p["latency"])
+
+    def angles(self, p: Values, view: View) -> Tensor:
+        """θ(t + δ)."""
+        return view.turned(p["latency"])

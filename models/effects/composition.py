@@ -41,6 +41,7 @@ class Composition:
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
         self.has_command = any(type(effect).command is not Effect.command for effect in effects)
         self.has_points = any(type(effect).points is not Effect.points for effect in effects)
+        self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
         self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
         hinges = [effect for effect in effects if isinstance(effect, HiddenHinge)]
@@ -127,6 +128,13 @@ class Composition:
         for effect, p in self._each(parameters):
             view = view.seen_at(effect.points(p, view))
         return view
+
+    def angles(self, parameters: Mapping[str, Tensor], view: View) -> Tensor:
+        """What the encoders show, (..., K) rad: one effect's at most, as no two change it."""
+        for effect, p in self._each(parameters):
+            if type(effect).angles is not Effect.angles:
+                return effect.angles(p, view)
+        return view.q
 
     def noise(self, parameters: Mapping[str, Tensor], view: View, sd: Tensor) -> Tensor:
         """Standard deviations of the tips' coordinates, (..., K, 2) m."""

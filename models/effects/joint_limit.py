@@ -1,6 +1,7 @@
 """A stop of a joint: a spring and damper past an angle, which push and never pull."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -8,13 +9,15 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.body import Body
-from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, DOUBT, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 SIDES = {"upper": 1.0, "lower": -1.0}
 SHALLOW, POINTS = 0.01, 12
 """Smallest depth, rad, that a joint is supposed to have been pressed into its stop, and how many depths are tried."""
+OVERDAMPED = 3.0
+"""Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side."""
 
 
 class JointLimit(Effect):
@@ -66,6 +69,16 @@ class JointLimit(Effect):
         units = {"angle": "rad", "stiffness": "N·m/rad", "damping": "N·m·s/rad"}
         side = values["angle"].new_full(values["angle"].shape, self.sign)
         return {**{name: (values[name], unit) for name, unit in units.items()}, "side": (side, "1")}
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """A stop that pushes back, and that the joint has been seen free of."""
+        j = self.place[0]
+        stiffness = mean["stiffness"] + DOUBT * sd["stiffness"]
+        pushes = mean["damping"] <= OVERDAMPED * 2 * math.sqrt(stiffness * scale.inertia[j])
+        if scale.range is None:
+            return pushes
+        freest = self.sign * scale.range[j][0 if self.sign > 0 else 1].item()
+        return pushes and freest < self.sign * mean["angle"]
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """∓max(0, k e ± d θ̇) where e > 0."""

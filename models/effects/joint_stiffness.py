@@ -1,11 +1,12 @@
 """A spring in a joint: −k (θ − θ₀)."""
 
 import math
+from collections.abc import Mapping
 
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import DOUBT, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -34,6 +35,10 @@ class JointStiffness(Effect):
         rest = values["torque"] / values["stiffness"].clamp_min(1e-12)
         far = 2 * math.pi * TURNS
         return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest.clamp(-far, far), "rad")}
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """A rest angle within a turn; of one that is farther away the spring would show as a constant torque alone."""
+        return abs(mean["torque"]) <= 2 * math.pi * (mean["stiffness"] + DOUBT * sd["stiffness"])
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """T₀ − k θ."""

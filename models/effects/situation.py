@@ -68,7 +68,8 @@ class View:
     Attributes:
         q, qd: (..., K) rad, rad/s.
         acceleration: function of none, → θ̈ (..., K).
-        ahead: function of seconds (..., 1), negative ones too, → how far the tips move by then, (..., K, 2) m.
+        turned: function of seconds (..., 1), negative ones too, → θ by then, (..., K) rad.
+        ahead: function of the same → how far the tips move by then, (..., K, 2) m.
         body: the links.
         elapsed: (..., 1) s, since the first row.
         points: (..., K, 2) m, the tips, as the effects called before leave them.
@@ -77,6 +78,7 @@ class View:
     q: Tensor
     qd: Tensor
     acceleration: Callable[[], Tensor]
+    turned: Callable[[Tensor], Tensor]
     ahead: Callable[[Tensor], Tensor]
     body: BodyParameters
     elapsed: Tensor

@@ -1,12 +1,13 @@
 """Dry friction that falls with speed: −(τ_c + (τ_s − τ_c) e^{−(θ̇/ω_s)²}) sgn θ̇ (Stribeck's curve)."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, DOUBT, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -29,6 +30,10 @@ class StribeckFriction(Effect):
             Parameter("static", "N·m", HalfNormal(0.4 * scale.torque[j])),
             Parameter("velocity", "rad/s", velocity, None, quantiles(velocity, 5)),
         )
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """No less friction at rest than in motion."""
+        return mean["static"] + DOUBT * sd["static"] > mean["coulomb"] - DOUBT * sd["coulomb"]
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """τ_c (1 − e) + τ_s e with e = exp(−(θ̇/ω_s)²)."""

@@ -7,10 +7,11 @@ import pytest
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import upper_bound
 from invdyn.diagnosis.weigh import ALIKE, _alone
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects import EFFECTS
@@ -22,7 +23,9 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
     levels = sizes("commanded")
     needed = replace(none, by_size=np.where(levels == levels[5], 0.0, -1e4), log_evidence=0.0)
-    cause = replace(none, effects=considered(bound)[:1], log_evidence=50.0)
+    friction = EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
+    known = {"names": (f"{friction.key}.damping",), "mean": np.array([0.05]), "covariance": 1e-6 * np.eye(1)}
+    cause = replace(none, effects=(friction,), log_evidence=50.0, **known)
 
     def share(left, gain=50.0):
         left = replace(cause, by_size=np.where(levels == levels[left], 0.0, -60.0), log_evidence=gain)
@@ -37,6 +40,28 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) < 0.01
     plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
     assert _alone(bound, Search([], {"": plain}, [], none.path, False), plain) < 0.01  # but it is more than no gap
+
+
+def test_what_is_not_credible_explains_a_part_only():
+    """A spring whose rest is turns away; and stray detections that are as many as anything may be."""
+    bound = setting(recording_of(), PENDULUM)
+    none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
+    spring, stray = EFFECTS["joint_stiffness"]("pivot").bound(PENDULUM), EFFECTS["outliers"]().bound(PENDULUM)
+    pool = Search([], {"": none}, [], none.path, False)
+
+    def share(effect, values, searched=False):
+        keys = {f"{effect.key}.{name}": value for name, value in values.items()}
+        found = {"names": tuple(keys), "mean": np.array(list(keys.values())), "covariance": 1e-8 * np.eye(len(keys))}
+        sought = {"noise": keys, "noise_sd": dict.fromkeys(keys, 1e-4)}
+        cause = replace(none, effects=(effect,), **(sought if searched else found))
+        return _alone(bound, pool, cause)
+
+    assert share(spring, {"stiffness": 0.1, "torque": 0.2}) > 0.9
+    assert share(spring, {"stiffness": 0.1, "torque": 2.0}) == 0.0
+    rate, scale = stray.parameters(bound.model.scale)
+    width = float(scale.prior.mean)
+    assert share(stray, {"rate": 0.1, "scale": width}, searched=True) > 0.9
+    assert share(stray, {"rate": upper_bound(rate), "scale": width}, searched=True) == 0.0
 
 
 def test_where_errors_are_alike_from_row_to_row_something_is_left():

@@ -1,0 +1,63 @@
+"""Parameters that an effect could have been fitted with, and would not be called by its name for."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from invdyn.diagnosis.unknowns import spread
+from invdyn.models.effects import EFFECTS
+
+SURE = 1e-3
+"""Of a parameter's value: its standard deviation."""
+
+
+def credible(arm, name, where, within=None, sd=SURE, **mean):
+    """``mean`` may be functions of the scale; ``within`` are angles, rad, that the joints have been seen between."""
+    model = arm(2)
+    effect = EFFECTS[name](*where).bound(model.body)
+    scale = model.scale
+    if within is not None:
+        scale = replace(scale, range=torch.tensor([within, within], dtype=torch.float64))
+    mean = {key: value(scale) if callable(value) else value for key, value in mean.items()}
+    return effect.credible(mean, {key: sd * abs(value) for key, value in mean.items()}, scale)
+
+
+@pytest.mark.parametrize(("rest", "expected"), [(3.0, True), (-6.0, True), (7.0, False), (-1000.0, False)])
+def test_a_spring_rests_within_a_turn(rest, expected, arm):
+    assert credible(arm, "joint_stiffness", ["joint1"], stiffness=0.2, torque=0.2 * rest) is expected
+
+
+def test_a_spring_that_is_hardly_known_may_rest_anywhere(arm):
+    assert credible(arm, "joint_stiffness", ["joint1"], sd=1.0, stiffness=0.01, torque=0.3)
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(0.1, True), (1.0, True), (2.9, True), (3.5, False), (100.0, False)])
+def test_a_stop_pushes_back(ratio, expected, arm):
+    """By its damping ratio d / 2√(k I)."""
+    damping = lambda scale: ratio * 2 * (50.0 * scale.inertia[0]) ** 0.5  # noqa: E731
+    assert credible(arm, "joint_limit", ["joint0", "upper"], angle=0.5, stiffness=50.0, damping=damping) is expected
+
+
+@pytest.mark.parametrize(
+    ("side", "angle", "expected"),
+    [("upper", 0.5, True), ("upper", -1.1, False), ("lower", 0.5, True), ("lower", 1.1, False)],
+)
+def test_a_joint_is_seen_free_of_its_stop(side, angle, expected, arm):
+    values = {"angle": angle, "stiffness": 50.0, "damping": 0.1}
+    assert credible(arm, "joint_limit", ["joint0", side], within=(-1.0, 1.0), **values) is expected
+
+
+@pytest.mark.parametrize(("static", "expected"), [(0.3, True), (0.2, True), (0.19, False), (0.01, False)])
+def test_stribeck_friction_falls_with_speed(static, expected, arm):
+    assert credible(arm, "stribeck_friction", ["joint0"], coulomb=0.2, static=static, velocity=1.0) is expected
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_typical_sizes_are_credible(name, arm):
+    model = arm(2)
+    for effect in EFFECTS[name].everywhere(model.body, model.body.keypoint_names):
+        effect = effect.bound(model.body)
+        parameters = effect.parameters(model.scale)
+        values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.3 * spread(p) for p in parameters}
+        assert effect.credible(values, {key: 0.1 * abs(value) for key, value in values.items()}, model.scale)
