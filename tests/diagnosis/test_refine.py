@@ -9,6 +9,7 @@ import pytest
 import torch
 from oracles import kalman
 from pendulum import (
+    ARM,
     BRAKE,
     DAMPING,
     FRICTION,
@@ -32,7 +33,7 @@ from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.predict import scores
-from invdyn.diagnosis.refine import SETTLED, _distance, _within, refine
+from invdyn.diagnosis.refine import SETTLED, SHORTER, STEPS, _distance, _within, refine
 from invdyn.diagnosis.setting import BEGINNING, LOOSE, calm, setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
@@ -326,3 +327,42 @@ def test_intervals_are_those_of_the_tempered_likelihood():
     narrow, wide = (finding(here, cause, cause.effects[0], 0, temper).parameters["damping"] for temper in (1.0, 0.1))
     assert wide.sd == pytest.approx(narrow.sd / np.sqrt(0.1), rel=0.1)
     assert wide.mean == pytest.approx(narrow.mean, abs=3 * wide.sd / np.sqrt(4000))
+
+
+@cache
+def heavier():
+    """An arm whose upper link is not as its file says, and what is found from there."""
+    effect = EFFECTS["inertial_error"]("upper_arm")
+    values = {"mass": 0.18, "com": -0.02, "inertia": 0.002}
+    arm = random_arm(ARM, duration=3.0, fps=100, noise=0.0003, torque_scale=0.5, commanded=True, seed=2)
+    named = {f"effect.{effect.key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
+    here = setting(record(arm.with_effects(effect).replace(**named), 2)[0], ARM)
+    return (
+        here,
+        effect,
+        refine(here, (effect,), {f"{effect.key}.{n}": v for n, v in values.items()}, path_of(here), FIRM),
+    )
+
+
+def test_steps_that_are_short_in_each_parameter_go_on_where_they_are_long_together():
+    """Mass times distance is known well, neither of them is: beside that ridge a step of a hundredth matters."""
+    here, effect, found = heavier()
+    beside = found.mean + found.sd * [1.0, -1.0, 1.0]
+    again = refine(here, (effect,), dict(zip(found.names, beside, strict=True)), found.path, FIRM)
+    assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
+
+
+def test_where_no_step_was_a_gain_shorter_ones_are_tried(monkeypatch):
+    here, effect, found = heavier()
+    room = sys.modules[refine.__module__]
+    tried, plain = [], room.gauss_newton_path
+
+    def stuck(model, observations, path, steps, tolerance):
+        tried.append(steps)
+        return path if steps == STEPS else plain(model, observations, path, steps, tolerance)
+
+    monkeypatch.setattr(room, "gauss_newton_path", stuck)
+    values = dict(zip(found.names, found.mean, strict=True))
+    again = refine(here, (effect,), values, path_of(here), FIRM)
+    assert tried[:2] == [STEPS, SHORTER]
+    assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)

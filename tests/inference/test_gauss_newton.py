@@ -1,6 +1,7 @@
 """The Gauss–Newton smoother: exact on linear models, and convergent on arms from sharp to blurred."""
 
 import math
+import sys
 
 import numpy as np
 import oracles
@@ -9,7 +10,7 @@ import pytest
 import torch
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.gauss_newton import jacobian, linearise, log_joint
+from invdyn.inference.gauss_newton import gauss_newton_path, jacobian, linearise, log_joint
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 
@@ -140,6 +141,24 @@ def test_from_a_start_that_is_far_off():
     away = best.path + 0.2 * torch.randn(model.state_dim, dtype=F64)
     again = gauss_newton(model, y, start=away, max_iterations=100)
     torch.testing.assert_close(again.log_joint, best.log_joint, rtol=0, atol=0.02)
+
+
+def test_a_whole_step_that_is_hardly_a_difference_ends_the_search(monkeypatch):
+    """Were it a small loss, ever shorter steps would be tried for what is not there."""
+    model = arm(60, 0.005)
+    _, y = model.simulate()
+    best = gauss_newton(model, y).path
+    away = best + torch.tensor([0.0, 0.0, 2.0, -2.0, 0.0, 0.0], dtype=F64)
+    room, looked = sys.modules[gauss_newton.__module__], []
+    plain = room.linearise
+    monkeypatch.setattr(room, "linearise", lambda *given: looked.append(1) or plain(*given))
+    assert torch.equal(gauss_newton_path(model, y, away, 1, 1e-6), away)  # a whole step is a loss from there
+    looked.clear()
+    assert torch.equal(gauss_newton_path(model, y, away, 10, 1e9), away)
+    assert len(looked) == 2  # where it began, and one step on
+    looked.clear()
+    assert not torch.equal(gauss_newton_path(model, y, away, 10, 1e-6), away)
+    assert len(looked) == 11
 
 
 def test_ten_thousand_rows():
