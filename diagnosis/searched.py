@@ -5,7 +5,7 @@ point on it is climbed, and its curvature at the top is their integral's width (
 play's gap bends it: its width is followed, a step and a path at a time, before it is climbed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -73,35 +73,31 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     if model.driven is not None and cause.log_evidence > max(enough, base.log_evidence + FOLLOWED):
-        cause = _followed(setting, cause, names)
+        cause = _followed(setting, cause, dict(zip(names, most.tolist(), strict=True)))
         start = np.log([cause.noise[name] for name in names])
     followed = cause
     path, some = cause.path, _telling(cause, levels)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
-    volume = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    noise_log = base.noise_log + integral - (score(start) - log_prior_of(parameters, np.exp(start)))
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=base.noise_log + volume, rounds=3)
-    if model.driven is not None and cause.log_evidence < followed.log_evidence + volume:
+    cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
+    if model.driven is not None and cause.log_evidence < followed.log_evidence + noise_log:
         # Along the path it was climbed to somewhere else, and there it is not as good.
         start = np.log([followed.noise[name] for name in names])
-        cause = replace(
-            followed,
-            noise_log=base.noise_log + volume,
-            log_evidence=followed.log_evidence + volume,
-            by_size=followed.by_size + volume,
-        )
+        evidence, by_size = followed.log_evidence + noise_log, followed.by_size + noise_log
+        cause = replace(followed, noise_log=noise_log, log_evidence=evidence, by_size=by_size)
     spreads = np.exp(start) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
 
 
-def _followed(setting: Setting, cause: Refined, names: Sequence[str]) -> Refined:
-    """The cause with other values of the parameters ``names``, each refined from the last one's path while it gains."""
-    for stride, name in product(STRIDES, names):
+def _followed(setting: Setting, cause: Refined, most: Mapping[str, float]) -> Refined:
+    """The cause with other values of parameters, up to ``most``, each refined from the last path while that gains."""
+    for stride, name in product(STRIDES, most):
         for step in (stride, -stride):
             before = cause
             while True:
-                values = cause.values | {name: cause.noise[name] * np.exp(step)}
+                values = cause.values | {name: min(cause.noise[name] * float(np.exp(step)), most[name])}
                 there = refine(setting, cause.effects, values, cause.path, FIRM, noise_log=cause.noise_log, rounds=3)
                 if there.log_evidence < cause.log_evidence + ONWARD:
                     break

@@ -1,6 +1,7 @@
 """Effects whose parameters are searched: play, and those on the scatter."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,27 +10,44 @@ from pendulum import PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis.findings import finding
 from invdyn.diagnosis.noise import log_spread
+from invdyn.diagnosis.paths import FIRM
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.searched import refine_searched
+from invdyn.diagnosis.searched import _followed, refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
 
-def test_play_is_searched_and_found():
-    """A rod whose load reverses: the width, from a grid that does not have it, and far more than none explains."""
+@cache
+def loose_joint():
+    """A rod whose load reverses, with play of .06 rad: its setting, "no effect", and play."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
     play = EFFECTS["backlash"]("pivot")
     arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
     width = torch.tensor([0.06], dtype=torch.float64)
     recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
     here = setting(recording, body)
-    none = refine(here, (), {}, path_of(here), LOOSE)
-    cause = refine_searched(here, none, play.bound(body))
+    return here, refine(here, (), {}, path_of(here), LOOSE), play.bound(body)
+
+
+def test_a_width_is_followed_to_where_its_evidence_is_largest():
+    here, none, play = loose_joint()
+    name = "backlash.pivot.width"
+    begun, true = (refine(here, (play,), {name: w}, none.path, FIRM, rounds=3) for w in (0.08, 0.06))
+    found = _followed(here, begun, {name: 0.32})
+    assert begun.log_evidence < found.log_evidence - 20
+    assert found.log_evidence > true.log_evidence - 1
+    assert found.noise[name] == pytest.approx(0.06, rel=0.1)
+
+
+def test_play_is_searched_and_found():
+    """The width, from a grid that does not have it, and far more than none explains."""
+    here, none, play = loose_joint()
+    cause = refine_searched(here, none, play)
     assert cause.log_evidence > none.log_evidence + 20
     assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.2)
     assert cause.path.shape[-1] == none.path.shape[-1] + 2
-    assert refine_searched(here, none, play.bound(body), cause.log_evidence + 100) is None
+    assert refine_searched(here, none, play, cause.log_evidence + 100) is None
 
 
 def test_stray_detections_are_counted():
