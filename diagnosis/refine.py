@@ -80,12 +80,12 @@ def refine(
     best: Refined | None = None
     worth = most_seen = -np.inf
 
-    def once(point: np.ndarray, path: Tensor, size: float) -> tuple[Refined, np.ndarray]:
+    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[Refined, np.ndarray]:
         """Path and expansion about ``point``; the cause, and where its parameters would go."""
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
-        if torch.equal(path, before):
+        if (first or model.driven is not None) and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
             tries = SHORTER if model.driven is None else SHORTER // 2
             path = gauss_newton_path(quiet, setting.observations, path, tries, CLOSE)
@@ -119,7 +119,7 @@ def refine(
         nonlocal best, worth, most_seen, step
         for done in range(most):
             try:
-                cause, target = once(point, path, stiffness * size)
+                cause, target = once(point, path, stiffness * size, not done)
             except np.linalg.LinAlgError:
                 if best is None:
                     raise

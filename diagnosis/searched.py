@@ -98,7 +98,7 @@ def _followed(setting: Setting, cause: Refined, most: Mapping[str, float]) -> Re
             before = cause
             while True:
                 values = cause.values | {name: min(cause.noise[name] * float(np.exp(step)), most[name])}
-                there = refine(setting, cause.effects, values, cause.path, FIRM, noise_log=cause.noise_log, rounds=3)
+                there = refine(setting, cause.effects, values, cause.path, FIRM, noise_log=cause.noise_log, rounds=2)
                 if there.log_evidence < cause.log_evidence + ONWARD:
                     break
                 cause = there
