@@ -1,14 +1,19 @@
 """A torque that repeats with the motor's angle: A sin(N θ + φ), the cogging of its poles."""
 
+from collections.abc import Mapping
+
 import torch
 from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import DOUBT, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 PERIODS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 36, 40, 48)
+
+FEWEST = 3.0
+"""Periods a turn."""
 
 
 class TorqueRipple(Effect):
@@ -34,6 +39,10 @@ class TorqueRipple(Effect):
             "phase": (torch.atan2(cosine, sine), "rad"),
             "periods": (values["periods"], "1"),
         }
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """No fewer periods than ``FEWEST``: slower waves are springs and weights, not a motor's build."""
+        return mean["periods"] + DOUBT * sd["periods"] >= FEWEST
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """A sin Nθ + b cos Nθ."""

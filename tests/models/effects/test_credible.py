@@ -53,6 +53,11 @@ def test_stribeck_friction_falls_with_speed(static, expected, arm):
     assert credible(arm, "stribeck_friction", ["joint0"], coulomb=0.2, static=static, velocity=1.0) is expected
 
 
+@pytest.mark.parametrize(("periods", "expected"), [(6.0, True), (3.0, True), (2.0, False), (1.25, False)])
+def test_a_motor_ripples_several_times_a_turn(periods, expected, arm):
+    assert credible(arm, "torque_ripple", ["joint0"], sine=0.1, cosine=0.1, periods=periods) is expected
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_typical_sizes_are_credible(name, arm):
     model = arm(2)
