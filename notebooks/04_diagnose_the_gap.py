@@ -165,11 +165,11 @@ plt.show()
 # %% [markdown]
 # ## Two effects that cannot be told apart
 #
-# Now gravity is tilted by 0.1 rad: the arm stands on a floor that is not level. A camera that is *rolled* by the same
+# Now gravity is tilted by 0.05 rad: the arm stands on a floor that is not level. A camera that is *rolled* by the same
 # angle films the same thing: turn the whole picture, and gravity points elsewhere in it.
 
 # %%
-tilted = diagnose(reality(GravityTilt(), angle=0.1), body)
+tilted = diagnose(reality(GravityTilt(), angle=0.05), body)
 tell(tilted)
 print("cannot be told apart:", *(" / ".join(keys) for keys in tilted.ambiguity_set))
 print(tilted.separating_experiment)
