@@ -1,13 +1,15 @@
 """Relatives of what was found: effects that stand in for it exactly, those that contain it, and those it contains.
 
 A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
-shift. And where joints stick, Gauss–Newton may lose its way to an effect, but not from its relative's parameters and
-path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
+shift; and of effects that change a period alone (:mod:`.period`) it sees how fast they do so, but not how far they
+can. And where joints stick, Gauss–Newton may lose its way to an effect, but not from its relative's parameters and path
+(continuation: Allgower & Georg 1990, "Numerical continuation methods").
 """
 
 import numpy as np
 from torch import Tensor
 
+from invdyn.diagnosis import period
 from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.promising import HOPELESS, attempt
@@ -43,23 +45,33 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
 
 def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
     """Refine a cause with the exact equivalents of one of its effects, unless they have arrived."""
-    single = setting.model.body.num_joints == 1  # whose effect on one joint is that on all
-
-    def is_(effect: Effect, name: str) -> bool:
-        return effect.key == name or (single and effect.name == name)
-
-    for name, other, parameter in TWINS:
-        twin = next((e for e in found.candidates if is_(e, other)), None)
-        if not is_(mine, name) or twin is None or any(is_(e, other) for e in cause.effects):
+    for other, values in _twins(setting, cause, mine).items():
+        twin = next((e for e in found.candidates if _is(setting, e, other)), None)
+        if twin is None or any(_is(setting, e, other) for e in cause.effects):
             continue
         if setting.regime == "unknown_torque" and imitable(twin):
             continue
         there = found.pool.get(_in_place(cause, mine, twin))
         arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
-        if arrived or _followed(found, cause, mine, twin):
-            continue
-        value = {parameter[1]: cause.values[f"{mine.key}.{parameter[0]}"]}
-        _refine(setting, found, cause, mine, twin, value, [cause.path, found.path])
+        if not arrived and not _followed(found, cause, mine, twin):
+            _refine(setting, found, cause, mine, twin, values, [cause.path, found.path])
+
+
+def _is(setting: Setting, effect: Effect, name: str) -> bool:
+    """Whether an effect is that on the whole arm; by name on a single joint, whose effect is that on all."""
+    return effect.key == name or (setting.model.body.num_joints == 1 and effect.name == name)
+
+
+def _twins(setting: Setting, cause: Refined, mine: Effect) -> dict[str, dict[str, float]]:
+    """Parameters with which other effects, by name, are the exact equivalents of one of a cause's."""
+    known = cause.values
+    twins = {other: {its: known[f"{mine.key}.{name}"]} for one, other, (name, its) in TWINS if _is(setting, mine, one)}
+    body = setting.model.scale.body
+    swings = setting.regime == "passive" and setting.model.body.num_joints == 1 and bool(body.gravity.any())
+    if swings and mine.name in period.EFFECTS:
+        own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+        twins |= period.stand_ins(period.factor(mine, own, body), body)
+    return twins
 
 
 def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:

@@ -6,8 +6,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row, or if its parameters
-are such that its effects would not be what they are called (:meth:`Effect.credible`).
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion,
+or if its parameters are such that its effects would not be what they are called (:meth:`Effect.credible`).
 
 With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not surely
 improve the prediction of held-out rows is taken back.
@@ -23,7 +23,7 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import Confirmed, confirm
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.predict import best_size, correlation
+from invdyn.diagnosis.predict import along_motion, best_size, correlation
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -43,6 +43,8 @@ ALIKE, CHANCE = 0.2, 2.0
 """Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
 standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
 catalogue's."""
+ALONG = 0.05
+"""More than half, and what chance may add, of the errors from which on they lie along the motion."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,9 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
         return 0.0
     alike, chance = correlation(bound, cause)
     if alike > ALIKE + CHANCE * chance:
+        return 0.0
+    along, chance = along_motion(bound, cause)
+    if along > 0.5 + ALONG + CHANCE * chance:
         return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)

@@ -7,7 +7,12 @@ from invdyn.diagnosis.blind.alike import stand_ins
 from invdyn.diagnosis.blind.camera import film
 from invdyn.diagnosis.blind.mechanisms import MECHANISMS
 from invdyn.diagnosis.blind.reality import World
+from invdyn.diagnosis.period import factor
+from invdyn.diagnosis.period import stand_ins as stand_ins_of_period
+from invdyn.diagnosis.setting import setting
 from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
 
 pytest.importorskip("mujoco")
 
@@ -81,11 +86,26 @@ def test_inertia_of_the_first_link_is_armature_without_gravity():
     assert np.abs(other - elbow).max() > 1e-3  # at the second one it is not
 
 
-def test_a_clock_is_inertia_on_one_passive_link():
-    arm, rate, time = body(1), 1.1, np.arange(301) / 100
-    more = (0.008 + 0.14**2) * (rate**2 - 1)
-    fast = picture(arm, seen=SEEN / rate, time=time)
-    check(fast, picture(arm, [("armature", 0, {"inertia": more})], qd=[0.3 / rate], time=time))
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("armature", {"inertia": 0.006}), ("payload", {"mass": 0.4}), ("clock_rate", {"rate": 1.1})],
+)
+def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known):
+    arm, time = body(1), np.arange(301) / 100
+    numbers = setting(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale.body
+    effect = next(iter(EFFECTS[name].everywhere(arm, ("p1",)))).bound(arm)
+    sizes = stand_ins_of_period(factor(effect, known, numbers), numbers)
+    assert set(sizes) == {"armature", "payload", "clock_rate", "inertial_error"}
+    pictures = {}
+    for other, values in sizes.items():
+        rate = values.get("rate", 1.0)
+        whole = {"mass": 0.0, "com": 0.0} | values if other == "inertial_error" else values
+        place = None if other == "payload" else 0
+        effects = [] if other == "clock_rate" else [(other, place, whole)]
+        slow = np.sqrt(factor(effect, known, numbers))
+        pictures[other] = picture(arm, effects, qd=[0.3 * rate / slow], seen=SEEN / rate, time=time)
+    for other in pictures.values():
+        check(pictures[name], other)
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,10 @@ from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, _alone
+from invdyn.diagnosis.weigh import ALIKE, _alone, credible
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects import EFFECTS
 
@@ -76,4 +77,22 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     alike, chance = correlation(bound, right)
     assert chance == pytest.approx(1 / np.sqrt(2 * 79))
     assert abs(alike) < 4 * chance
+    assert _alone(bound, pool, right) > 0.9
+
+
+def test_where_errors_lie_along_the_motion_something_is_left():
+    """Mistimed frames look like blur where the catalogue lacks them: wider errors with speed, but in one direction."""
+    truth = EFFECTS["timestamp_jitter"]()
+    bound = setting(recording_of(truth, rows=300, effort=1.0, rate=0.4, sd=0.02), PENDULUM)
+    path, _ = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    pool = Search([], {"": none}, [], path, False)
+    by_name = {
+        name: refine_searched(bound, none, EFFECTS[name]().bound(PENDULUM)) for name in ("varying_noise", truth.name)
+    }
+    wrong, right = by_name["varying_noise"], by_name[truth.name]
+    assert right.log_evidence > wrong.log_evidence
+    assert credible(bound, wrong)
+    assert correlation(bound, wrong)[0] < ALIKE
+    assert _alone(bound, pool, wrong) == 0.0
     assert _alone(bound, pool, right) > 0.9
