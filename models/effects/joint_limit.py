@@ -16,6 +16,7 @@ from invdyn.models.effects.situation import Situation
 SIDES = {"upper": 1.0, "lower": -1.0}
 SHALLOW, POINTS = 0.01, 12
 """Smallest depth, rad, that a joint is supposed to have been pressed into its stop, and how many depths are tried."""
+TINY = 1e-12  # rad, of a joint at rest
 OVERDAMPED = 3.0
 """Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side."""
 
@@ -81,8 +82,11 @@ class JointLimit(Effect):
         return pushes and freest < self.sign * mean["angle"]
 
     def force(self, p: Values, now: Situation) -> Tensor:
-        """∓max(0, k e ± d θ̇) where e > 0."""
+        """∓max(0, k e ± d θ̇) where e > 0; the damper's onset, a jump, spread over the sub-step in which it lies."""
         j = self.place[0]
         depth = self.sign * (now.q[..., j : j + 1] - p["angle"])
-        push = p["stiffness"] * depth + p["damping"] * self.sign * now.qd[..., j : j + 1]
-        return now.at(j, -self.sign * push.clamp_min(0.0) * (depth > 0))
+        speed = self.sign * now.qd[..., j : j + 1]
+        # A mean over a sub-step: its sum over the integrator's stages is exact wherever within it the joint arrives.
+        entered = (0.5 + depth / (speed.abs() * now.step + TINY)).clamp(0.0, 1.0)
+        push = p["stiffness"] * depth.clamp_min(0.0) + p["damping"] * speed * entered
+        return now.at(j, -self.sign * push.clamp_min(0.0))

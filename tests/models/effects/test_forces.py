@@ -53,6 +53,21 @@ def test_a_stop_pushes_and_never_pulls(side, sign, having):
         JointLimit("hinge", "left")
 
 
+def test_a_stops_damper_begins_anywhere_within_a_step(having):
+    """Wherever the joint comes to its stop, speed afterwards is within a two-thousandth of that of steps a fiftieth as
+    long. Were the damper on at stages past the angle and off at those before it, it would be a sixtieth off."""
+    afterwards = {}
+    for parts in (1, 50):
+        model = having(rod(rows=11, substeps=parts), JointLimit("hinge"), stiffness=5.0, damping=0.5, angle=0.6)
+        starts = torch.linspace(0.0, 0.04, 25, dtype=F64)
+        arrived = torch.stack([torch.zeros_like(starts), 0.5 + starts, torch.full_like(starts, 8.0)], -1)
+        for row in range(1, 6):
+            arrived = model.transition_mean(arrived, row)
+        afterwards[parts] = arrived[:, 2]
+    assert (afterwards[50] < 7.0).all()
+    torch.testing.assert_close(afterwards[1], afterwards[50], rtol=0, atol=0.004)
+
+
 @pytest.mark.parametrize(("side", "sign", "farthest"), [("upper", 1.0, 0.7), ("lower", -1.0, -1.3)])
 def test_a_stop_is_looked_for_short_of_the_farthest_angle(side, sign, farthest):
     """And the closer to it the denser: no stop gives way much."""
