@@ -97,7 +97,7 @@ def diagnose(
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
-        weighed = certain(none, weighed.log_evidence)
+        weighed = certain(bound, found, none, weighed.log_evidence)
         shares = held(none)
     best = weighed.best
     report(4, "describe")

@@ -9,8 +9,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion,
 or if its parameters are such that its effects would not be what they are called (:meth:`Effect.credible`).
 
-With unknown torque there is always a torque left, which is the limb's own: s_c = 1; and a cause that does not surely
-improve the prediction of held-out rows is taken back.
+With unknown torque there is always a torque left, which is the limb's own, and it makes errors of any direction: there
+neither counts. And a cause that does not surely improve the prediction of held-out rows is taken back.
 """
 
 from dataclasses import dataclass
@@ -79,13 +79,13 @@ def credible(bound: Setting, cause: Refined) -> bool:
 
 def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
-    if bound.regime == "unknown_torque":
-        return 1.0
     if not credible(bound, cause):
         return 0.0
     alike, chance = correlation(bound, cause)
     if alike > ALIKE + CHANCE * chance:
         return 0.0
+    if bound.regime == "unknown_torque":
+        return 1.0
     along, chance = along_motion(bound, cause)
     if along > 0.5 + ALONG + CHANCE * chance:
         return 0.0
@@ -120,6 +120,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
 
 
-def certain(cause: Refined, log_evidence: dict[str, float]) -> Weighed:
-    """One cause with probability one."""
-    return Weighed({cause.key: (cause, 1.0)}, {cause.key: 0.0}, 0.0, {}, log_evidence)
+def certain(bound: Setting, found: Search, cause: Refined, log_evidence: dict[str, float]) -> Weighed:
+    """The one cause that there is, and what the catalogue lacks beside it."""
+    share = _alone(bound, found, cause)
+    return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

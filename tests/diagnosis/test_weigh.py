@@ -13,7 +13,7 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, _alone, credible
+from invdyn.diagnosis.weigh import ALIKE, _alone, certain, credible
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects import EFFECTS
 
@@ -96,3 +96,15 @@ def test_where_errors_lie_along_the_motion_something_is_left():
     assert correlation(bound, wrong)[0] < ALIKE
     assert _alone(bound, pool, wrong) == 0.0
     assert _alone(bound, pool, right) > 0.9
+
+
+@pytest.mark.parametrize(("longer", "left"), [(1.0, False), (1.1, True)])
+def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(longer, left):
+    """No torque takes the hand to where a link of this length does not reach; the torque itself is nothing left."""
+    recording = replace(recording_of(rows=200), torques=None, joint_names=())
+    bound = setting(recording, PENDULUM.with_values(length=[0.3 * longer]))
+    assert bound.regime == "unknown_torque"
+    none = refine(bound, (), {}, data_path(bound)[0], bound.loose)
+    only = certain(bound, Search([], {"": none}, [], none.path, False), none, {"": none.log_evidence})
+    assert only.outside == (1.0 if left else 0.0)
+    assert only.causes[""][1] == 1.0 - only.outside
