@@ -43,7 +43,7 @@ from invdyn.models.mistakes import Shift, Stray, Swap
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
 
-DOUBT = 4.0
+MARGIN = 4.0
 """Standard deviations by which a parameter may be off where it is asked whether values are credible."""
 
 Values = Mapping[str, Tensor]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import DOUBT, Effect, Parameter, Values
+from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -37,8 +37,11 @@ class JointStiffness(Effect):
         return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest.clamp(-far, far), "rad")}
 
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
-        """A rest angle within a turn; of one that is farther away the spring would show as a constant torque alone."""
-        return abs(mean["torque"]) <= 2 * math.pi * (mean["stiffness"] + DOUBT * sd["stiffness"])
+        """A rest angle within a turn; of one that is farther away the spring would show as a constant torque alone.
+
+        Springs that were found where there were some rested at 2.5 rad at most.
+        """
+        return abs(mean["torque"]) <= 2 * math.pi * (mean["stiffness"] + MARGIN * sd["stiffness"])
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """T₀ − k θ."""

@@ -7,7 +7,7 @@ import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import ABRUPT, DOUBT, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -33,7 +33,7 @@ class StribeckFriction(Effect):
 
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
         """No less friction at rest than in motion."""
-        return mean["static"] + DOUBT * sd["static"] > mean["coulomb"] - DOUBT * sd["coulomb"]
+        return mean["static"] + MARGIN * sd["static"] > mean["coulomb"] - MARGIN * sd["coulomb"]
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """τ_c (1 − e) + τ_s e with e = exp(−(θ̇/ω_s)²)."""

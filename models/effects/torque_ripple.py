@@ -6,14 +6,14 @@ import torch
 from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import DOUBT, Effect, Parameter, Values
+from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 PERIODS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 36, 40, 48)
 
 FEWEST = 3.0
-"""Periods a turn."""
+"""Periods a turn; motors' builds have four or more (``PERIODS``)."""
 
 
 class TorqueRipple(Effect):
@@ -42,7 +42,7 @@ class TorqueRipple(Effect):
 
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
         """No fewer periods than ``FEWEST``: slower waves are springs and weights, not a motor's build."""
-        return mean["periods"] + DOUBT * sd["periods"] >= FEWEST
+        return mean["periods"] + MARGIN * sd["periods"] >= FEWEST
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """A sin Nθ + b cos Nθ."""
