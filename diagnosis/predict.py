@@ -44,49 +44,12 @@ def best_size(setting: Setting, cause: Refined) -> float:
     return float(sizes(setting.regime)[int(cause.by_size.argmax())])
 
 
-def _whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float]) -> Whitened:
+def whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float]) -> Whitened:
+    """Innovations of ``setting``'s rows under a cause along a path (T, D), for each size of the residual."""
     none = Columns(
         np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
     )
     return whiten(setting, filter_of(setting, cause.model, path, np.array(levels)), none)
-
-
-def _errors(setting: Setting, cause: Refined) -> np.ndarray:
-    """Whitened one-step prediction errors (T, O), NaN where nothing was seen."""
-    whitened = _whitened(setting, cause, cause.path, [best_size(setting, cause)])
-    errors = np.full(setting.observations.shape, np.nan)
-    errors[whitened.seen > 0] = whitened.columns[0, :, 0].reshape(-1, errors.shape[-1])
-    errors[np.isnan(setting.observations.numpy())] = np.nan
-    return errors
-
-
-def correlation(setting: Setting, cause: Refined) -> tuple[float, float]:
-    """Of whitened prediction errors of neighbouring rows, all observations together; and its sd under no correlation.
-
-    Near 0 for a right simulation, but for chance: so many pairs n give 1/√n.
-    """
-    errors = _errors(setting, cause)
-    pairs = errors[1:] * errors[:-1]
-    count = int(np.isfinite(pairs).sum())
-    return (float(np.nanmean(pairs) / np.nanmean(errors**2)), count**-0.5) if count else (0.0, 1.0)
-
-
-def along_motion(setting: Setting, cause: Refined) -> tuple[float, float]:
-    """Share of the keypoints' whitened prediction errors that are larger along the motion than across; and its sd.
-
-    A half for noise alike in all directions, whatever its size and distribution; more where rows are mistimed. Of the
-    faster half of all detections: at rest there is no direction. n of them give 1/(2√n).
-    """
-    tips = seen_tips(cause.model, cause.path)
-    errors = _errors(setting, cause)[:, : 2 * tips.shape[1]].reshape(tips.shape)
-    velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
-    speed = np.hypot(*np.moveaxis(velocity, -1, 0))
-    seen = np.isfinite(errors).all(-1)
-    fast = seen & (speed > np.median(speed[seen])) if seen.any() else seen
-    if not fast.any():
-        return 0.5, 0.5
-    (x, y), (u, v) = errors[fast].T, velocity[fast].T
-    return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
 
 
 def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scores:
@@ -96,14 +59,13 @@ def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scor
     """
     path = cause.path if path is None else path
     quietest = SPIKE if setting.regime != "unknown_torque" else best_size(setting, cause)
-    whitened = _whitened(setting, cause, path, [best_size(setting, cause), quietest])
-    seen, kappa = whitened.seen, cause.kappa
+    rows = whitened(setting, cause, path, [best_size(setting, cause), quietest])
+    seen, kappa = rows.seen, cause.kappa
     squares = np.full(len(path), np.nan)
-    rows = whitened.columns[0, :, 0].reshape(-1, setting.observations.shape[-1])
-    squares[seen > 0] = (rows**2).sum(-1)
+    squares[seen > 0] = (rows.columns[0, :, 0].reshape(-1, setting.observations.shape[-1]) ** 2).sum(-1)
     constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
-    score = constant - whitened.row_log_det[0] - 0.5 * squares / kappa**2
-    floor = constant - whitened.row_log_det[1] - 0.5 * seen
+    score = constant - rows.row_log_det[0] - 0.5 * squares / kappa**2
+    floor = constant - rows.row_log_det[1] - 0.5 * seen
     return Scores(score, np.where(seen > 0, floor, np.nan))
 
 

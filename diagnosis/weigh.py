@@ -23,12 +23,13 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import Confirmed, confirm
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.predict import along_motion, best_size, correlation
+from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
+from invdyn.diagnosis.whiteness import along_motion, correlation, prediction_errors
 
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
@@ -81,12 +82,13 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
     if not credible(bound, cause):
         return 0.0
-    alike, chance = correlation(bound, cause)
+    errors = prediction_errors(bound, cause)
+    alike, chance = correlation(errors)
     if alike > ALIKE + CHANCE * chance:
         return 0.0
     if bound.regime == "unknown_torque":
         return 1.0
-    along, chance = along_motion(bound, cause)
+    along, chance = along_motion(errors, cause)
     if along > 0.5 + ALONG + CHANCE * chance:
         return 0.0
     levels = sizes(bound.regime)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from pendulum import DAMPING, at_best, causes
 
-from invdyn.diagnosis.predict import along_motion, replay, replay_rms, residual, scores, seen_tips, smoothed
+from invdyn.diagnosis.predict import replay, replay_rms, residual, scores, smoothed
 
 
 def test_scores_sum_to_the_evidence():
@@ -57,19 +57,3 @@ def test_replay_follows_once_the_cause_is_in():
     assert replay(cause.model, path).shape == (80, 1, 2)
     np.testing.assert_allclose(replay(cause.model, path)[[0, 50]], tips[[0, 50]], atol=1e-9)  # set back every second
     assert replay_rms(tips + 0.3, tips) == pytest.approx(0.3 * np.sqrt(2))
-
-
-def test_noise_lies_along_the_motion_no_more_than_across():
-    """However large, and whether the errors are Gaussian; moved along the motion, they do."""
-    here, _, cause = causes()
-    share, sd = along_motion(here, cause)
-    assert sd == pytest.approx(0.5 / np.sqrt(40))  # the faster half of 80 rows
-    assert abs(share - 0.5) < 3 * sd
-    rng = np.random.default_rng(0)
-    wild = here.observing(here.observations + 0.02 * torch.from_numpy(rng.standard_t(2, size=(80, 2))))
-    assert abs(along_motion(wild, cause)[0] - 0.5) < 3 * sd
-    tips = seen_tips(cause.model, cause.path)[:, 0]
-    late = 0.04 * rng.normal(size=(80, 1)) * np.gradient(tips, 0.02, axis=0)
-    assert along_motion(here.observing(here.observations + torch.from_numpy(late)), cause)[0] > 0.5 + 4 * sd
-    unseen = here.observing(torch.full_like(here.observations, torch.nan))
-    assert along_motion(unseen, cause) == (0.5, 0.5)

@@ -8,13 +8,13 @@ from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.predict import correlation
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
 from invdyn.diagnosis.weigh import ALIKE, _alone, certain, credible
 from invdyn.diagnosis.whiten import sizes
+from invdyn.diagnosis.whiteness import correlation, prediction_errors
 from invdyn.models.effects import EFFECTS
 
 
@@ -72,9 +72,9 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
     pool = Search([], {"": none}, [], path, False)
-    assert correlation(bound, wrong)[0] > max(ALIKE, 0.5)
+    assert correlation(prediction_errors(bound, wrong))[0] > max(ALIKE, 0.5)
     assert _alone(bound, pool, wrong) == 0.0
-    alike, chance = correlation(bound, right)
+    alike, chance = correlation(prediction_errors(bound, right))
     assert chance == pytest.approx(1 / np.sqrt(2 * 79))
     assert abs(alike) < 4 * chance
     assert _alone(bound, pool, right) > 0.9
@@ -93,7 +93,7 @@ def test_where_errors_lie_along_the_motion_something_is_left():
     wrong, right = by_name["varying_noise"], by_name[truth.name]
     assert right.log_evidence > wrong.log_evidence
     assert credible(bound, wrong)
-    assert correlation(bound, wrong)[0] < ALIKE
+    assert correlation(prediction_errors(bound, wrong))[0] < ALIKE
     assert _alone(bound, pool, wrong) == 0.0
     assert _alone(bound, pool, right) > 0.9
 

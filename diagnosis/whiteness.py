@@ -1,0 +1,50 @@
+"""What is left in a cause's errors of prediction: alike from row to row, or along the motion.
+
+Whitened one-step prediction errors w_t of a right simulation are independent, and alike in all directions (whiteness
+tests: Mehra 1970, "On the identification of variances and adaptive Kalman filtering"):
+
+    correlation     Σ w_t w_{t+1} / Σ w_t²                          0 ± 1/√n; towards 1 where the path itself is off
+    along motion    the share of |w · v| > |w × v|, v a velocity    ½ ± 1/(2√n); towards 1 where rows are mistimed
+
+Shapes: T rows, O observations.
+"""
+
+import numpy as np
+
+from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.predict import best_size, seen_tips, whitened
+from invdyn.diagnosis.setting import Setting
+
+
+def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
+    """Whitened one-step prediction errors (T, O), NaN where nothing was seen."""
+    rows = whitened(setting, cause, cause.path, [best_size(setting, cause)])
+    errors = np.full(setting.observations.shape, np.nan)
+    errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
+    errors[np.isnan(setting.observations.numpy())] = np.nan
+    return errors
+
+
+def correlation(errors: np.ndarray) -> tuple[float, float]:
+    """Of the errors (T, O) of neighbouring rows, all observations together; and its sd under no correlation."""
+    pairs = errors[1:] * errors[:-1]
+    count = int(np.isfinite(pairs).sum())
+    return (float(np.nanmean(pairs) / np.nanmean(errors**2)), count**-0.5) if count else (0.0, 1.0)
+
+
+def along_motion(errors: np.ndarray, cause: Refined) -> tuple[float, float]:
+    """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
+
+    Whatever their sizes and distribution. Of the faster half of all detections: at rest there is no direction. The
+    first coordinates of ``errors`` (T, O) are the tracked tips' x and y.
+    """
+    tips = seen_tips(cause.model, cause.path)
+    errors = errors[:, : 2 * tips.shape[1]].reshape(tips.shape)
+    velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
+    speed = np.hypot(*np.moveaxis(velocity, -1, 0))
+    seen = np.isfinite(errors).all(-1)
+    fast = seen & (speed > np.median(speed[seen])) if seen.any() else seen
+    if not fast.any():
+        return 0.5, 0.5
+    (x, y), (u, v) = errors[fast].T, velocity[fast].T
+    return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
