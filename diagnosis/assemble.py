@@ -93,6 +93,7 @@ def assembled(
             model,
             {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
             weighed.in_part.get("", 0.0),
+            bound.regime,
             before,
             bound.typical.numpy(),
             shifts,

@@ -22,7 +22,7 @@ from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.diagnosis.weigh import certain, weigh
+from invdyn.diagnosis.weigh import only, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import InputError, Recording, joined, write_text
@@ -97,7 +97,7 @@ def diagnose(
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
-        weighed = certain(bound, found, none, weighed.log_evidence)
+        weighed = only(bound, found, none, weighed.log_evidence)
         shares = held(none)
     best = weighed.best
     report(4, "describe")

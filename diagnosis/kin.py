@@ -1,9 +1,9 @@
 """Relatives of what was found: effects that stand in for it exactly, those that contain it, and those it contains.
 
 A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
-shift; and of effects that change a period alone (:mod:`.period`) it sees how fast they do so, but not how far they
-can. And where joints stick, Gauss–Newton may lose its way to an effect, but not from its relative's parameters and path
-(continuation: Allgower & Georg 1990, "Numerical continuation methods").
+shift; and of effects that change a period alone (:mod:`.period`) it sees what a little of them does, not that much more
+of a load hardly slows a swing any more. And where joints stick, Gauss–Newton may lose its way to an effect, but not
+from its relative's parameters and path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
 """
 
 import numpy as np
@@ -68,9 +68,9 @@ def _twins(setting: Setting, cause: Refined, mine: Effect) -> dict[str, dict[str
     twins = {other: {its: known[f"{mine.key}.{name}"]} for one, other, (name, its) in TWINS if _is(setting, mine, one)}
     body = setting.model.scale.body
     swings = setting.regime == "passive" and setting.model.body.num_joints == 1 and bool(body.gravity.any())
-    if swings and mine.name in period.EFFECTS:
+    if swings and mine.name in period.NAMES:
         own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
-        twins |= period.stand_ins(period.factor(mine, own, body), body)
+        twins |= period.equivalents(period.factor(mine, own, body), body)
     return twins
 
 

@@ -6,7 +6,8 @@ square of the period by one factor,
 
     ρ = (I'/I) (m c / m'c') (δ/δ')²        δ'/δ of the true time of a step to the stated one
 
-so whichever of them made the recording, each of the others has a size that makes the same one:
+so whichever of them made the recording, each of the others has a size that makes the same one, in the range of periods
+that it can have:
 
     armature          I_a = (ρ − 1) I
     inertial_error    ΔI = (ρ − 1) I
@@ -16,6 +17,7 @@ so whichever of them made the recording, each of the others has a size that make
 Units: kg, m, s.
 """
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -25,30 +27,35 @@ from invdyn.models.body import BodyParameters
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.inertial_error import LEAST
 
-EFFECTS = ("armature", "clock_rate", "inertial_error", "payload")
+NAMES = ("armature", "clock_rate", "inertial_error", "payload")
 
 
 def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) -> float:
-    """ρ of an effect with these parameters, by name, on a body of one link; 1 for one that leaves the period alone."""
+    """ρ of an effect with these parameters, by name, on a body of one link; 1 for one that leaves the period alone.
+
+    Not positive or not finite where the link does not hang, or no longer does.
+    """
     p = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    other, own = effect.body(p, body), effect.inertia(p, 1)
-    inertia = _inertia(other) + (0.0 if own is None else own)
+    changed, own = effect.body(p, body), effect.inertia(p, 1)
+    inertia = _inertia(changed) + (0.0 if own is None else own)
     step = effect.interval(p, torch.ones(1, dtype=torch.float64))
-    return float(inertia / _inertia(body) * _moment(body) / _moment(other) / step**2)
+    return float(inertia / _inertia(body) * _moment(body) / _moment(changed) / step**2)
 
 
-def stand_ins(rho: float, body: BodyParameters) -> dict[str, dict[str, float]]:
-    """Parameters of each of ``EFFECTS``, by name, that have the factor ρ; those left out that cannot have it."""
+def equivalents(rho: float, body: BodyParameters) -> dict[str, dict[str, float]]:
+    """Parameters of each of ``NAMES`` that have the factor ρ; those left out that cannot, all where nothing hangs."""
+    if not 0 < rho < math.inf:
+        return {}
     inertia, moment, length = float(_inertia(body)), float(_moment(body)), float(body.length)
     more = (rho - 1) * inertia
-    lag = length**2 - rho * inertia * length / moment
+    slowing = length**2 - rho * inertia * length / moment
     values = {"clock_rate": {"rate": rho**0.5}}
     if more > (LEAST - 1) * float(body.inertia):
         values["inertial_error"] = {"inertia": more}
     if more > 0:
         values["armature"] = {"inertia": more}
-    if more * lag > 0:
-        values["payload"] = {"mass": more / lag}
+    if more * slowing > 0:
+        values["payload"] = {"mass": more / slowing}
     return values
 
 

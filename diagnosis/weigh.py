@@ -9,8 +9,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion,
 or if its parameters are such that its effects would not be what they are called (:meth:`Effect.credible`).
 
-With unknown torque there is always a torque left, which is the limb's own, and it makes errors of any direction: there
-neither counts. And a cause that does not surely improve the prediction of held-out rows is taken back.
+With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
+there. And a cause that does not surely improve the prediction of held-out rows is taken back.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ ALIKE, CHANCE = 0.2, 2.0
 standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
 catalogue's."""
 ALONG = 0.05
-"""More than half, and what chance may add, of the errors from which on they lie along the motion."""
+"""Share of the errors beyond a half, and beyond chance, from which on they lie along the motion."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,10 @@ def credible(bound: Setting, cause: Refined) -> bool:
 
 
 def _alone(bound: Setting, found: Search, cause: Refined) -> float:
-    """Posterior share of residuals that are nothing, or little beside the one that the simulation needs."""
+    """Posterior share of residuals that are nothing, or little beside the one that the simulation needs.
+
+    0 where errors or parameters speak against the cause, and else 1 with unknown torque.
+    """
     if not credible(bound, cause):
         return 0.0
     errors = prediction_errors(bound, cause)
@@ -122,7 +125,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
 
 
-def certain(bound: Setting, found: Search, cause: Refined, log_evidence: dict[str, float]) -> Weighed:
+def only(bound: Setting, found: Search, cause: Refined, log_evidence: dict[str, float]) -> Weighed:
     """The one cause that there is, and what the catalogue lacks beside it."""
     share = _alone(bound, found, cause)
     return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

@@ -28,6 +28,7 @@ def where(
     model: ArmModel,
     causes: Mapping[str, tuple[Refined, float]],
     outside: float,
+    regime: str,
     residual: np.ndarray,
     typical: np.ndarray,
     shifts: np.ndarray,
@@ -39,7 +40,9 @@ def where(
     Args:
         model: the simulation.
         causes: key → (cause, probability that it is at work, alone or beside something else).
-        outside: probability of a torque that the catalogue lacks and no cause stands in for.
+        outside: probability of what the catalogue lacks and no cause stands in for: a torque, or, where torques are
+            unknown and do what they like, something that the camera sees.
+        regime: the setting's.
         residual: (T, K) residual torque without any cause, N·m.
         typical: (K,) N·m.
         shifts: (P,) rms of what observation effects move each tracked keypoint by, in noise sds.
@@ -53,8 +56,8 @@ def where(
     spread = (
         shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
     )
-    joints, keypoints = outside * everywhere, np.zeros(len(tracked))
-    dynamics, observation = outside, 0.0
+    dynamics, observation = (0.0, outside) if regime == "unknown_torque" else (outside, 0.0)
+    joints, keypoints = dynamics * everywhere, observation * spread
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)

@@ -6,6 +6,8 @@ tests: Mehra 1970, "On the identification of variances and adaptive Kalman filte
     correlation     Σ w_t w_{t+1} / Σ w_t²                          0 ± 1/√n; towards 1 where the path itself is off
     along motion    the share of |w · v| > |w × v|, v a velocity    ½ ± 1/(2√n); towards 1 where rows are mistimed
 
+v is not whitened, which costs power where predictions are uncertain. Noise of unlike width in x and y shows, too.
+
 Shapes: T rows, O observations.
 """
 

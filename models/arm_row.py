@@ -114,7 +114,8 @@ class ArmRow:
         z, q, qd = self.split(state)
         torque = z[..., : self.body.num_joints]
         torque = torque if command is None else torque + command
-        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, self._interval(t)))
+        step = self._interval(t) / self.substeps_taken
+        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, step))
         return self.dynamics.forward(q, qd, torque, body, own)
 
     def acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:

@@ -3,15 +3,16 @@
 An entry is one effect of an answer or of a cause: {"effect": …, "joint" | "link" | "keypoint": …, perhaps "partner",
 "stop", …}. A pair of places is the same in either order; an effect of the whole arm is so wherever it is said to be.
 
-Exact equivalences: for every recording of the one there is a size of the other that makes the same recording. They
-are written down here, once, and nowhere else:
+Exact equivalences: there is a size of the other that makes the same recording, whatever the motion. They are written
+down here, once, and nowhere else:
 
     gravity_tilt      ≡ camera_roll           the base at the origin
     actuator_delay    ≡ camera_latency        all joints alike
     camera_scale      ≡ lens_distortion       one link, the base at the origin: its tip stays on one circle
     armature          ≡ inertial_error        first joint, its link, no gravity: both are its inertia about the joint,
                       ≡ payload, actuator_gain           and with one link those too
-    armature          ≡ payload, inertial_error, clock_rate      passive, one link: all are its period
+    armature          ≡ payload, inertial_error, clock_rate      passive, one link: all are its period, as far
+                                                               as each can change it
 
 (A marker's offset along its link is as exactly the link's length, and one gain of all motors one factor of all masses,
 but neither is an effect of the catalogue.) An effect that is another one's special case is not equivalent to it: the

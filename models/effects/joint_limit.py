@@ -83,11 +83,11 @@ class JointLimit(Effect):
         return pushes and freest < self.sign * mean["angle"]
 
     def force(self, p: Values, now: Situation) -> Tensor:
-        """∓max(0, k e ± d θ̇) where e > 0; the damper's onset, a jump, spread over the sub-step in which it lies."""
+        """∓max(0, k e ± d θ̇) where e > 0; the damper's onset, a jump, spread over a sub-step about it."""
         j = self.place[0]
         depth = self.sign * (now.q[..., j : j + 1] - p["angle"])
         speed = self.sign * now.qd[..., j : j + 1]
-        # A mean over a sub-step: its sum over the integrator's stages is exact wherever within it the joint arrives.
+        # At constant speed its sum over Runge–Kutta's stages is exact wherever within a sub-step the joint arrives.
         entered = (0.5 + depth / (speed.abs() * now.step + TINY)).clamp(0.0, 1.0)
         push = p["stiffness"] * depth.clamp_min(0.0) + p["damping"] * speed * entered
         return now.at(j, -self.sign * push.clamp_min(0.0))

@@ -7,8 +7,7 @@ from invdyn.diagnosis.blind.alike import stand_ins
 from invdyn.diagnosis.blind.camera import film
 from invdyn.diagnosis.blind.mechanisms import MECHANISMS
 from invdyn.diagnosis.blind.reality import World
-from invdyn.diagnosis.period import factor
-from invdyn.diagnosis.period import stand_ins as stand_ins_of_period
+from invdyn.diagnosis.period import equivalents, factor
 from invdyn.diagnosis.setting import setting
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -94,7 +93,8 @@ def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known
     arm, time = body(1), np.arange(301) / 100
     numbers = setting(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale.body
     effect = next(iter(EFFECTS[name].everywhere(arm, ("p1",)))).bound(arm)
-    sizes = stand_ins_of_period(factor(effect, known, numbers), numbers)
+    rho = factor(effect, known, numbers)
+    sizes = equivalents(rho, numbers)
     assert set(sizes) == {"armature", "payload", "clock_rate", "inertial_error"}
     pictures = {}
     for other, values in sizes.items():
@@ -102,8 +102,7 @@ def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known
         whole = {"mass": 0.0, "com": 0.0} | values if other == "inertial_error" else values
         place = None if other == "payload" else 0
         effects = [] if other == "clock_rate" else [(other, place, whole)]
-        slow = np.sqrt(factor(effect, known, numbers))
-        pictures[other] = picture(arm, effects, qd=[0.3 * rate / slow], seen=SEEN / rate, time=time)
+        pictures[other] = picture(arm, effects, qd=[0.3 * rate / np.sqrt(rho)], seen=SEEN / rate, time=time)
     for other in pictures.values():
         check(pictures[name], other)
 

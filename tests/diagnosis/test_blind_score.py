@@ -261,6 +261,8 @@ FLAT = {"gravity": (0, 0)}
         (true("armature", joint="shoulder"), said("payload"), FLAT | ONE, True),
         (true("payload"), said("clock_rate"), ONE | {"regime": "passive"}, True),
         (true("payload"), said("clock_rate"), {"regime": "passive"}, False),
+        (true("payload"), said("armature", joint="shoulder"), ONE | {"regime": "passive"}, True),
+        (true("payload"), said("armature", joint="shoulder"), {"regime": "passive"}, False),
         (true("payload"), said("armature", joint="shoulder"), ONE, False),
         (true("viscous_friction", joint="shoulder"), said("coulomb_friction", joint="shoulder"), ONE, False),
     ],

@@ -16,7 +16,7 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     weigh = room.weigh
 
     def other(bound, found, seed):
-        return room.certain(bound, found, found.pool[""], weigh(bound, found, seed).log_evidence)
+        return room.only(bound, found, found.pool[""], weigh(bound, found, seed).log_evidence)
 
     monkeypatch.setattr(room, "weigh", other)
     named = diagnose(recording, PENDULUM).to_json()

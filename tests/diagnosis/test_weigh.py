@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum import PENDULUM, recording_of
+import torch
+from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
@@ -12,10 +13,12 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, _alone, certain, credible
+from invdyn.diagnosis.weigh import ALIKE, _alone, credible, only, weigh
 from invdyn.diagnosis.whiten import sizes
 from invdyn.diagnosis.whiteness import correlation, prediction_errors
+from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
 
 
 def test_what_is_little_beside_the_gap_is_nothing_left():
@@ -99,12 +102,20 @@ def test_where_errors_lie_along_the_motion_something_is_left():
 
 
 @pytest.mark.parametrize(("longer", "left"), [(1.0, False), (1.1, True)])
-def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(longer, left):
-    """No torque takes the hand to where a link of this length does not reach; the torque itself is nothing left."""
-    recording = replace(recording_of(rows=200), torques=None, joint_names=())
-    bound = setting(recording, PENDULUM.with_values(length=[0.3 * longer]))
+@pytest.mark.parametrize("torque", ["restless", "smooth"])
+def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(torque, longer, left):
+    """No torque takes the tip to where a link of this length does not reach; a torque of any kind is nothing left."""
+    recording = recorded(rows=200)
+    if torque == "smooth":
+        arm = random_arm(PENDULUM, duration=4.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=1)
+        command = 0.6 * torch.sin(5 * arm.time) + 0.4 * torch.sin(11 * arm.time + 1)
+        parameters = arm.parameters
+        arm = ArmModel(PENDULUM, arm.time, arm.emission_model, command=command[:, None], parameters=parameters)
+        recording = record(arm, 1)[0]
+    bound = setting(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
     assert bound.regime == "unknown_torque"
     none = refine(bound, (), {}, data_path(bound)[0], bound.loose)
-    only = certain(bound, Search([], {"": none}, [], none.path, False), none, {"": none.log_evidence})
-    assert only.outside == (1.0 if left else 0.0)
-    assert only.causes[""][1] == 1.0 - only.outside
+    pool = Search([], {"": none}, [], none.path, False)
+    for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
+        assert weighed.outside == pytest.approx(1.0 if left else 0.0)
+        assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)

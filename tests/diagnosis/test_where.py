@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from pendulum import ARM, recording_of
+from pendulum import ARM, causes, recording_of
 
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import setting
-from invdyn.diagnosis.where import MOST_OF, intervals, joints_of
+from invdyn.diagnosis.where import MOST_OF, intervals, joints_of, where
 
 TIME = 0.01 * np.arange(400)
 
@@ -50,3 +50,13 @@ def test_joints_of_effects():
     assert joints["viscous_friction.elbow"] == [1]
     assert joints["joint_coupling.shoulder.elbow"] == [0, 1]
     assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []
+
+
+@pytest.mark.parametrize(("regime", "side"), [("commanded", "dynamics"), ("unknown_torque", "observation")])
+def test_what_the_catalogue_lacks_is_a_torque_or_in_the_picture_where_torques_do_what_they_like(regime, side):
+    here, none, _ = causes()
+    residual, shifts = np.ones((80, 1)), np.zeros(1)
+    found = where(here.model, {"": (none, 1.0)}, 1.0, regime, residual, np.ones(1), shifts, np.ones(80), ())
+    assert found.side[side] == 1.0
+    assert found.joints == {"pivot": 1.0 if side == "dynamics" else 0.0}
+    assert found.keypoints == {"tip": 1.0 if side == "observation" else 0.0}
