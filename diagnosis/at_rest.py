@@ -5,8 +5,15 @@ medians in ``BINS`` bins are compared with a noise that is the same everywhere a
 
     σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
 
-σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does. Points
-whose noise grows are taken to have the same at rest.
+σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
+
+One camera and one network saw all points, and of each alone the noise is known to a twentieth at best, where it grows
+to a third: too little to tell them apart by, and what one is said to have too little of looks like noise that grows.
+Of their differences so much is believed as is worth more than their number (Akaike's criterion as a shrinkage factor):
+
+    log σ_p → m + w (log σ_p − m),    m = Σ (log σ_p / s_p²) / Σ 1/s_p²
+
+    w = max(0, 1 − 2 (P − 1) / Σ (log σ_p − m)²/s_p²)
 
 Shapes: T rows, P points.
 """
@@ -31,6 +38,10 @@ SURELY = 16.0
 """Fall of the squared misfit, in variances, from which on noise is said to grow."""
 OVERLAP = 2.0
 """By which neighbouring differences, which share rows, make a median's variance larger."""
+MEDIAN = 1.36
+"""n times the relative variance of the median of the sizes of n Gaussians."""
+VAGUE = 1 / 3
+"""Standard deviation of the logarithm of a noise at rest that was found by how it grows."""
 
 
 def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -39,10 +50,29 @@ def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
     pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
     rest = np.array([_at_rest(time, pair, usual) for usual, pair in zip(average, pairs, strict=True)])
     grows = rest < average
-    if grows.any():
-        # Each by itself is known to a third; one camera and one network saw them all.
-        rest[grows] = np.minimum(average[grows], np.exp(np.log(rest[grows]).mean()))
-    return rest
+    variance = np.where(grows, VAGUE**2, variance_of_log(np.isfinite(pairs).sum((1, 2))))
+    alike = shrunk(rest, variance)
+    return np.where(grows, np.minimum(average, alike), alike)
+
+
+def variance_of_log(count: np.ndarray) -> np.ndarray:
+    """Variance of the logarithm of a noise's sd that the differences of so many values told."""
+    return OVERLAP * MEDIAN / np.maximum(count, 1)
+
+
+def shrunk(sd: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Noise sds (P,) of sensors of one kind, known with these variances of their logarithms, nearer to one another."""
+    known = sd > 0
+    others = int(known.sum()) - 1
+    if others < 1:
+        return sd
+    log, weight = np.log(sd[known]), 1 / variance[known]
+    mean = np.average(log, weights=weight)
+    apart = float((weight * (log - mean) ** 2).sum())
+    believed = max(0.0, 1 - 2 * others / apart) if apart > 0 else 0.0
+    nearer = sd.copy()
+    nearer[known] = np.exp(mean + believed * (log - mean))
+    return nearer
 
 
 def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
@@ -78,8 +108,7 @@ def _fitted(speed: np.ndarray, size: np.ndarray, growth: Growth) -> tuple[float,
     medians = np.array([np.median(size[each]) for each in bins])
     if not (medians > 0).all() or not v.any():
         return 0.0, 0.0
-    # A normal median of n sizes has a relative variance of 1.36/n.
-    sd = np.sqrt(OVERLAP * 1.36 / np.array([len(each) for each in bins]))
+    sd = np.sqrt(variance_of_log(np.array([len(each) for each in bins])))
     seen, v = np.log(1.4826 * medians), v / v.max()
 
     def misfit(x: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.diagnosis.at_rest import noise_at_rest
+from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
@@ -204,6 +204,7 @@ def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
         sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
     if model.emission_model.num_encoders:
-        sd = torch.as_tensor(jitter(problem.observations[:, points:].numpy()))
-        found["emission.angle_scale"] = sd.clamp_min(1e-5)
+        angles = problem.observations[:, points:].numpy()
+        sd = shrunk(jitter(angles), variance_of_log(np.isfinite(angles).sum(0)))
+        found["emission.angle_scale"] = torch.as_tensor(sd).clamp_min(1e-5)
     return model.replace(**found)
