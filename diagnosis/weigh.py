@@ -10,7 +10,8 @@ A cause explains a part only, s_c = 0, if errors of prediction are still alike f
 or if its parameters are such that its effects would not be what they are called (:meth:`Effect.credible`).
 
 With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
-there. And a cause that does not surely improve the prediction of held-out rows is taken back.
+there, and errors are those under an ample torque. And a cause that does not surely improve the prediction of held-out
+rows is taken back.
 """
 
 from dataclasses import dataclass

@@ -17,10 +17,17 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.setting import Setting
 
+AMPLE = 3.0
+"""Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
+
 
 def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
-    """Whitened one-step prediction errors (T, O), NaN where nothing was seen."""
-    rows = whitened(setting, cause, cause.path, [best_size(setting, cause)])
+    """Whitened one-step prediction errors (T, O), NaN where nothing was seen.
+
+    With unknown torque under an ample one: what is then alike in them, no torque can do.
+    """
+    size = best_size(setting, cause) * (AMPLE if setting.regime == "unknown_torque" else 1.0)
+    rows = whitened(setting, cause, cause.path, [size])
     errors = np.full(setting.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
     errors[np.isnan(setting.observations.numpy())] = np.nan
