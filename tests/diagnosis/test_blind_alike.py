@@ -127,6 +127,12 @@ def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known
             ("inertial_error", 0, {"mass": 0.25, "com": 0.0, "inertia": 0.002}),
             1,
         ),
+        (("camera_scale", None, {"scale": 1.1}), ("keypoint_offset", 0, {"along": 0.03, "across": 0.0}), 1),
+        (
+            ("lens_distortion", None, {"k1": 0.3}),
+            ("keypoint_offset", 0, {"along": 0.3 * 0.3 * 0.3**2, "across": 0.0}),
+            1,
+        ),
     ],
 )
 def test_what_can_play_an_effect_is_struck_with_it(special, general, joints):
