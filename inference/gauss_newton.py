@@ -217,7 +217,9 @@ def _ascend(
         raise ValueError("the starting path has no finite density: check noise scales and units")
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
-        candidate = model.settled(path + torch.as_tensor(mean_step(linear, damping, scale)))
+        with np.errstate(over="ignore", invalid="ignore"):  # a step that is not finite reaches nothing, and is refused
+            step = torch.as_tensor(mean_step(linear, damping, scale))
+        candidate = model.settled(path + step)
         there = linearise(model, candidate, observations)
         reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
         gain = reached - merit
