@@ -190,22 +190,30 @@ def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():
         assert cause.log_evidence > none.log_evidence + 30
 
 
-def test_a_stop_is_found_from_beside_it():
-    """Where steps promise what they do not keep, that would be taken for better than the truth."""
-    body, stop = PENDULUM, EFFECTS["joint_limit"]("pivot", "upper").bound(PENDULUM)
-    arm = random_arm(body, duration=4, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=5)
-    truth = {"angle": -1.2, "stiffness": 10.0, "damping": 0.3}
-    values = {f"{stop.key}.{name}": value for name, value in truth.items()}
+@cache
+def stopped():
+    """A pendulum that runs into a stop, and what is found from the truth."""
+    stop = EFFECTS["joint_limit"]("pivot", "upper").bound(PENDULUM)
+    arm = random_arm(PENDULUM, duration=4, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=5)
+    values = {f"{stop.key}.{n}": v for n, v in {"angle": -1.2, "stiffness": 10.0, "damping": 0.3}.items()}
     real = arm.with_effects(stop).replace(**{f"effect.{k}": torch.tensor([v]).double() for k, v in values.items()})
-    here = setting(record(real, 5)[0], body)
-    path = path_of(here)
-    right = refine(here, (stop,), values, path, FIRM)
-    for off in (-0.08, 0.1):
-        beside = {**values, f"{stop.key}.angle": truth["angle"] + off, f"{stop.key}.stiffness": 20.0}
-        found = refine(here, (stop,), beside, path, FIRM)
-        assert found.complete
-        assert abs(found.log_evidence - right.log_evidence) < 5
-        assert found.mean == pytest.approx(list(truth.values()), rel=0.15)
+    here = setting(record(real, 5)[0], PENDULUM)
+    return here, stop, values, refine(here, (stop,), values, path_of(here), FIRM)
+
+
+LOST = pytest.mark.xfail(strict=True, reason="since the damper's onset is spread over a sub-step it ends at no stop")
+
+
+@pytest.mark.parametrize("off", [pytest.param(-0.1, marks=LOST), -0.08, 0.05, 0.1])
+def test_a_stop_is_found_from_beside_it(off):
+    """From a tenth of a radian off, what steps promise and do not keep would be taken for better than the truth."""
+    here, stop, values, right = stopped()
+    angle = f"{stop.key}.angle"
+    beside = {**values, angle: values[angle] + off, f"{stop.key}.stiffness": 20.0}
+    found = refine(here, (stop,), beside, path_of(here), FIRM)
+    assert found.complete
+    assert abs(found.log_evidence - right.log_evidence) < 5
+    assert found.mean == pytest.approx(list(values.values()), rel=0.15)
 
 
 def test_friction_that_is_not_there_costs_its_prior():
