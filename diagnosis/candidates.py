@@ -65,8 +65,13 @@ class Columns:
     d: np.ndarray
 
 
-def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor) -> tuple[Tensor, Tensor]:
-    """What ``effect`` at each of S parameter sets makes of f and h along ``path`` (T, D): (S, T−1, D), (S, T, O)."""
+def changes(
+    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What ``effect`` at each of S parameter sets makes of f and h along ``path`` (T, D): (S, T−1, D), (S, T, O).
+
+    ``plain`` (T−1, D) is f without it.
+    """
     rows = torch.arange(len(path))
     names = sets[0].keys()
     values = {
@@ -79,8 +84,7 @@ def changes(model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], p
         if with_effect.state_dim > model.state_dim:
             path = driven(with_effect, path, len(sets))
         # What the camera alone makes of it moves no arm.
-        moving = with_effect if effect.moves else model
-        f = gaussian_mean(moving.transition(path[..., :-1, :], rows[1:]))
+        f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)
@@ -155,7 +159,8 @@ def hypotheses(
                 offset,
             )
         )
-    (f, h), (f0, h0) = changes(model, effect, sets, path), plain
+    f0, h0 = plain
+    f, h = changes(model, effect, sets, path, f0)
 
     def column(values: Tensor, plain: Tensor, which: tuple) -> Tensor:
         here, other, step = which

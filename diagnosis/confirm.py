@@ -17,7 +17,6 @@ Shapes: M filters, N particles, T rows, p unknowns.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import arviz as az
 import numpy as np
@@ -28,7 +27,6 @@ from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
@@ -68,18 +66,15 @@ class Confirmed:
     model: ArmModel
 
 
-def confirm(
-    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS, workers: int = 1
-) -> Confirmed:
+def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS) -> Confirmed:
     """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
 
-    Same seed, same result, whatever the number of ``workers``: those that there are begin all runs at once. Where a
-    filter of any run dies, because parameters that may be let the simulation run away, filters at the estimates and
-    under a larger residual give paths, but no evidence (−∞, and NaN as its error).
+    Where a filter of any run dies, because parameters that may be let the simulation run away, filters at the estimates
+    and under a larger residual give paths, but no evidence (−∞, and NaN as its error).
     """
-    parts = [partial(_run, setting, cause, derived(seed, number), filters) for number in range(runs)]
     done: list[tuple[Tensor, FilterResult]] = []
-    for run in side_by_side(parts, workers) if workers > 1 else (part() for part in parts):
+    for number in range(runs):
+        run = _run(setting, cause, derived(seed, number), filters)
         if run is None:
             return _at_estimates(setting, cause, seed, filters)
         done.append(run)

@@ -37,8 +37,18 @@ FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
 
 
-def refine_promising(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened], width: int) -> None:
-    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most."""
+def refine_promising(
+    setting: Setting,
+    found: Search,
+    base: Refined,
+    screened: Sequence[Screened],
+    width: int,
+    besides: Sequence[Callable[[], list[Refined]]] = (),
+) -> None:
+    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
+
+    What else can be found meanwhile, ``besides``, goes side by side with the first of them.
+    """
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
     bare = log_prior_of(base.effects, found.candidates)
@@ -70,7 +80,7 @@ def refine_promising(setting: Setting, found: Search, base: Refined, screened: S
             for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        for causes in side_by_side(parts, found.workers):
+        for causes in side_by_side(parts if first else [*parts, *besides], found.workers):
             for cause in causes:
                 found.add(cause)
 

@@ -182,7 +182,7 @@ def screen(
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
     quick = copy(model)
     # What an effect adds is small: half of the sub-steps tell it as well.
-    quick.substeps = max(1, model.substeps // 2)
+    quick.substeps = (model.substeps + 1) // 2
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened = []

@@ -23,7 +23,7 @@ Everything that was refined stays in the pool, so that what the data cannot tell
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
 
@@ -167,7 +167,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     else:
         screened = best = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
     found.first = found.first or best
-    refine_promising(setting, found, base, best, width)
+    # Where nothing is left to explain they need not wait for what else explains it.
+    meanwhile = _sought(setting, found, base, free, screened) if base.complete else []
+    refine_promising(setting, found, base, best, width, meanwhile)
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         for effect in (e for e in free if e.scan):
@@ -175,23 +177,34 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 break
             if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
+    if not base.complete:
+        for causes in side_by_side(_sought(setting, found, base, free, screened), found.workers):
+            for cause in causes:
+                found.add(cause)
+    return screened
+
+
+def _sought(
+    setting: Setting, found: Search, base: Refined, free: Sequence[Effect], screened: Sequence[Screened]
+) -> list[Callable[[], list[Refined]]]:
+    """Searches of effects whose parameters are searched, beside ``base``, for :func:`side_by_side`."""
     # Where joints stick, too, play takes minutes.
     free_to_slip = len(_others(base)) < 2 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
     play = free_to_slip and not (found.ranked[0].complete and found.ranked[0].effects)
     least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
-    sought = [
-        effect
+    enough = max(found.top - HOPELESS, least)
+
+    def searched(effect: Effect) -> list[Refined]:
+        cause = attempt(refine_searched, setting, base, effect, enough)
+        return [] if cause is None else [cause]
+
+    return [
+        partial(searched, effect)
         for effect in free
         if is_searched(effect)
         and (found.stray or effect.name not in MISTAKES)
         and (play or not isinstance(effect, HiddenHinge))
     ]
-    enough = max(found.top - HOPELESS, least)
-    parts = [partial(attempt, refine_searched, setting, base, effect, enough) for effect in sought]
-    for cause in side_by_side(parts, found.workers):
-        if cause is not None:
-            found.add(cause)
-    return screened
 
 
 def _others(cause: Refined) -> list[Effect]:

@@ -160,7 +160,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         )
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
-    problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque)
+    problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
     usual = calm(problem.observations)
     model = _as_seen(problem, usual, regime)
     if regime == "commanded":

@@ -1,9 +1,9 @@
 """Independent parts of one diagnosis side by side, on the cores that there are.
 
-Each part but the first runs in a copy of this process (fork), which knows all that it needs without being told, and
-sends back its result. Nothing is drawn at random in a part but from seeds of its own, and results come in the parts'
-order: they are the same whatever the number of workers. Where the system has no fork, or has one worker to spend, the
-parts run one after the other.
+This process and copies of it (fork), which know all that they need without being told, take the parts in turn, each the
+next one as soon as it is free; copies send back what they found. Nothing is drawn at random in a part but from seeds of
+its own, and results come in the parts' order: they are the same whatever the number of workers. Where the system has no
+fork, or has one worker to spend, the parts run one after the other.
 """
 
 import multiprocessing
@@ -11,60 +11,84 @@ import pickle
 import sys
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkContext
+from multiprocessing.sharedctypes import Synchronized
 from typing import TypeVar
 
 import torch
 
 T = TypeVar("T")
 
+Answers = dict[int, tuple[bool, object]]
+"""By the number of a part: whether it was done, and its result, or what it raised."""
+
 
 def side_by_side(parts: Sequence[Callable[[], T]], workers: int) -> list[T]:
-    """Results of ``parts``, ``workers`` of them at a time.
+    """Results of ``parts``, ``workers`` of them at a time; the first one is this process's.
 
     Raises what the first of them that fails raises; RuntimeError where a process ends without a word.
     """
-    if workers < 2 or not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
+    here = workers < 2 or len(parts) < 2 or not sys.platform.startswith("linux")
+    if here or multiprocessing.current_process().daemon:
         return [part() for part in parts]
-    results: list[T] = []
-    for first in range(0, len(parts), workers):
-        mine, *others = parts[first : first + workers]
-        children = [_begun(part) for part in others]
-        try:
-            results += [mine(), *(_result(child, inbox) for child, inbox in children)]
-        finally:
-            for child, inbox in children:
-                child.kill()
-                child.join()
-                inbox.close()
-    return results
-
-
-def _begun(part: Callable[[], T]) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     context = multiprocessing.get_context("fork")
+    turn = context.Value("i", 1)
+    children = [_begun(context, parts, turn) for _ in range(min(workers, len(parts)) - 1)]
+    try:
+        answers = _worked(parts, turn, 0)
+        for child, inbox in children:
+            answers |= _received(child, inbox)
+    finally:
+        for child, inbox in children:
+            child.kill()
+            child.join()
+            inbox.close()
+    for _, (done, answer) in sorted(answers.items()):
+        if not done:
+            raise answer
+    return [answers[place][1] for place in range(len(parts))]
+
+
+def _worked(parts: Sequence[Callable[[], T]], turn: Synchronized, place: int) -> Answers:
+    """Answers of part ``place`` and of those whose ``turn`` it is next, until there are no more or one has failed."""
+    answers: Answers = {}
+    while place < len(parts):
+        try:
+            answers[place] = True, parts[place]()
+        except Exception as error:
+            answers[place] = False, error
+            turn.value = len(parts)
+        place = _next(turn)
+    return answers
+
+
+def _next(turn: Synchronized) -> int:
+    with turn.get_lock():
+        place = turn.value
+        turn.value += 1
+    return place
+
+
+def _begun(
+    context: ForkContext, parts: Sequence[Callable[[], T]], turn: Synchronized
+) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)
-    child = context.Process(target=_work, args=(part, outbox), daemon=True)
+    child = context.Process(target=_work, args=(parts, turn, outbox), daemon=True)
     child.start()
     outbox.close()
     return child, inbox
 
 
-def _work(part: Callable[[], T], outbox: Connection) -> None:
+def _work(parts: Sequence[Callable[[], T]], turn: Synchronized, outbox: Connection) -> None:
     torch.set_num_threads(1)  # the parent's threads are not in the copy
-    try:
-        answer = True, part()
-    except Exception as error:
-        answer = False, error
     # By pickle itself: torch's way with pipes would share tensors' memory through files.
-    outbox.send_bytes(pickle.dumps(answer))
+    outbox.send_bytes(pickle.dumps(_worked(parts, turn, _next(turn))))
     outbox.close()
 
 
-def _result(child: multiprocessing.process.BaseProcess, inbox: Connection) -> T:
+def _received(child: multiprocessing.process.BaseProcess, inbox: Connection) -> Answers:
     try:
-        done, answer = pickle.loads(inbox.recv_bytes())
+        return pickle.loads(inbox.recv_bytes())
     except EOFError:
         child.join()
         raise RuntimeError(f"a process of the diagnosis ended with code {child.exitcode}: too little memory?") from None
-    if not done:
-        raise answer
-    return answer

@@ -108,8 +108,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     """Confirm the best by SMC, and turn scores into probabilities."""
     ranked = found.ranked
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
-    spare = found.workers if len(close) == 1 else 1
-    runs = side_by_side([partial(confirm, bound, c, seed, workers=spare) for c in close], found.workers)
+    runs = side_by_side([partial(confirm, bound, c, seed) for c in close], found.workers)
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a

@@ -22,7 +22,7 @@ from invdyn.models.arm_start import link_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
-MAX_SUBSTEPS = 64
+SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 ORDERS = (3, 4, 5)
 """Of the differences that noise is estimated from."""
 
@@ -213,7 +213,7 @@ def differences(column: np.ndarray) -> np.ndarray:
 
 
 def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:
-    """Smallest power of two of sub-steps whose error stays under ``share`` of what can be noticed.
+    """Smallest of ``SUBSTEPS`` whose error stays under ``share`` of what can be noticed; the last one, if none does.
 
     The error is the difference to twice as many sub-steps, over one row, along the smoothed
     inverse kinematics. What can be noticed: an angle of "noise.angle" plus a tenth of the observation
@@ -226,16 +226,19 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     rows = torch.arange(1, model.num_steps)
     joints = model.body.num_joints
     limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
-    substeps = 1
+    ends: dict[int, Tensor] = {}
+
+    def angles(count: int) -> Tensor:
+        """At the ends of all rows, in so many sub-steps."""
+        if count not in ends:
+            model.substeps = count
+            ends[count] = model.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
+        return ends[count]
+
     with torch.no_grad():
-        while substeps < MAX_SUBSTEPS:
-            ends = []
-            for count in (substeps, 2 * substeps):
-                model.substeps = count
-                ends.append(model.transition_mean(path[:-1], rows)[:, -2 * joints : -joints])
-            error = (ends[0] - ends[1]).abs()
+        for substeps in SUBSTEPS:
+            error = (angles(substeps) - angles(2 * substeps)).abs()
             # A few frames of wild inverse kinematics must not decide.
             if bool((torch.quantile(error, 0.99, dim=0) <= share * limit).all()):
                 break
-            substeps *= 2
     return substeps

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
-from invdyn.models.euler_lagrange import ARGUMENTS, torch_functions
+from invdyn.models.euler_lagrange import ARGUMENTS, MOVING, torch_functions
 from invdyn.models.planar import Dynamics
 from invdyn.models.recursive import RecursiveDynamics
 from invdyn.models.shapes import common
@@ -50,6 +50,7 @@ class SymbolicDynamics(Dynamics):
                 "RecursiveDynamics takes any number"
             )
         self.num_joints = num_joints
+        self._known: dict[str, tuple[BodyParameters, list]] = {}
 
     def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K)."""
@@ -110,24 +111,35 @@ class SymbolicDynamics(Dynamics):
         self._check(q=q)
         return _stack(self._full_shape("keypoints", p, phi=q)).unflatten(-1, (self.num_joints, 2))
 
-    def _evaluate(self, name: str, p: BodyParameters, **joint: Tensor) -> tuple[list, list]:
-        """Outputs of a generated function, and its arguments; `phi` and `w` are given as q and qd."""
-        arguments = [
-            list(accumulate(joint[word].unbind(-1))) if word in joint else getattr(p, word).unbind(-1)
-            for word in ARGUMENTS[name]
-        ]
-        return _functions(self.num_joints)[name](*arguments), arguments
+    def _evaluate(self, name: str, p: BodyParameters, **joint: Tensor) -> list:
+        """Outputs of a generated expression; `phi` and `w` are given as q and qd."""
+        moving = [list(accumulate(joint[word].unbind(-1))) for word in ARGUMENTS[name] if word in MOVING]
+        return _functions(self.num_joints)[name].values(*moving, self._numbers(name, p))
+
+    def _numbers(self, name: str, p: BodyParameters) -> list:
+        """The body's own coefficients, once for as long as the same body is asked about: for all stages of a row.
+
+        Not if they are learned: each backward pass needs them anew.
+        """
+        body, numbers = self._known.get(name, (None, []))
+        if body is not p:
+            given = (getattr(p, word).unbind(-1) for word in ARGUMENTS[name] if word not in MOVING)
+            numbers = _functions(self.num_joints)[name].numbers(*given)
+            if not any(value.requires_grad for value in p):
+                self._known[name] = p, numbers
+        return numbers
 
     def _full_shape(self, name: str, p: BodyParameters, **joint: Tensor) -> list[Tensor]:
         """Outputs in the shape of the whole batch, those too that depend on the body alone or on nothing."""
-        outputs, arguments = self._evaluate(name, p, **joint)
-        shape = common(*(argument[0].shape for argument in arguments))
-        like = arguments[0][0]
+        body = [getattr(p, word) for word in ARGUMENTS[name] if word not in MOVING]
+        shape = common(*(value.shape[:-1] for value in (*joint.values(), *body)))
+        like = joint["phi"]
+        outputs = self._evaluate(name, p, **joint)
         return [x.expand(shape) if isinstance(x, Tensor) else like.new_full(shape, x) for x in outputs]
 
     def _system(self, q: Tensor, qd: Tensor, p: BodyParameters) -> tuple[list[list[Tensor]], list[Tensor]]:
         """M as K rows of K, and b + G as K entries, each no larger than what it depends on."""
-        outputs, _ = self._evaluate("system", p, phi=q, w=qd)
+        outputs = self._evaluate("system", p, phi=q, w=qd)
         return self._matrix(outputs[: -self.num_joints]), outputs[-self.num_joints :]
 
     def _matrix(self, upper: Sequence[Tensor]) -> list[list[Tensor]]:

@@ -23,9 +23,9 @@ import torch
 
 from invdyn.models.whole_file import write_whole
 
-DERIVATION = 1  # raise it whenever this file's output changes, so that old cache files are left alone
+DERIVATION = 2  # raise it whenever this file's output changes, so that old cache files are left alone
 
-# What each generated function reads, in this order; `_symbols` has the scalars behind each word.
+# What each generated expression reads, in this order; `_symbols` has the scalars behind each word.
 ARGUMENTS = {
     "inertia": ("phi", "length", "mass", "com", "inertia"),
     "coriolis": ("phi", "w", "length", "mass", "com"),
@@ -35,6 +35,18 @@ ARGUMENTS = {
     "potential_energy": ("phi", "length", "mass", "com", "gravity", "base"),
     "keypoints": ("phi", "length", "base"),
 }
+MOVING = ("phi", "w")
+
+
+@dataclass(frozen=True)
+class Generated:
+    """An expression of `ARGUMENTS` in two functions, from lists of scalar tensors to a list of them.
+
+    `numbers` takes the words of the body and gives its coefficients, `values` the words of `MOVING`, then those.
+    """
+
+    numbers: Callable[..., list]
+    values: Callable[..., list]
 
 
 @dataclass(frozen=True)
@@ -100,8 +112,8 @@ def derive(num_joints: int) -> Equations:
     )
 
 
-def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dict[str, Callable]:
-    """Return {name of `ARGUMENTS`: function}, each from lists of scalar tensors to a list of scalar outputs.
+def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dict[str, Generated]:
+    """Return {name of `ARGUMENTS`: the functions of that expression}.
 
     M is given as its upper triangle, row by row; "system" returns that and then b + G. An output is a plain
     number where nothing depends on the arguments. `cache_dir` defaults to the user's cache folder.
@@ -116,8 +128,8 @@ def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dic
     return functions
 
 
-def generate(num_joints: int) -> dict[str, str]:
-    """Derive the chain and return the Python source of every function in `ARGUMENTS`, by name."""
+def generate(num_joints: int) -> dict[str, dict[str, str]]:
+    """Derive the chain and return the Python source of the functions of every name in `ARGUMENTS`."""
     import sympy as sp
 
     eq = derive(num_joints)
@@ -133,11 +145,20 @@ def generate(num_joints: int) -> dict[str, str]:
     }
     sources = {}
     for name, words in ARGUMENTS.items():
-        arguments = [eq.symbols[word] for word in words]
-        # a flat list of scalars: a Matrix would become torch.tensor([[…]]), which drops gradients
-        function = sp.lambdify(arguments, outputs[name], modules="torch", cse=lambda e: _share(e, eq.symbols))
-        sources[name] = inspect.getsource(function)
+        body, numbers, steps, results = _share(outputs[name], eq.symbols)
+        moving, still = ([eq.symbols[word] for word in words if (word in MOVING) == moves] for moves in (True, False))
+        sources[name] = {
+            "numbers": _source(still, body, list(numbers.values())),
+            "values": _source([*moving, list(numbers)], steps, results),
+        }
     return sources
+
+
+def _source(arguments: list, steps: list, results: list) -> str:
+    import sympy as sp
+
+    # a flat list of scalars: a Matrix would become torch.tensor([[…]]), which drops gradients
+    return inspect.getsource(sp.lambdify(arguments, results, modules="torch", cse=lambda _: (steps, results)))
 
 
 def _symbols(K: int) -> dict[str, list]:
@@ -148,12 +169,12 @@ def _symbols(K: int) -> dict[str, list]:
     return symbols | {word: list(sp.symbols(f"{word}_x {word}_y", real=True)) for word in ("gravity", "base")}
 
 
-def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, list]:
-    """Common subexpressions, in the form of `sympy.cse`, such that a large batch costs few operations.
+def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, dict, list, list]:
+    """Common subexpressions, such that a large batch costs few operations: of the body's numbers, and of the rest.
 
-    The body's numbers are worked out first, on their own: they are one for each parameter set, the state one
-    for each particle. Where cos and sin of φ are there anyway, those of φᵢ−φⱼ are built from them, since
-    products are cheaper than cosines.
+    Steps to the numbers; what each number is called, and what it is; steps from there on; results. The body's numbers
+    are worked out on their own: they are one for each parameter set, the state one for each particle and row. Where cos
+    and sin of φ are there anyway, those of φᵢ−φⱼ are built from them, since products are cheaper than cosines.
     """
     import sympy as sp
 
@@ -163,7 +184,7 @@ def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, list]:
         sign = -1 if coefficient.could_extract_minus_sign() else 1
         coefficient = sp.factor(sign * coefficient)
         number, coefficient = coefficient.as_coeff_Mul()
-        if coefficient.is_number or coefficient.is_Symbol:
+        if coefficient.is_number:
             return sign * number * coefficient
         return sign * number * names.setdefault(coefficient, sp.Symbol(f"p{len(names)}"))
 
@@ -180,23 +201,24 @@ def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, list]:
         arranged.append(total)
     body, numbers = sp.cse(list(names), symbols=sp.numbered_symbols("k"))
     steps, results = sp.cse(arranged, symbols=sp.numbered_symbols("x"))
-    return [*body, *zip(names.values(), numbers, strict=True), *steps], results
+    return body, dict(zip(names.values(), numbers, strict=True)), steps, results
 
 
-def _compile(sources: dict[str, str]) -> dict[str, Callable]:
-    functions = {}
-    for name in ARGUMENTS:
-        namespace = {"cos": torch.cos, "sin": torch.sin, "torch": torch}
-        exec(sources[name], namespace)
-        functions[name] = namespace["_lambdifygenerated"]
-    return functions
+def _compile(sources: dict[str, dict[str, str]]) -> dict[str, Generated]:
+    return {name: Generated(*(_function(sources[name][part]) for part in ("numbers", "values"))) for name in ARGUMENTS}
 
 
-def _digest(sources: dict[str, str]) -> str:
+def _function(source: str) -> Callable[..., list]:
+    namespace = {"cos": torch.cos, "sin": torch.sin, "torch": torch}
+    exec(source, namespace)
+    return namespace["_lambdifygenerated"]
+
+
+def _digest(sources: dict[str, dict[str, str]]) -> str:
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 
-def _read_cache(path: Path) -> dict[str, Callable] | None:
+def _read_cache(path: Path) -> dict[str, Generated] | None:
     try:
         cached = json.loads(path.read_text(encoding="utf-8"))
         return _compile(cached["sources"]) if cached["sha256"] == _digest(cached["sources"]) else None
@@ -204,7 +226,7 @@ def _read_cache(path: Path) -> dict[str, Callable] | None:
         return None  # absent or broken: derive again
 
 
-def _write_cache(path: Path, sources: dict[str, str]) -> None:
+def _write_cache(path: Path, sources: dict[str, dict[str, str]]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps({"sha256": _digest(sources), "sources": sources}))

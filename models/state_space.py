@@ -79,17 +79,19 @@ class StateSpaceModel(ABC):
     def settled(self, path: Tensor) -> Tensor:
         """The path (..., T, D) with its ``driven`` states as the others make them; itself where there are none.
 
-        All rows at once are sent one row on, again and again, until nothing changes: what is driven forgets what was
-        ``SETTLING`` rows before.
+        All rows at once are sent one row on, then those again that come after one that was changed, until nothing is:
+        what is driven forgets what was ``SETTLING`` rows before.
         """
         if self.driven is None:
             return path
         path, rows = path.clone(), torch.arange(1, path.shape[-2])
         for _ in range(SETTLING):
-            moved = gaussian_mean(self.transition(path[..., :-1, :], rows))[..., self.driven]
-            done = torch.allclose(moved, path[..., 1:, self.driven], rtol=0.0, atol=1e-12)
-            path[..., 1:, self.driven] = moved
-            if done:
+            moved = gaussian_mean(self.transition(path[..., rows - 1, :], rows))[..., self.driven]
+            off = (moved - path[..., rows, self.driven]).abs().movedim(-2, 0).flatten(1).amax(1)
+            path[..., rows, self.driven] = moved
+            rows = rows[~(off <= 1e-12)] + 1  # NaN, too, is a change
+            rows = rows[rows < path.shape[-2]]
+            if not len(rows):
                 break
         return path
 

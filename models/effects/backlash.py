@@ -87,6 +87,7 @@ class Backlash(HiddenHinge):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
         j, links, whole = self.place[0], self.chain(p, body), dynamics_for(q.shape[-1] + 1)
+        weightless = links._replace(gravity=torch.zeros_like(links.gravity))
         half = p["width"] / 2
         parts = substeps_for(dt, SHORTEST, n)
         none = half <= 0
@@ -107,28 +108,31 @@ class Backlash(HiddenHinge):
                 return tight
         for i in range(parts):
 
-            def within(acceleration, i=i):
-                return lambda x, v, s: acceleration(x, v, (i + s) / parts)
-
             psi = torch.maximum(torch.minimum(psi, half), -half)
             # what the stop would have to give for the gap to stay as it is
             qdd = held(q, qd, i / parts)
+
+            def rigidly(x, v, s, i=i, begun=qdd):
+                return held(x, v, (i + s) / parts) if s else begun
+
+            def freely(x, v, s, i=i):
+                return free(x, v, (i + s) / parts)
+
             still = torch.zeros_like(qdd[..., :1])
             rigid_motion = [self.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
             needed = whole.inverse(*rigid_motion, links) - pull(*rigid_motion[:2], i / parts)
             push = needed[..., j + 1, None]
             pushes = ((psi <= -half) & (rate <= 0) & (push > 0)) | ((psi >= half) & (rate >= 0) & (push < 0))
-            q_held, qd_held = rk4(within(held), q, qd, dt / parts)
+            q_held, qd_held = rk4(rigidly, q, qd, dt / parts)
 
-            angles, rates = rk4(within(free), self.spread(q, psi), self.spread(qd, rate), dt / parts)
+            angles, rates = rk4(freely, self.spread(q, psi), self.spread(qd, rate), dt / parts)
             q_free, gap = self.gathered(angles)
             speed = rates[..., j + 1, None]
             struck = ((gap > half) & (speed > 0)) | ((gap < -half) & (speed < 0))
             unit = torch.zeros_like(rates)
             unit[..., j + 1] = 1.0
             own = self.on_joints(net(q_free, qd, (i + 1) / parts)[1])
-            rest = whole.forward(angles, torch.zeros_like(rates), torch.zeros_like(rates), links, own)
-            answer = whole.forward(angles, torch.zeros_like(rates), unit, links, own) - rest
+            answer = whole.forward(angles, torch.zeros_like(rates), unit, weightless, own)
             answer = answer / answer[..., j + 1, None]
             # The impact was earlier than the sub-step's end, by as long as the gap takes for what it is too wide.
             over = gap - torch.maximum(torch.minimum(gap, half), -half)

@@ -34,15 +34,13 @@ def test_smc_agrees_with_the_linearised_evidence():
 
 @pytest.mark.parametrize(("clear", "filters"), [(np.inf, 4), (0.0, 8)])
 def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, filters):
-    """All of them weigh together, whether they ran one after the other or at once."""
+    """All of them weigh together."""
     here, _, cause = causes()
     monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", clear)
-    alone, beside = (confirm(here, cause, 3, filters=4, workers=workers) for workers in (1, 2))
-    assert alone.result.log_evidence.shape == (filters,)
-    assert alone.result.states.shape[1] == len(alone.values) == filters
-    assert len(set(alone.result.log_evidence.tolist())) == filters
-    np.testing.assert_array_equal(alone.result.log_evidence, beside.result.log_evidence)
-    assert alone.log_evidence == beside.log_evidence
+    confirmed = confirm(here, cause, 3, filters=4)
+    assert confirmed.result.log_evidence.shape == (filters,)
+    assert confirmed.result.states.shape[1] == len(confirmed.values) == filters
+    assert len(set(confirmed.result.log_evidence.tolist())) == filters
 
 
 def test_where_filters_die_there_are_paths_and_no_evidence():

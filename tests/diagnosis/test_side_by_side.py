@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from functools import partial
 
 import pytest
@@ -25,11 +26,21 @@ def test_results_come_in_order(workers):
     assert side_by_side([], workers) == []
 
 
+def slow_pid():
+    time.sleep(0.5)
+    return os.getpid()
+
+
 def test_each_but_the_first_runs_elsewhere():
-    here, *others = side_by_side([os.getpid] * 3, 3)
+    here, *others = side_by_side([slow_pid] * 3, 3)
     assert here == os.getpid()
     assert len({here, *others}) == 3
-    assert side_by_side([os.getpid] * 3, 1) == [here] * 3
+    assert side_by_side([slow_pid] * 3, 1) == [here] * 3
+
+
+def test_who_is_free_takes_the_next_part():
+    here, *others = side_by_side([slow_pid, *[os.getpid] * 6], 2)
+    assert here not in others
 
 
 @WORKERS
@@ -43,7 +54,7 @@ def test_what_a_part_raises_is_raised(workers):
 
 def test_a_process_that_dies_is_one_line():
     with pytest.raises(RuntimeError, match="ended with code 9: too little memory"):
-        side_by_side([os.getpid, partial(os._exit, 9)], 2)
+        side_by_side([slow_pid, partial(os._exit, 9)], 2)
 
 
 def test_a_diagnosis_is_the_same_whatever_the_number_of_workers():

@@ -149,16 +149,33 @@ def test_a_whole_step_that_is_hardly_a_difference_ends_the_search(monkeypatch):
     _, y = model.simulate()
     best = gauss_newton(model, y).path
     away = best + torch.tensor([0.0, 0.0, 2.0, -2.0, 0.0, 0.0], dtype=F64)
-    room, looked = sys.modules[gauss_newton.__module__], []
-    plain = room.linearise
-    monkeypatch.setattr(room, "linearise", lambda *given: looked.append(1) or plain(*given))
-    assert torch.equal(gauss_newton_path(model, y, away, 1, 1e-6), away)  # a whole step is a loss from there
-    looked.clear()
-    assert torch.equal(gauss_newton_path(model, y, away, 10, 1e9), away)
-    assert len(looked) == 2  # where it began, and one step on
-    looked.clear()
-    assert not torch.equal(gauss_newton_path(model, y, away, 10, 1e-6), away)
-    assert len(looked) == 11
+    room, looked = sys.modules[gauss_newton.__module__], {"deviations": 0, "linearise": 0}
+
+    def counted(name):
+        plain = getattr(room, name)
+
+        def look(*given):
+            looked[name] += 1
+            return plain(*given)
+
+        monkeypatch.setattr(room, name, look)
+
+    def steps_from(away, *given):
+        """The path, how many steps were tried, and how often slopes were asked for."""
+        looked.update(deviations=0, linearise=0)
+        path = gauss_newton_path(model, y, away, *given)
+        return path, looked["deviations"] - 1, looked["linearise"]
+
+    for name in looked:
+        counted(name)
+    assert torch.equal(steps_from(away, 1, 1e-6)[0], away)  # a whole step is a loss from there
+    path, steps, slopes = steps_from(away, 10, 1e9)
+    assert torch.equal(path, away)
+    assert (steps, slopes) == (1, 1)
+    path, steps, slopes = steps_from(away, 10, 1e-6)
+    assert not torch.equal(path, away)
+    assert steps == 10
+    assert slopes < 10  # none for steps that were refused
 
 
 def test_ten_thousand_rows():

@@ -426,7 +426,8 @@ def evaluate(functions):
     values = {"phi": q, "w": qd, **p._asdict()}
     total = 0.0
     for name, words in euler_lagrange.ARGUMENTS.items():
-        total += sum(float(x) for x in functions[name](*(values[word].unbind(-1) for word in words)))
+        moving, body = ([values[w].unbind(-1) for w in words if (w in euler_lagrange.MOVING) == m] for m in (True, False))
+        total += sum(float(x) for x in functions[name].values(*moving, functions[name].numbers(*body)))
     return total
 
 
