@@ -21,6 +21,9 @@ from invdyn.models.effects.situation import Situation
 from invdyn.models.integrators import INTEGRATORS
 from invdyn.models.shapes import join
 
+Clock = tuple[Tensor, Tensor]
+"""A row's time, and that since the first one, s, (..., 1)."""
+
 
 class ArmRow:
     """One row of :class:`.ArmModel`, which has the body, torque, effects, command, clocks and parameters used here."""
@@ -32,14 +35,14 @@ class ArmRow:
         parts = self.substeps_taken
         z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
         z_next = self.torque.mean(z, dt, self.parameters)
-        joints = self.body.num_joints
+        joints, clock, interval = self.body.num_joints, self._clock(t - 1), self._interval(t)
         start, change = z[..., :joints], (z_next - z)[..., :joints]
         if self.command is not None:
             mean, slope = (row.to(state) for row in self.motors.row(t))
             start, change = start + mean - slope / 2, change + slope
 
         def smooth(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None, Situation | None]:
-            return self._smooth(q, qd, start + s * change if s else start, body, t - 1, s, dt / parts)
+            return self._smooth(q, qd, start + s * change if s else start, body, clock, s * interval, dt / parts)
 
         if self.effects.hinge:
             p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
@@ -53,7 +56,7 @@ class ArmRow:
                 if not self.effects.pulls:
                     return 0.0
                 (q, _), (qd, _) = hinge.gathered(angles), hinge.gathered(rates)
-                here = self._now(q, qd, start, body, t - 1, s, dt / parts)
+                here = self._now(q, qd, start, body, clock, s * interval, dt / parts)
                 bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
                 rigid = self.effects.pull(self.parameters, here)
                 return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
@@ -81,27 +84,44 @@ class ArmRow:
         return join(z_next, q, qd)
 
     def _smooth(
-        self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
+        self,
+        q: Tensor,
+        qd: Tensor,
+        motor: Tensor,
+        body: BodyParameters,
+        clock: Clock,
+        passed: Tensor | float,
+        step: Tensor,
     ) -> tuple[Tensor, Tensor | None, Situation | None]:
         """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
 
-        A part ``s`` of a row after row ``t``.
+        So many seconds ``passed`` after the row whose ``clock`` it is.
         """
         if not self.effects:
             return motor, None, None
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
             return motor, own, None
-        now = self._now(q, qd, motor, body, t, s, step)
+        now = self._now(q, qd, motor, body, clock, passed, step)
         return motor + self.effects.force(self.parameters, now), own, now
 
     def _now(
-        self, q: Tensor, qd: Tensor, motor: Tensor, body: BodyParameters, t: int | Tensor, s: float, step: Tensor
+        self,
+        q: Tensor,
+        qd: Tensor,
+        motor: Tensor,
+        body: BodyParameters,
+        clock: Clock,
+        passed: Tensor | float,
+        step: Tensor,
     ) -> Situation:
-        """The moment a part ``s`` of a row after row ``t``."""
-        passed = s * self._interval(t + 1) if s else 0.0
-        time, elapsed = (clock[t].to(q).unsqueeze(-1) + passed for clock in (self.time, self._elapsed))
+        """The moment so many seconds ``passed`` after the row whose ``clock`` it is."""
+        time, elapsed = (reading + passed for reading in clock)
         return Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
+
+    def _clock(self, t: int | Tensor) -> Clock:
+        time, elapsed = (clock[t].to(self.dtype).unsqueeze(-1) for clock in (self.time, self._elapsed))
+        return time, elapsed
 
     def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
@@ -115,7 +135,7 @@ class ArmRow:
         torque = z[..., : self.body.num_joints]
         torque = torque if command is None else torque + command
         step = self._interval(t) / self.substeps_taken
-        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, t, 0.0, step))
+        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, self._clock(t), 0.0, step))
         return self.dynamics.forward(q, qd, torque, body, own)
 
     def acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:

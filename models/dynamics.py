@@ -77,16 +77,13 @@ class SymbolicDynamics(Dynamics):
         """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K)."""
         self._check(q=q, qd=qd, tau=tau)
         M, load = self._system(q, qd, p)
-        if own_inertia is not None:  # ½ Σ I_k (φ̇_k − φ̇_{k−1})²
-            for k, own in enumerate(own_inertia.unbind(-1)):
-                M[k][k] = M[k][k] + own
-                if k:
-                    M[k - 1][k - 1] = M[k - 1][k - 1] + own
-                    M[k - 1][k] = M[k][k - 1] = M[k][k - 1] - own
-        joint = tau.unbind(-1)
-        force = [*(inner - outer for inner, outer in pairwise(joint)), joint[-1]]  # F = A⁻ᵀ τ
-        phidd = _solve(M, [f - x for f, x in zip(force, load, strict=True)])
-        return _stack([phidd[0], *(outer - inner for inner, outer in pairwise(phidd))])
+        return _accelerations(M, [f - x for f, x in zip(_link_forces(tau), load, strict=True)], own_inertia)
+
+    def response(self, q: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None) -> Tensor:
+        """(D + diag I_own)⁻¹ τ, rad/s², (..., K)."""
+        self._check(q=q, tau=tau)
+        _, tau = torch.broadcast_tensors(q, tau)  # a single link's inertia is the same at any angle
+        return _accelerations(self._matrix(self._evaluate("inertia", p, phi=q)), _link_forces(tau), own_inertia)
 
     def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: BodyParameters) -> Tensor:
         """τ = D θ̈ + h + c, N·m, (..., K)."""
@@ -152,6 +149,24 @@ class SymbolicDynamics(Dynamics):
 def _joint_torque(force: Sequence[Tensor]) -> Tensor:
     """Aᵀ F: each joint carries the generalised forces of its own link and of all further out, (..., K)."""
     return _stack(list(accumulate(reversed(force)))[::-1])
+
+
+def _link_forces(tau: Tensor) -> list[Tensor]:
+    """F = A⁻ᵀ τ, K entries."""
+    joint = tau.unbind(-1)
+    return [*(inner - outer for inner, outer in pairwise(joint)), joint[-1]]
+
+
+def _accelerations(M: list[list[Tensor]], force: list[Tensor], own_inertia: Tensor | None) -> Tensor:
+    """θ̈ (..., K) of generalised forces, by M with the joints' own inertias added: ½ Σ I_k (φ̇_k − φ̇_{k−1})²."""
+    if own_inertia is not None:
+        for k, own in enumerate(own_inertia.unbind(-1)):
+            M[k][k] = M[k][k] + own
+            if k:
+                M[k - 1][k - 1] = M[k - 1][k - 1] + own
+                M[k - 1][k] = M[k][k - 1] = M[k][k - 1] - own
+    phidd = _solve(M, force)
+    return _stack([phidd[0], *(outer - inner for inner, outer in pairwise(phidd))])
 
 
 def _stack(columns: Sequence[Tensor]) -> Tensor:

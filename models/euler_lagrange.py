@@ -130,8 +130,6 @@ def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dic
 
 def generate(num_joints: int) -> dict[str, dict[str, str]]:
     """Derive the chain and return the Python source of the functions of every name in `ARGUMENTS`."""
-    import sympy as sp
-
     eq = derive(num_joints)
     M = [eq.inertia[i, j] for i in range(num_joints) for j in range(i, num_joints)]
     outputs = {

@@ -16,6 +16,7 @@ Symbols and shapes, for K joints. Leading dimensions are batches and broadcast a
 
 from abc import ABC, abstractmethod
 
+import torch
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
@@ -63,6 +64,11 @@ class Dynamics(ABC):
     @abstractmethod
     def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
+
+    def response(self, q: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None) -> Tensor:
+        """(D + diag I_own)⁻¹ τ, rad/s², (..., K): what a torque adds to the acceleration."""
+        weightless = p._replace(gravity=torch.zeros_like(p.gravity))
+        return self.forward(q, torch.zeros_like(q), tau, weightless, own_inertia)
 
     def power(self, qd: Tensor, tau: Tensor) -> Tensor:
         """Mechanical power τ θ̇ that each joint's torque gives to the body, W, (..., K)."""

@@ -30,5 +30,5 @@ def torque_of(model, ideal, x, t=3):
     _, q, qd = ideal.split(x)
     body = ideal.body_parameters()
     zero = torch.zeros_like(q)
-    torque, _ = model._rubbed(*model._smooth(q, qd, zero, body, t, 0.0, ideal.dt[t].reshape(1)))
+    torque, _ = model._rubbed(*model._smooth(q, qd, zero, body, model._clock(t), 0.0, ideal.dt[t].reshape(1)))
     return torque

@@ -87,7 +87,6 @@ class Backlash(HiddenHinge):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
         j, links, whole = self.place[0], self.chain(p, body), dynamics_for(q.shape[-1] + 1)
-        weightless = links._replace(gravity=torch.zeros_like(links.gravity))
         half = p["width"] / 2
         parts = substeps_for(dt, SHORTEST, n)
         none = half <= 0
@@ -107,7 +106,6 @@ class Backlash(HiddenHinge):
             if bool(none.all()):
                 return tight
         for i in range(parts):
-
             psi = torch.maximum(torch.minimum(psi, half), -half)
             # what the stop would have to give for the gap to stay as it is
             qdd = held(q, qd, i / parts)
@@ -132,7 +130,7 @@ class Backlash(HiddenHinge):
             unit = torch.zeros_like(rates)
             unit[..., j + 1] = 1.0
             own = self.on_joints(net(q_free, qd, (i + 1) / parts)[1])
-            answer = whole.forward(angles, torch.zeros_like(rates), unit, weightless, own)
+            answer = whole.response(angles, unit, links, own)
             answer = answer / answer[..., j + 1, None]
             # The impact was earlier than the sub-step's end, by as long as the gap takes for what it is too wide.
             over = gap - torch.maximum(torch.minimum(gap, half), -half)

@@ -41,9 +41,8 @@ def dry_friction(
     change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None).
     """
     q, still = now.q, torch.zeros_like(now.q)
-    weightless = now.body._replace(gravity=torch.zeros_like(now.body.gravity))
     wanted = now.dynamics.forward(q, now.qd, torque, now.body, own) + now.qd / now.step
-    columns = {j: now.dynamics.forward(q, still, now.at(j, still[..., :1] + 1), weightless, own) for j in levels}
+    columns = {j: now.dynamics.response(q, now.at(j, still[..., :1] + 1), now.body, own) for j in levels}
     friction = _stopping(levels, wanted, columns) if len(levels) > 1 else dict.fromkeys(levels, still[..., :1])
     for j, f in friction.items():
         wanted = wanted + columns[j] * f

@@ -193,6 +193,7 @@ METHODS = {
     "coriolis": "q qd",
     "gravity_load": "q",
     "forward": "q qd tau",
+    "response": "q tau",
     "inverse": "q qd tau",
     "kinetic_energy": "q qd",
     "potential_energy": "q",
@@ -223,6 +224,18 @@ def test_symbolic_and_recursive_agree_for_every_way_to_batch(K, method):
         tail = {"inertia_matrix": (K, K), "keypoints": (K, 2), "kinetic_energy": (), "potential_energy": ()}
         assert ours.shape == theirs.shape == (*full, *tail.get(method, (K,)))
         torch.testing.assert_close(ours, theirs, rtol=1e-10, atol=1e-10)
+
+
+@JOINTS
+@BOTH
+def test_a_response_is_what_a_torque_adds_to_the_acceleration(K, kind):
+    dynamics = kind(K)
+    p, q, qd, tau = random_case(K, 8, (5,), ())
+    for own in (None, torch.linspace(0.1, 0.4, K, dtype=q.dtype)):
+        without = dynamics.forward(q, qd, torch.zeros_like(tau), p, own)
+        added = dynamics.forward(q, qd, tau, p, own) - without
+        torch.testing.assert_close(dynamics.response(q, tau, p, own), added, rtol=1e-9, atol=1e-9)
+        assert dynamics.response(q, tau[0], p, own).shape == (5, K)
 
 
 @BOTH
@@ -426,7 +439,9 @@ def evaluate(functions):
     values = {"phi": q, "w": qd, **p._asdict()}
     total = 0.0
     for name, words in euler_lagrange.ARGUMENTS.items():
-        moving, body = ([values[w].unbind(-1) for w in words if (w in euler_lagrange.MOVING) == m] for m in (True, False))
+        moving, body = (
+            [values[w].unbind(-1) for w in words if (w in euler_lagrange.MOVING) == m] for m in (True, False)
+        )
         total += sum(float(x) for x in functions[name].values(*moving, functions[name].numbers(*body)))
     return total
 

@@ -113,7 +113,9 @@ def test_load_friction_of_a_level_rod(having):
     for speed, motor, load in ((3.0, hold, 2 * hold), (-3.0, hold, 2 * hold), (3.0, 0.0, hold), (3.0, -hold, 0.0)):
         q, qd = torch.zeros(1, dtype=F64), torch.tensor([speed], dtype=F64)
         given = torch.tensor([motor], dtype=F64)
-        torque, _ = model._rubbed(*model._smooth(q, qd, given, model.body_parameters(), 3, 0.0, ideal.dt[3]))
+        torque, _ = model._rubbed(
+            *model._smooth(q, qd, given, model.body_parameters(), model._clock(3), 0.0, ideal.dt[3])
+        )
         assert (torque - given).item() == pytest.approx(-0.1 * load * np.sign(speed), abs=1e-12)
 
 
