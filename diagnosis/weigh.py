@@ -6,8 +6,10 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion,
-or if its parameters are such that its effects would not be what they are called (:meth:`Effect.credible`).
+A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion;
+if they are larger than the noise at rest; if its parameters are such that its effects would not be what they are called
+(:meth:`Effect.credible`); or if a residual still gains evidence, L_c = max_size log p − log p(spike), more than a
+hundredth (``LITTLE`` squared) of what it gains where there is no cause: it is small then, but surely there.
 
 With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
 there, and errors are those under an ample torque. And a cause that does not surely improve the prediction of held-out
@@ -41,7 +43,11 @@ FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
-ALIKE, CHANCE = 0.2, 2.0
+FEW = 5.0
+"""Nats that a residual may gain by chance."""
+LOUD = 1.5
+"""κ, of errors of prediction to the noise at rest, from which on something is left in them."""
+ALIKE, CHANCE = 0.1, 2.0
 """Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
 standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
 catalogue's."""
@@ -84,7 +90,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
-    if not credible(bound, cause):
+    if cause.kappa > LOUD or not credible(bound, cause):
         return 0.0
     errors = prediction_errors(bound, cause)
     alike, chance = correlation(errors)
@@ -97,6 +103,9 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
         return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)
+    left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, found.pool[""]))
+    if cause.effects and left > FEW + LITTLE**2 * gap:
+        return 0.0
     weight = found.temper * (cause.by_size - prior) + prior
     # Thousandths of a typical torque are nothing to look for a cause of, though "no gap" is more than that.
     least = levels[1] if cause.effects else levels[0]

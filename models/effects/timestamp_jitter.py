@@ -1,11 +1,17 @@
 """Frames whose true moments scatter about their time stamps: errors in proportion to speed."""
 
+import math
+from collections.abc import Mapping
+
 from pyro.distributions import HalfNormal, Uniform
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
 from invdyn.models.mistakes import Shift
+
+FARTHEST = 5.0
+"""Frames, standard deviation."""
 
 
 class TimestampJitter(Effect):
@@ -23,6 +29,11 @@ class TimestampJitter(Effect):
             Parameter("rate", "1", Uniform(0.0, 1.0), 0.0, (0.1, 0.4, 0.9)),
             Parameter("sd", "s", HalfNormal(0.02), 0.0, (0.003, 0.01, 0.03)),
         )
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """Mistimed by a few frames each at most: what is farther off is lost, not late."""
+        each = (mean["sd"] - MARGIN * sd["sd"]) / math.sqrt(max(mean["rate"] + MARGIN * sd["rate"], 1e-9))
+        return each <= FARTHEST * scale.time.diff().median().item()
 
     def mistake(self, p: Values, view: View) -> Shift:
         """(1 − ρ) N(h, σ²) + ρ N(h, σ² + s_δ² ṗ ṗᵀ + ¾ s_δ⁴ p̈²), s_δ = s/√ρ: the second order by its mean square."""

@@ -13,8 +13,8 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, _alone, credible, only, weigh
-from invdyn.diagnosis.whiten import sizes
+from invdyn.diagnosis.weigh import ALIKE, LOUD, _alone, credible, only, weigh
+from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import correlation, prediction_errors
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
@@ -81,6 +81,32 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     assert chance == pytest.approx(1 / np.sqrt(2 * 79))
     assert abs(alike) < 4 * chance
     assert _alone(bound, pool, right) > 0.9
+
+
+def test_a_residual_that_is_small_and_surely_there_is_left():
+    """Of 1,000 nats that one gains without a cause, a hundredth and a few by chance may be left with it."""
+    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
+    first = np.arange(len(none.by_size)) == 0
+    prior = log_prior(sizes(bound.regime))
+    pool = Search([], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False)
+
+    def with_residual(nats):
+        return replace(right, by_size=prior + np.where(first, 0.0, np.where(np.arange(len(first)) == 1, nats, -1000.0)))
+
+    assert _alone(bound, pool, with_residual(14.0)) > 0.9
+    assert _alone(bound, pool, with_residual(16.0)) == 0.0
+
+
+def test_errors_larger_than_the_noise_at_rest_are_left():
+    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
+    pool = Search([], {"": none}, [], path, False)
+    assert right.kappa == pytest.approx(1.0, abs=0.2)
+    assert _alone(bound, pool, replace(right, kappa=LOUD + 0.1)) == 0.0
+    assert _alone(bound, pool, replace(right, kappa=LOUD - 0.1)) > 0.9
 
 
 def test_where_errors_lie_along_the_motion_something_is_left():

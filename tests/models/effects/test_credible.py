@@ -66,3 +66,14 @@ def test_typical_sizes_are_credible(name, arm):
         parameters = effect.parameters(model.scale)
         values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.3 * spread(p) for p in parameters}
         assert effect.credible(values, {key: 0.1 * abs(value) for key, value in values.items()}, model.scale)
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate", "expected"), [(1.0, 0.3, True), (3.0, 1.0, True), (9.0, 1.0, False), (2.0, 0.02, False)]
+)
+def test_a_frame_is_mistimed_by_a_few_frames(frames, rate, expected, arm):
+    """By more, where it is one of few that are."""
+    model = arm(2)
+    mean = {"rate": rate, "sd": frames * model.scale.time.diff().median().item()}
+    effect = EFFECTS["timestamp_jitter"]().bound(model.body)
+    assert effect.credible(mean, {name: SURE * value for name, value in mean.items()}, model.scale) is expected
