@@ -11,6 +11,7 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -226,13 +227,13 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     rows = torch.arange(1, model.num_steps)
     joints = model.body.num_joints
     limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
-    ends: dict[int, Tensor] = {}
+    tried, ends = copy(model), {}
 
     def angles(count: int) -> Tensor:
         """At the ends of all rows, in so many sub-steps."""
         if count not in ends:
-            model.substeps = count
-            ends[count] = model.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
+            tried.substeps = count
+            ends[count] = tried.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
         return ends[count]
 
     with torch.no_grad():
