@@ -11,7 +11,7 @@ import pickle
 import sys
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkContext
+from multiprocessing.context import BaseContext
 from multiprocessing.sharedctypes import Synchronized
 from typing import TypeVar
 
@@ -70,7 +70,7 @@ def _next(turn: Synchronized) -> int:
 
 
 def _begun(
-    context: ForkContext, parts: Sequence[Callable[[], T]], turn: Synchronized
+    context: BaseContext, parts: Sequence[Callable[[], T]], turn: Synchronized
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)
     child = context.Process(target=_work, args=(parts, turn, outbox), daemon=True)
