@@ -26,12 +26,14 @@ from scipy.stats import multivariate_t
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
 from invdyn.inference.gauss_newton import gauss_newton
-from invdyn.inference.nested import OuterWeights, outer_weights
+from invdyn.inference.laplace import GaussianChain
+from invdyn.inference.nested import outer_weights
 from invdyn.inference.particles import FilterResult, joined
 from invdyn.inference.posterior import to_inference_data
 from invdyn.inference.seeds import derived, seeded
@@ -40,6 +42,8 @@ from invdyn.models import ArmModel
 
 FILTERS, RUNS, PARTICLES = 8, 2, 20
 """Filters of a run, runs at most, particles of each filter."""
+DRAWS = 4
+"""Paths of each filter in the posterior."""
 CLEAR = 0.2
 """Nats: a standard error with which no further run is needed."""
 TAIL = 8.0
@@ -53,30 +57,26 @@ class Confirmed:
     Attributes:
         log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with :attr:`.Refined.log_evidence`.
         values: (M, p) parameters.
-        outer: weights of the filters.
-        result: of the filters, evidences weighted.
-        model: with one parameter set a filter.
+        result: of the filters, evidences weighted by how their parameters were drawn; None where they died.
     """
 
     log_evidence: float
     log_evidence_sd: float
     values: np.ndarray
-    outer: OuterWeights
-    result: FilterResult
-    model: ArmModel
+    result: FilterResult | None = None
 
 
 def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS) -> Confirmed:
     """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
 
-    Where a filter of any run dies, because parameters that may be let the simulation run away, filters at the estimates
-    and under a larger residual give paths, but no evidence (−∞, and NaN as its error).
+    Where a filter of any run dies, because parameters that may be let the simulation run away, or data that no noise
+    explains, there is no evidence (−∞, and NaN as its error) and no result.
     """
     done: list[tuple[Tensor, FilterResult]] = []
     for number in range(runs):
         run = _run(setting, cause, derived(seed, number), filters)
         if run is None:
-            return _at_estimates(setting, cause, seed, filters)
+            return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
         done.append(run)
         confirmed = _together(setting, cause, done)
         if confirmed.log_evidence_sd < CLEAR:
@@ -88,7 +88,7 @@ def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Ten
     """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
     values, log_ratio = _draw(setting, cause, filters, seed)
     try:
-        result = _filtered(setting, cause, values, _size(setting, cause), seed)
+        result = _filtered(setting, cause, values, best_size(setting, cause), seed)
     except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
@@ -99,22 +99,7 @@ def _together(setting: Setting, cause: Refined, runs: Sequence[tuple[Tensor, Fil
     values, result = torch.cat([values for values, _ in runs]), joined([result for _, result in runs])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
     rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top] + cause.noise_log
-    model = _model(setting, cause, values, _size(setting, cause))
-    return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), outer, result, model)
-
-
-def _at_estimates(setting: Setting, cause: Refined, seed: int, filters: int) -> Confirmed:
-    """Paths without evidence."""
-    values = torch.as_tensor(np.tile(cause.mean, (filters, 1)))
-    size = _size(setting, cause, larger=2)
-    result, model = _filtered(setting, cause, values, size, seed), _model(setting, cause, values, size)
-    return Confirmed(-math.inf, math.nan, values.numpy(), outer_weights(result.log_evidence), result, model)
-
-
-def _size(setting: Setting, cause: Refined, larger: int = 0) -> float:
-    """The residual that the cause goes best with, or one so many steps of the grid larger."""
-    levels = sizes(setting.regime)
-    return float(levels[min(int(cause.by_size.argmax()) + larger, len(levels) - 1)])
+    return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 
 def _filtered(setting: Setting, cause: Refined, values: Tensor, size: float, seed: int) -> FilterResult:
@@ -163,11 +148,18 @@ def _draw(setting: Setting, cause: Refined, count: int, seed: int) -> tuple[Tens
 
 
 def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int) -> az.InferenceData:
-    """Posterior of torques, angles and effect parameters under a cause, one chain a filter."""
-    with seeded(seed):
+    """Posterior of torques, angles and effect parameters under a cause, one chain a filter.
+
+    Where filters died, it is that of the model linearised along the cause's path, at the estimates.
+    """
+    with seeded(seed), torch.no_grad():
         # One model for all chains' predictions: the parameters differ by less than the paths know.
-        at_mean = scaled(setting, cause.model, _size(setting, cause), cause.kappa)
-        paths = genealogy(confirmed.result, 4)
+        at_mean = scaled(setting, cause.model, best_size(setting, cause), cause.kappa)
+        if confirmed.result is None:
+            smoother = gauss_newton(at_mean, setting.observations, start=cause.path, max_iterations=3)
+            paths = GaussianChain.of(smoother).sample((len(confirmed.values), DRAWS))
+        else:
+            paths = genealogy(confirmed.result, DRAWS)
         idata = to_inference_data(
             replace(setting.problem, model=at_mean),
             paths,

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from oracles import kalman
 from pendulum import DAMPING, FRICTION, PENDULUM, at_best, causes, path_of, recorded, wheel, wheel_chain
+from pyro.infer.smcfilter import SMCFailed
 
-from invdyn.diagnosis.confirm import confirm, posterior
+from invdyn.diagnosis.confirm import confirm, posterior, scaled
+from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 
@@ -18,7 +20,9 @@ def test_smc_evidence_of_a_linear_chain_is_exact():
     here = wheel()
     none = refine(here, (), {}, path_of(here), LOOSE)
     confirmed = confirm(here, none, filters=4)
-    exact, *_ = kalman(wheel_chain(confirmed.model), here.observations.numpy())
+    exact, *_ = kalman(
+        wheel_chain(scaled(here, none.model, best_size(here, none), none.kappa)), here.observations.numpy()
+    )
     other_sizes = none.log_evidence - at_best(here, none)[0]
     assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
     assert confirmed.log_evidence_sd < 1e-4
@@ -43,7 +47,7 @@ def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, filters):
     assert len(set(confirmed.result.log_evidence.tolist())) == filters
 
 
-def test_where_filters_die_there_are_paths_and_no_evidence():
+def test_where_no_draw_is_plausible_there_are_paths_and_no_evidence():
     """Drawn so widely that an arm without inertia runs away: the estimates still give a posterior."""
     here = setting(recorded(DAMPING), PENDULUM)
     cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
@@ -53,6 +57,25 @@ def test_where_filters_die_there_are_paths_and_no_evidence():
     assert np.isnan(run.log_evidence_sd)
     assert (run.values == cause.mean).all()
     assert np.isfinite(posterior(here, cause, run, 1)["posterior"]["torque"]).all()
+
+
+def test_where_filters_die_the_linearised_model_gives_the_posterior(monkeypatch):
+    here, _, cause = causes()
+    filtered = posterior(here, cause, confirm(here, cause, 1), 1)["posterior"]["torque"]
+
+    def dies(*_):
+        raise SMCFailed("all particles of a filter have weight zero")
+
+    monkeypatch.setattr(sys.modules[confirm.__module__], "_filtered", dies)
+    run = confirm(here, cause, 1)
+    assert run.log_evidence == -np.inf
+    assert np.isnan(run.log_evidence_sd)
+    idata = posterior(here, cause, run, 1)["posterior"]
+    assert (idata["effect.viscous_friction.pivot.damping"] == cause.mean[0]).all()
+    off = abs(idata["torque"].mean(("chain", "draw")) - filtered.mean(("chain", "draw")))
+    assert float((off / filtered.std(("chain", "draw"))).median()) < 1.0
+    ratio = idata["torque"].std(("chain", "draw")) / filtered.std(("chain", "draw"))
+    assert float(ratio.median()) == pytest.approx(1.0, abs=0.3)
 
 
 def test_same_seed_same_numbers_and_all_within_bounds():
