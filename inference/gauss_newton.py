@@ -120,7 +120,7 @@ class Deviations:
 
 @torch.no_grad()
 def deviations(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Deviations:
-    """What ``model`` says of ``path`` (…, T, D), without slopes: a tenth of the work of :func:`linearise`."""
+    """What ``model`` says of ``path`` (…, T, D), without slopes: a quarter or less of :func:`linearise`'s work."""
     rows = torch.arange(path.shape[-2])
     transition = model.transition(path[..., :-1, :], rows[1:])
     emission = model.emission(path, rows)

@@ -239,6 +239,20 @@ def test_a_response_is_what_a_torque_adds_to_the_acceleration(K, kind):
 
 
 @BOTH
+def test_a_learned_body_is_differentiated_each_time_it_is_asked(kind):
+    """Whether it was asked without gradients before or with them."""
+    dynamics = kind(2)
+    p, q, qd, tau = random_case(2, 9, (5,), ())
+    mass = p.mass.clone().requires_grad_()
+    learned = p._replace(mass=mass)
+    with torch.no_grad():
+        dynamics.forward(q, qd, tau, learned)
+    first, second = (torch.autograd.grad(dynamics.forward(q, qd, tau, learned).sum(), mass)[0] for _ in range(2))
+    assert (first != 0).all()
+    torch.testing.assert_close(first, second, rtol=0, atol=0)
+
+
+@BOTH
 def test_joint_quantities_of_different_batch_shapes_broadcast(kind):
     dynamics = kind(2)
     p, q, qd, tau = random_case(2, 6, (3, 5), (3, 1))
