@@ -33,6 +33,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, without
+from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
@@ -42,7 +43,7 @@ from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_pr
 from invdyn.diagnosis.refine import ROUNDS, refine
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
-from invdyn.diagnosis.setting import Setting, calm
+from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
@@ -99,7 +100,7 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
     def along_its_own() -> tuple[Tensor, Refined | None]:
-        usual = setting.observing(calm(setting.observations)) if stray else setting
+        usual = setting.observing(calm(setting.model.time, setting.observations)) if stray else setting
         aside = led(usual, setting.model, path, FIRM)
         return aside, attempt(refine, setting, (), {}, aside, FIRM)
 

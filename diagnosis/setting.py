@@ -18,6 +18,7 @@ from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
+from invdyn.diagnosis.jumps import calm
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
@@ -44,9 +45,6 @@ LEAST = 0.1
 
 RMS = 0.5
 """Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
-
-JUMP = 5.0
-"""Times the upper quartile of the steps from frame to frame; an observation so far from a median of five jumps."""
 
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
@@ -161,7 +159,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
-    usual = calm(problem.observations)
+    usual = calm(problem.model.time, problem.observations)
     model = _as_seen(problem, usual, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
@@ -174,19 +172,6 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model.substeps = sufficient_substeps(model, usual)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
-
-
-def calm(observations: Tensor) -> Tensor:
-    """Observations (T, O) without those that jump out of their neighbours' median: exchanged labels are no fast arm."""
-    values = observations.numpy()
-    padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
-    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)  # NaN last
-    seen = np.isfinite(windows).sum(-1)
-    middle = np.take_along_axis(windows, np.maximum((seen - 1) // 2, 0)[..., None], -1)[..., 0]
-    away = np.abs(values - middle)
-    steps = [np.abs(np.diff(column[np.isfinite(column)])) for column in values.T]
-    usual = np.array([np.quantile(column, 0.75) if len(column) else np.inf for column in steps])
-    return torch.as_tensor(np.where(away > JUMP * usual, np.nan, values))
 
 
 def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
-from invdyn.diagnosis.setting import calm
+from invdyn.diagnosis.jumps import calm
 from invdyn.inference.initialise import jitter
 
 SIGMA, ROWS = 0.001, 800
@@ -84,7 +84,7 @@ def test_stray_detections_are_no_growth_with_speed():
         rng = np.random.default_rng(seed)
         points = track(rng)[0][:216]
         points[rng.random(216) < 0.08] += 0.1 * rng.standard_normal(2)
-        calmed = calm(torch.as_tensor(points)).numpy()
+        calmed = calm(torch.as_tensor(TIME[:216]), torch.as_tensor(points)).numpy()
         off.append([np.log(noise_at_rest(TIME[:216], each)[0] / SIGMA) for each in (points, calmed)])
     stray, calmed = np.abs(off).mean(0)
     assert calmed < 0.7 * stray

@@ -1,0 +1,63 @@
+"""Observations that jump out of their neighbours' course: stray detections and exchanged labels are no fast arm.
+
+A Hampel filter (Hampel 1974) about parabolas instead of a median, as an arm in motion is nowhere near its neighbours'
+median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, and with d_t the fourth
+smallest of the twenty distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may have
+jumped themselves: four parabolas do without them.
+
+Shapes: T rows, O columns.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
+CLEAN = 0.2
+"""Share of the parabolas that go without two of the neighbours."""
+JUMP, MOST = 7.0, 0.75
+"""Times the upper quartile of the distances."""
+FEWEST = 10
+"""Parabolas, under which nothing is said of a row."""
+EXACT = 1e-9
+"""Of an observation's size: nearer to a parabola is rounding."""
+
+
+def calm(time: Tensor, observations: Tensor) -> Tensor:
+    """Observations (T, O) at ``time`` (T,) s, NaN where they jump."""
+    values = observations.numpy()
+    away = _beside_parabolas(time.numpy()[:, None], values)
+    usual = np.array([_usual(column[np.isfinite(column)]) for column in away.T])
+    # Of what is on its neighbours' course exactly, as at rest in rounded numbers, nobody knows what is usual.
+    known = usual > EXACT * np.nan_to_num(np.abs(values)).max(0)
+    return torch.as_tensor(np.where(known & (away > JUMP * usual), np.nan, values))
+
+
+def _usual(away: np.ndarray) -> float:
+    return float(np.quantile(away, MOST)) if len(away) else 0.0
+
+
+def _beside_parabolas(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Distances d (T, O) of ``values`` at ``time`` (T, 1); NaN where too few neighbours were seen."""
+    when = {k: _shifted(time, k) for k in NEIGHBOURS}
+    what = {k: _shifted(values, k) for k in NEIGHBOURS}
+
+    def parabola(i: int, j: int, k: int) -> np.ndarray:
+        return sum(
+            what[a] * (time - when[b]) * (time - when[c]) / ((when[a] - when[b]) * (when[a] - when[c]))
+            for a, b, c in ((i, j, k), (j, i, k), (k, i, j))
+        )
+
+    away = np.sort([np.abs(values - parabola(*three)) for three in combinations(NEIGHBOURS, 3)], axis=0)  # NaN last
+    count = np.isfinite(away).sum(0)
+    clean = np.maximum(np.ceil(CLEAN * count).astype(int) - 1, 0)
+    return np.where(count < FEWEST, np.nan, np.take_along_axis(away, clean[None], 0)[0])
+
+
+def _shifted(rows: np.ndarray, by: int) -> np.ndarray:
+    """Rows (T, C) of so many rows later; NaN beyond the ends."""
+    most = max(NEIGHBOURS)
+    padded = np.pad(rows, ((most, most), (0, 0)), constant_values=np.nan)
+    return padded[most + by : most + by + len(rows)]

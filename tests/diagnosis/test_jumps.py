@@ -1,0 +1,76 @@
+"""Jumps against a motion whose noise and mistakes are known."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from invdyn.diagnosis.jumps import calm
+
+NOISE, ROWS = 1e-3, 200
+
+
+def motion(rng: np.random.Generator, rate: float = 3.0, every: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) s and a point (T, 2) m that goes round on half a metre, with noise."""
+    time = every * np.arange(ROWS)
+    arm = 0.5 * np.stack([np.sin(rate * time), np.cos(0.7 * rate * time)], -1)
+    return time, arm + NOISE * rng.normal(size=arm.shape)
+
+
+def calmed(time: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    return calm(torch.as_tensor(time), torch.as_tensor(seen)).numpy()
+
+
+@pytest.mark.parametrize("rate", [0.5, 3.0, 6.0, 9.0])
+def test_jumps_are_no_fast_arm(rate):
+    """Strays of some thirty standard deviations go, however fast the arm; it and frames that were not seen stay."""
+    rng = np.random.default_rng(0)
+    time, arm = motion(rng, rate)
+    seen = arm.copy()
+    strays = [20, 21, 60, 62, 90, 120, 197]
+    seen[strays] += 0.03 * rng.choice([-1, 1], size=(len(strays), 2))
+    seen[[70, 140]] = np.nan
+    left = calmed(time, seen)
+    assert np.isnan(left[strays]).all()
+    kept, right = np.isfinite(left), np.isfinite(seen)
+    right[strays] = False
+    assert kept[right].mean() > 0.97
+    np.testing.assert_array_equal(left[kept], seen[kept])
+
+
+def test_exchanged_labels_jump():
+    time, arm = motion(np.random.default_rng(0))
+    seen = arm.copy()
+    seen[[20, 90, 91, 150]] = arm[[20, 90, 91, 150], ::-1]
+    jumped = np.abs(seen - arm) > 0.05
+    assert jumped.sum() >= 4
+    assert np.isnan(calmed(time, seen)[jumped]).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_noise_does_not_jump(seed):
+    time, arm = motion(np.random.default_rng(seed))
+    assert np.isfinite(calmed(time, arm)).mean() > 0.99
+
+
+def test_frames_that_were_lost_are_no_jump():
+    """Parabolas go by times, not by rows."""
+    rng = np.random.default_rng(1)
+    time, arm = motion(rng, every=0.01)
+    kept = rng.random(ROWS) < 0.7
+    assert np.isfinite(calmed(time[kept], arm[kept])).mean() > 0.97
+
+
+def test_what_rests_in_rounded_numbers_and_then_moves():
+    time, arm = motion(np.random.default_rng(2))
+    arm[:180] = arm[180]
+    assert np.isfinite(calmed(time, arm)).all()
+
+
+def test_nothing_is_asked_of_a_point_that_was_not_seen():
+    time, arm = motion(np.random.default_rng(3))
+    arm[:, 1] = np.nan
+    left = calmed(time, arm)
+    assert np.isnan(left[:, 1]).all()
+    assert np.isfinite(left[:, 0]).mean() > 0.97
