@@ -21,6 +21,7 @@ from invdyn.diagnosis.unknowns import Unknowns, lower_bound, spread, upper_bound
 from invdyn.inference.gauss_newton import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.state_space import gaussian_mean
 
 WINDOW = 0.1
@@ -78,13 +79,15 @@ def changes(
         f"effect.{effect.key}.{name}": torch.tensor([s[name] for s in sets], dtype=path.dtype).reshape(-1, 1, 1)
         for name in names
     }
-    with_effect = model.with_effects(effect).replace(**values)
+    hinge = isinstance(effect, HiddenHinge)
+    with_effect = model.with_effects(effect.coarse() if hinge else effect).replace(**values)
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
-        if with_effect.state_dim > model.state_dim:
-            path = driven(with_effect, path, len(sets))
-        # What the camera alone makes of it moves no arm.
-        f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
+        if hinge:
+            path, f = driven(with_effect, path, len(sets))
+        else:
+            # What the camera alone makes of it moves no arm.
+            f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)

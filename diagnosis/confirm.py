@@ -31,7 +31,7 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
-from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.inference.gauss_newton import gauss_newton, slopes_along
 from invdyn.inference.laplace import GaussianChain
 from invdyn.inference.nested import outer_weights
 from invdyn.inference.particles import FilterResult, joined
@@ -106,7 +106,9 @@ def _filtered(setting: Setting, cause: Refined, values: Tensor, size: float, see
     """One filter for each set of parameters (M, p), under a residual of ``size``."""
     model = _model(setting, cause, values, size)
     start = cause.path.expand(len(values), *cause.path.shape)
-    smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1)
+    # Their guides differ in where they lead, and next to nothing in how: one set's slopes do for all.
+    slopes = slopes_along(scaled(setting, cause.model, size, cause.kappa), cause.path)
+    smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
     # No linearised dynamics tell where a gap's state goes.
     block = BLOCK if model.driven is None else 1
     with seeded(seed):

@@ -15,18 +15,22 @@ from invdyn.models import ArmModel
 from invdyn.models.state_space import gaussian_mean
 
 
-def driven(model: ArmModel, path: Tensor, count: int) -> Tensor:
-    """Paths (S, T, D + 2) along ``path`` (T, D), with the hinge of ``model``, of S = ``count`` parameter sets."""
+def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Along ``path`` (T, D): paths (S, T, D + 2) with the hinge of ``model``, of S = ``count`` parameter sets.
+
+    And the next states (S, T−1, D + 2) of their rows, to first order too.
+    """
     rows, first = torch.arange(1, len(path)), model.torque_size
     hidden = slice(first, first + model.state_dim - path.shape[-1])
     still = path.new_zeros(len(path), model.state_dim - path.shape[-1])
     path = torch.cat([path[:, :first], still, path[:, first:]], -1).expand(count, -1, -1).clone()
 
     def moved(path: Tensor) -> Tensor:
-        return gaussian_mean(model.transition(path[:, :-1], rows))[..., hidden]
+        return gaussian_mean(model.transition(path[:, :-1], rows))
 
     if model.driven is not None:
-        return model.settled(path)
+        path = model.settled(path)
+        return path, moved(path)
 
     nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3
 
@@ -35,11 +39,12 @@ def driven(model: ArmModel, path: Tensor, count: int) -> Tensor:
         shifted[..., hidden] = nudge
         return moved(shifted)
 
-    b = moved(path)
-    A = torch.stack([(nudged(nudge) - b) / nudge.sum() for nudge in torch.diag(nudges)], -1)
+    rest = moved(path)
+    slopes = torch.stack([(nudged(nudge) - rest) / nudge.sum() for nudge in torch.diag(nudges)], -1)
+    A, b = slopes[..., hidden, :], rest[..., hidden]
     psi = torch.linalg.solve(torch.eye(len(nudges), dtype=path.dtype) - A[:, 0], b[:, 0])
     for t in range(path.shape[1]):
         path[:, t, hidden] = psi
         if t < len(rows):
             psi = (A[:, t] @ psi.unsqueeze(-1)).squeeze(-1) + b[:, t]
-    return path
+    return path, rest + (slopes @ path[:, :-1, hidden].unsqueeze(-1)).squeeze(-1)

@@ -89,7 +89,7 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
         return model.settled(path)
     torque = model.torque_size
     if missing > 0 and model.driven is not None:
-        return driven(model, path, 1)[0]
+        return driven(model, path, 1)[0].squeeze(0)
     if missing < 0:
         return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
     return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)

@@ -133,16 +133,33 @@ def deviations(model: StateSpaceModel, path: Tensor, observations: Tensor) -> De
     return Deviations(*(piece.numpy() for piece in pieces), whitening)
 
 
-def linearise(
-    model: StateSpaceModel, path: Tensor, observations: Tensor, known: Deviations | None = None
-) -> Linearisation:
-    """Linearise ``model`` along ``path`` (…, T, D) by tangents; ``known`` are its :func:`deviations` there."""
-    here = known or deviations(model, path, observations)
+Slopes = tuple[Tensor, Tensor]
+"""F (…, T−1, D, D) of the transition and H (…, T, O, D) of the emission along a path."""
+
+
+def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
+    """Tangents of ``model`` along ``path`` (…, T, D)."""
     rows, dim = torch.arange(path.shape[-2]), path.shape[-1]
     _, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
-    _, H = jacobian(lambda x: emission_mean(model, x, rows), path, observations.shape[-1])
+    _, H = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
     if model.driven is not None:
         F[..., model.driven, :] = 0.0
+    return F, H
+
+
+def linearise(
+    model: StateSpaceModel,
+    path: Tensor,
+    observations: Tensor,
+    known: Deviations | None = None,
+    slopes: Slopes | None = None,
+) -> Linearisation:
+    """Linearise ``model`` along ``path`` (…, T, D) by tangents; ``known`` are its :func:`deviations` there.
+
+    Or with the ``slopes`` of a model that is nearly the same along a path that is.
+    """
+    here = known or deviations(model, path, observations)
+    F, H = (each.expand(*path.shape[:-2], *each.shape[-3:]) for each in slopes or slopes_along(model, path))
     E = times(here.whitening, H)
     return Linearisation(F.numpy(), here.a, here.L, E.numpy(), here.e, here.m0, here.log_constant)
 
@@ -171,6 +188,7 @@ def gauss_newton(
     start: Tensor | None = None,
     max_iterations: int = 50,
     tolerance: float = 1e-3,
+    slopes: Slopes | None = None,
 ) -> GaussianSmoother:
     """Find the mode of p(x_{0:T} | y) and the Gaussian around it.
 
@@ -184,6 +202,8 @@ def gauss_newton(
         start: path (…, T, D) to begin at.
         max_iterations: linearisations at most, at the last stage.
         tolerance: stop when a step gains less than this, in nats.
+        slopes: to take everywhere instead of the model's own: many parameter sets that are nearly the same may share
+            those of one of them, which a step costs most of its time. What is found is nearly the mode.
 
     Raises TypeError for a transition or emission that has no Gaussian approximation here, and
     ValueError when the starting path has no finite density.
@@ -192,8 +212,9 @@ def gauss_newton(
     observations = observations.detach().cpu().double()
     if start is None:
         start = _by_homotopy(model, observations)
-    path, merit, done, linear = _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)
-    linear = linear or linearise(model, path, observations)
+    start = start.detach().cpu().double()
+    path, merit, done, linear = _ascend(model, observations, start, max_iterations, tolerance, slopes)
+    linear = linear or linearise(model, path, observations, slopes=slopes)
     factors = solve(linear)
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
     return GaussianSmoother(path, factors, linear, evidence, merit, done)
@@ -214,14 +235,21 @@ def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
         relaxed = model.relaxed(amount)
         if relaxed is model:
             return path[0]
-        path, merit, *_ = _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)
-        if path.ndim == 3:  # candidates part ways in how often they wind round: the best one is plain at once
-            path = path[merit.nan_to_num(-torch.inf).argmax()]
+        # Candidates part ways in how often they wind round, and what strays leads some astray: two are plain at once.
+        for count, steps in ((2, 1), (1, 3)) if path.ndim == 3 else ():
+            path, merit, *_ = _ascend(relaxed, observations, path, max_iterations=steps, tolerance=1.0)
+            path = path[merit.nan_to_num(-torch.inf).argsort(descending=True, stable=True)[:count]]
+        path = path[0] if path.ndim == 3 else _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)[0]
     return path
 
 
 def _ascend(
-    model: StateSpaceModel, observations: Tensor, path: Tensor, max_iterations: int, tolerance: float
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    max_iterations: int,
+    tolerance: float,
+    slopes: Slopes | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Linearisation | None]:
     """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation if it has it.
 
@@ -237,7 +265,7 @@ def _ascend(
         raise ValueError("the starting path has no finite density: check noise scales and units")
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
-        linear = linear or linearise(model, path, observations, here)
+        linear = linear or linearise(model, path, observations, here, slopes)
         with np.errstate(over="ignore", invalid="ignore"):  # a step that is not finite reaches nothing, and is refused
             step = torch.as_tensor(mean_step(linear, damping, scale))
         candidate = model.settled(path + step)

@@ -27,9 +27,21 @@ def bent():
 def test_the_hinge_goes_where_the_model_has_it_go(bent):
     """From row to row, to first order: within a tenth of the largest deflection."""
     model, path = bent
-    paths = driven(model, path, 3)
+    paths, _ = driven(model, path, 3)
     with torch.no_grad():
         after = gaussian_mean(model.transition(paths[:, :-1], torch.arange(1, len(path))))
     angle = slice(2, 3)
     off = (paths[:, 1:, angle] - after[..., angle]).abs().amax((1, 2))
     assert (off < 0.1 * paths[..., angle].abs().amax((1, 2))).all()
+
+
+def test_what_the_hinge_does_to_the_arm_is_the_models_to_first_order(bent):
+    """Next states beside those without a hinge: within a tenth of the largest change of each."""
+    model, path = bent
+    paths, following = driven(model, path, 3)
+    rows = torch.arange(1, len(path))
+    still = paths.clone()
+    still[..., 2:4] = 0.0
+    with torch.no_grad():
+        after, rest = (gaussian_mean(model.transition(each[:, :-1], rows)) for each in (paths, still))
+    assert ((following - after).abs().amax(1) <= 0.1 * (after - rest).abs().amax(1) + 1e-12).all()
