@@ -1,9 +1,9 @@
 """Observations that jump out of their neighbours' course: stray detections and exchanged labels are no fast arm.
 
 A Hampel filter (Hampel 1974) about parabolas instead of a median, as an arm in motion is nowhere near its neighbours'
-median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, and with d_t the fourth
-smallest of the twenty distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may have
-jumped themselves: four parabolas do without them.
+median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, twenty in all, and with
+d_t the fourth smallest of the distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may
+have jumped themselves: four parabolas do without them.
 
 Shapes: T rows, O columns.
 """
@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
-CLEAN = 0.2
-"""Share of the parabolas that go without two of the neighbours."""
+CLEAN = 4
+"""Parabolas that go without two of the neighbours."""
 JUMP, MOST = 7.0, 0.75
 """Times the upper quartile of the distances."""
 FEWEST = 10
@@ -51,9 +51,7 @@ def _beside_parabolas(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         )
 
     away = np.sort([np.abs(values - parabola(*three)) for three in combinations(NEIGHBOURS, 3)], axis=0)  # NaN last
-    count = np.isfinite(away).sum(0)
-    clean = np.maximum(np.ceil(CLEAN * count).astype(int) - 1, 0)
-    return np.where(count < FEWEST, np.nan, np.take_along_axis(away, clean[None], 0)[0])
+    return np.where(np.isfinite(away).sum(0) < FEWEST, np.nan, away[CLEAN - 1])
 
 
 def _shifted(rows: np.ndarray, by: int) -> np.ndarray:

@@ -4,6 +4,7 @@ Data and all candidates' columns are whitened for every size of the residual (:m
 is then a small regression (:mod:`.evidence`). A cause found with the smallest size leaves nothing to explain.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -22,12 +23,15 @@ from invdyn.diagnosis.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of,
 from invdyn.inference.gauss_newton import Linearisation
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import HiddenHinge
 
 PEAKS = 2
 """Stretches of time that are kept, for each size that they are sought under."""
 
 BLOCK = 200
 """Columns that are whitened together."""
+HINGED = 10
+"""Three times the sub-steps of a longer chain, about rest and two nudges."""
 
 
 def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
@@ -231,7 +235,16 @@ def screen(
 def screen_in_halves(
     workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
 ) -> list[Screened]:
-    """What :func:`screen` says, of every other effect side by side with the rest; ``given`` are its other arguments."""
-    halves = [effects[::2], effects[1::2]] if len(effects) > 1 else [effects]
+    """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
+    costly = sorted(effects, key=lambda effect: -_cost(effect.bound(model.body), model))
+    halves = [[*costly[::4], *costly[3::4]], [*costly[1::4], *costly[2::4]]] if len(effects) > 1 else [effects]
     one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
     return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
+
+
+def _cost(effect: Effect, model: ArmModel) -> int:
+    """Columns of an effect; those of a hidden hinge take as long as ``HINGED`` of another's."""
+    parameters = effect.parameters(model.scale)
+    straight = sum(not p.grid for p in parameters)
+    points = math.prod(len(p.grid) or 1 for p in parameters)
+    return points * (straight or len(parameters) + 1) * (HINGED if isinstance(effect, HiddenHinge) else 1)

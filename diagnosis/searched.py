@@ -15,12 +15,13 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.noise import climb, grid, log_prior_of
+from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
-from invdyn.diagnosis.whiten import filter_of, log_prior, sizes, whiten
+from invdyn.diagnosis.whiten import filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects.base import Effect
 
 EARNED = 2.0
@@ -46,6 +47,9 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     # A larger residual than there is bends the path; a limb's own torque is as large as it was found.
     size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
 
+    # What changes the scatter alone leaves the slopes as they are, whatever its parameters.
+    tangents = slopes_along(base.model, path) if is_noise(effect) else None
+
     most = np.array([upper_bound(p) for p in parameters])
 
     def score(log_values: np.ndarray) -> float:
@@ -55,7 +59,8 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         if model.driven is not None:
             there = lifted(here, path)
             those = slopes(here, common, base.mean, 0.05 * base.sd, there)
-        whitened = whiten(setting, filter_of(setting, here, there, levels[some]), those)
+        linear = linear_of(setting, here, there, tangents)
+        whitened = whiten(setting, filter_of(setting, here, there, levels[some], linear), those)
         by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
         return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
 
@@ -77,6 +82,7 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         start = np.log([cause.noise[name] for name in names])
     followed = cause
     path, some = cause.path, _telling(cause, levels)
+    tangents = slopes_along(cause.model, path) if is_noise(effect) else None
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
     noise_log = base.noise_log + integral - (score(start) - log_prior_of(parameters, np.exp(start)))

@@ -125,6 +125,10 @@ class Setting:
         """The same setting with other observations (T, O)."""
         return replace(self, problem=replace(self.problem, observations=observations))
 
+    def until(self, row: int) -> "Setting":
+        """The same setting seen up to a ``row``, which is not."""
+        return replace(self.observing(self.observations[:row]), starts=tuple(s for s in self.starts if s < row))
+
     def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
         """``model`` with a residual torque of stationary sd ``size`` typical torques, more where it begins."""
         model = model or self.model

@@ -41,11 +41,10 @@ class Closed:
 
 
 def split(setting: Setting) -> tuple[Setting, np.ndarray]:
-    """The setting with its last rows unseen, and which rows (T,) those are."""
+    """The setting before its last rows, and which rows (T,) those are."""
     seen = np.flatnonzero((~torch.isnan(setting.observations)).any(-1).numpy())
-    first = seen[int(SHARE * len(seen))]
-    rows = np.arange(len(setting.observations)) >= first
-    return setting.observing(torch.where(torch.as_tensor(rows)[:, None], torch.nan, setting.observations)), rows
+    first = int(seen[int(SHARE * len(seen))])
+    return setting.until(first), np.arange(len(setting.observations)) >= first
 
 
 def held_out_scores(
@@ -65,7 +64,8 @@ def held_out_scores(
     for each in (none, cause):
         values = dict(zip(each.names, each.mean.tolist(), strict=True)) | each.noise
         try:
-            fitted = refine(train, each.effects, values, each.path, best_size(setting, each), rounds=2, **each.searched)
+            begun, size = each.path[: len(train.observations)], best_size(setting, each)
+            fitted = refine(train, each.effects, values, begun, size, rounds=2, **each.searched)
         except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
             fitted = each  # the first rows by themselves lead nowhere
         if _shown_later(each, fitted):

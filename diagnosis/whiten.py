@@ -18,7 +18,7 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.innovations import Gains, gains, innovations
 from invdyn.diagnosis.setting import Setting
-from invdyn.inference.gauss_newton import Linearisation, linearise
+from invdyn.inference.gauss_newton import Linearisation, Slopes, linearise
 from invdyn.inference.square_root import square
 from invdyn.models import ArmModel
 from invdyn.models.missing import gaussian_rows, times
@@ -64,10 +64,13 @@ def sizes(regime: str) -> np.ndarray:
     return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
 
 
-def linear_of(setting: Setting, model: ArmModel, path: Tensor) -> Linearisation:
-    """``model`` linearised about ``path``, with a residual of size one, where it begins, too."""
+def linear_of(setting: Setting, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
+    """``model`` linearised about ``path``, with a residual of size one, where it begins, too.
+
+    With ``slopes`` that are known, if they are.
+    """
     known = {name: torch.zeros_like(sd) for name, sd in setting.begun.items()}
-    return linearise(setting.with_residual(1.0, model).replace(**known), path, setting.observations)
+    return linearise(setting.with_residual(1.0, model).replace(**known), path, setting.observations, slopes=slopes)
 
 
 @dataclass(frozen=True)

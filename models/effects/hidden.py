@@ -67,7 +67,7 @@ class HiddenHinge(Effect):
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
     def coarse(self) -> Self:
-        """Itself in two thirds of the sub-steps: enough to tell what it changes, if not how the fastest of it dies away."""
+        """Itself in two thirds of the sub-steps: they tell what it changes, if not how the fastest of it dies away."""
         other = copy.copy(self)
         other.turn = COARSE
         return other

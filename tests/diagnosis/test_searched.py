@@ -6,14 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, causes, path_of, recorded
+from pendulum import PENDULUM, causes, path_of, recorded, wheel
 
 from invdyn.diagnosis.findings import finding
-from invdyn.diagnosis.noise import log_spread
+from invdyn.diagnosis.noise import is_noise, log_spread
 from invdyn.diagnosis.paths import FIRM
+from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import _followed, refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -79,3 +81,13 @@ def test_intervals_of_what_was_searched_stay_within_the_prior():
     assert np.diff(np.log(wide.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1 / np.sqrt(0.2), rel=0.1)
     (width,) = play.parameters(here.model.scale)
     assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)
+
+
+@pytest.mark.parametrize("effect", [e for e in considered(wheel(commanded=True)) if is_noise(e)], ids=lambda e: e.key)
+def test_what_changes_the_scatter_leaves_the_slopes(effect):
+    """So that one set of them does for all of its parameters."""
+    here = wheel(commanded=True)
+    path = path_of(here)
+    model = here.model.with_effects(effect)
+    for mine, plain in zip(slopes_along(model, path), slopes_along(here.model, path), strict=True):
+        torch.testing.assert_close(mine, plain, rtol=0, atol=0)
