@@ -80,7 +80,7 @@ def changes(
         for name in names
     }
     hinge = isinstance(effect, HiddenHinge)
-    with_effect = model.with_effects(effect.coarse() if hinge else effect).replace(**values)
+    with_effect = model.with_effects(effect).replace(**values)
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if hinge:

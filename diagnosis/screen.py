@@ -31,7 +31,7 @@ PEAKS = 2
 BLOCK = 200
 """Columns that are whitened together."""
 HINGED = 10
-"""Three times the sub-steps of a longer chain, about rest and two nudges."""
+"""It is a longer chain in more sub-steps, about rest and two nudges."""
 
 
 def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:

@@ -88,7 +88,7 @@ class Backlash(HiddenHinge):
         """One row; see :meth:`HiddenHinge.step`."""
         j, links, whole = self.place[0], self.chain(p, body), dynamics_for(q.shape[-1] + 1)
         half = p["width"] / 2
-        parts = substeps_for(dt, SHORTEST, n, self.turn)
+        parts = substeps_for(dt, SHORTEST, n)
         none = half <= 0
         psi, rate, tight = hidden[..., :1], hidden[..., 1:], None
 

@@ -10,11 +10,10 @@ state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything e
 The other effects act on the K joints; forces on points of the arm (:attr:`.Effect.pulls`) turn the hinge as well.
 """
 
-import copy
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -33,15 +32,9 @@ Pull = Callable[[Tensor, Tensor, float], Tensor | float]
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
 
-COARSE = 1.5
-"""rad a sub-step; Runge–Kutta of order 4 is stable with 2.8, and tells a wrong response with 2."""
-
-
 class HiddenHinge(Effect):
     """Base of the effects with a hidden coordinate; at most one of them in a model."""
 
-    turn: float = 1.0
-    """How far an oscillation may turn in a sub-step, rad."""
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
 
@@ -65,12 +58,6 @@ class HiddenHinge(Effect):
     @abstractmethod
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
-
-    def coarse(self) -> Self:
-        """Itself in two thirds of the sub-steps: they tell what it changes, if not how the fastest of it dies away."""
-        other = copy.copy(self)
-        other.turn = COARSE
-        return other
 
     def on_joints(self, values: Tensor | None) -> Tensor | None:
         """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
@@ -110,7 +97,7 @@ def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:
     return join(values[..., :k], inner, outer, values[..., k + 1 :])
 
 
-def substeps_for(dt, frequency: float, n: int, turn: float = 1.0) -> int:
-    """Sub-steps, ``n`` at least, in which an oscillation of ``frequency`` Hz turns through ``turn`` rad at most."""
+def substeps_for(dt, frequency: float, n: int) -> int:
+    """Sub-steps in which Runge–Kutta of order 4 follows an oscillation of ``frequency`` Hz: a radian each at most."""
     longest = dt.max().item() if isinstance(dt, Tensor) else dt
-    return max(n, math.ceil(longest * 2 * math.pi * frequency / turn))
+    return max(n, math.ceil(longest * 2 * math.pi * frequency))

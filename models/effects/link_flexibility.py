@@ -109,7 +109,7 @@ class LinkFlexibility(HiddenHinge):
             locked = (torch.zeros_like(hidden), *rk4(held, q, qd, dt, n))
             if bool(stiff.all()):
                 return locked
-        parts = substeps_for(dt, FASTEST, n, self.turn)
+        parts = substeps_for(dt, FASTEST, n)
         angles = self.spread(q, hidden[..., :1])
         stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), dt / parts)
 

@@ -10,6 +10,7 @@ from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 
 from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, unchanged
+from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
@@ -135,6 +136,21 @@ def test_columns_are_differences_of_the_model(name):
             for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
                 expected = (there - here) / step
                 np.testing.assert_allclose(got[..., column], expected, atol=1e-9 + 1e-7 * np.abs(expected).max())
+
+
+def test_a_bending_link_to_first_order():
+    """What the screen makes of it is within a tenth of the model along the hinge's own path, of each grid point."""
+    model, path = bound().model, followed()
+    effect = next(e for e in considered(bound()) if e.name == "link_flexibility")
+    found, columns = hypotheses(model, effect, path, unchanged(model, path))
+    ideal = means(model, path)[0]
+    for hypothesis in found:
+        bent = having(model, effect, hypothesis.point)
+        hinged = driven(bent, path, 1)[0].squeeze(0)
+        following = means(bent, hinged)[0]
+        hidden = slice(model.torque_size, model.torque_size + 2)
+        true = np.delete(following, hidden, axis=1) - ideal
+        assert np.abs(columns.g[..., hypothesis.offset] - true).max() < 0.1 * np.abs(true).max()
 
 
 def test_friction_that_stops_a_link_within_a_row_is_followed_from_a_value_near_it():

@@ -32,6 +32,19 @@ def test_the_last_third_is_held_out():
     assert per_frame["nominal"] < per_frame["corrected"] < per_frame["noise_floor"] + 1.0
 
 
+def test_what_was_seen_up_to_a_row():
+    """Its evidence is that of as many rows of the recording; other recordings that start later are no part of it."""
+    here, none, _ = causes()
+    before = replace(here, starts=(20, 60)).until(53)
+    assert before.starts == (20,)
+    before = here.until(53)
+    masked = torch.where(torch.arange(80)[:, None] < 53, here.observations, torch.nan)
+    short = refine(before, (), {}, none.path[:53], LOOSE)
+    long = refine(here.observing(masked), (), {}, none.path, LOOSE)
+    assert len(short.path) == 53
+    assert short.log_evidence == pytest.approx(long.log_evidence, abs=0.01)
+
+
 def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     push = EFFECTS["external_push"]("tip")
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)

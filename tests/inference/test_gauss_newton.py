@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.gauss_newton import gauss_newton_path, jacobian, linearise, log_joint
+from invdyn.inference.gauss_newton import gauss_newton_path, jacobian, linearise, log_joint, slopes_along
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 
@@ -251,3 +251,19 @@ def test_other_noise_than_gaussian_is_refused():
     with pytest.raises(TypeError, match="bootstrap guide"):
         gauss_newton(model, torch.zeros(4, 1, dtype=F64))
     assert isinstance(oracles.random_chain().model(3), LinearGaussian)
+
+
+def test_parameter_sets_that_are_alike_may_share_the_slopes_of_one():
+    """What is found then is a tenth of a nat below the mode at most, though it may not be all the way there."""
+    model = arm(60, 0.005)
+    y = model.simulate()[1]
+    masses = model.body_parameters().mass * torch.tensor([0.97, 1.0, 1.03], dtype=F64).reshape(-1, 1, 1)
+    many = model.replace(**{"body.mass": masses})
+    middle = gauss_newton(model, y).path
+    start = middle.expand(3, -1, -1)
+    own = gauss_newton(many, y, start=start)
+    shared = gauss_newton(many, y, start=start, slopes=slopes_along(model, middle))
+    assert (own.log_joint - many.log_joint(start, y)).max() > 1.0  # somewhere to go
+    assert (own.log_joint - shared.log_joint).abs().max() < 0.1
+    torch.testing.assert_close(shared.log_joint, many.log_joint(shared.path, y))
+    assert shared.factors.log_evidence.shape == (3,)
