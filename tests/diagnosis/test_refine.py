@@ -164,6 +164,24 @@ def test_swapped_labels_do_not_bend_the_first_path():
     assert off.abs().max() < 0.6  # 2.9 from a start that follows the labels
 
 
+def test_what_strays_from_a_fast_limb_does_not_bend_the_first_path():
+    """By less than a frame's step, though under its own torque the limb could go there."""
+    links = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
+    body = Body("arm", links, gravity=(0.0, -9.81))
+    arm = random_arm(body, duration=4.0, fps=50, noise=0.002, torque_scale=1.0, commanded=False, seed=1)
+    recording = record(arm, 1)[0]
+    points, rng = recording.keypoints.copy(), np.random.default_rng(1)
+    strays = rng.random(points.shape[:2]) < 0.04
+    points[strays] += 0.1 * rng.standard_normal((strays.sum(), 2))
+    here, clean = (setting(replace(recording, keypoints=k), body) for k in (points, recording.keypoints))
+    path, stray = data_path(here)
+    assert stray
+    assert here.regime == "unknown_torque"
+    (_, found, _), (_, true, _) = here.model.split(path), clean.model.split(data_path(clean)[0])
+    off = torch.remainder(found - true + np.pi, 2 * np.pi) - np.pi
+    assert off.abs().max() < 0.1  # .34 from a start that follows what strays
+
+
 def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():
     here, effect, _ = rubbed()
     none = refine(here, (), {}, path_of(here), LOOSE)
