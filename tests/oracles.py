@@ -4,6 +4,7 @@ A linear-Gaussian chain is x_0 ~ N(m, P), x_t = A x_{t−1} + N(0, Q), y_t = C x
 NaN where nothing was seen.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,3 +170,11 @@ def chain_numbers(seed=0, *, rows=2, extra=0, steps=6, batch=()):
     m0 = rng.normal(size=(*batch, CHAIN_DIM))
     V = 0.5 * rng.normal(size=(*batch, steps - 1, CHAIN_DIM, extra)) if extra else None
     return [F, a, L, E, e, m0, V]
+
+
+def assert_unbiased(log_evidence, exact, z=4.0):
+    """E[Ẑ]/Z = 1 within z standard errors, and these are small enough to notice a bias of a few percent."""
+    ratio = torch.exp(log_evidence - exact)
+    error = ratio.std().item() / math.sqrt(len(ratio))
+    assert error < 0.03
+    assert abs(ratio.mean().item() - 1) < z * error
