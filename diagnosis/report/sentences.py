@@ -166,8 +166,10 @@ def _closed(diagnosis: Diagnosis) -> str | None:
         low, high = shrinkage.interval_90
         on = "data held out from the fit" if shrinkage.held_out else "the same data as the fit"
         parts.append(f"the share closed is {percent(low)} to {percent(high)} with 90 % probability, on {on}")
-    top = None if diagnosis.regime == "unknown_torque" else largest(before)
-    if top and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
+    # At the joint where the gap lies: with much noise more may seem to be missing at another.
+    at = largest(diagnosis.where.joints)
+    top = largest({at[0]: before[at[0]]} if at and at[0] in before else before)
+    if top and diagnosis.regime != "unknown_torque" and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
         place = place_words("joint", top[0])
         parts.append(
             f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"
