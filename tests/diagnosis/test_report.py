@@ -205,9 +205,9 @@ def test_unknown_torque_is_not_called_missing():
 def test_the_torque_that_is_missing_is_that_of_the_joint_where_the_gap_lies():
     case = diagnosis()
     noisy = replace(case, gap=replace(case.gap, residual_torque_rms={"shoulder": 0.2, "elbow": 0.21}))
-    assert "left unexplained at the shoulder goes from 0.2 N·m" in render(noisy)
+    assert f"left unexplained at the shoulder goes from {handy(0.2, 'N·m')} to" in render(noisy)
     nowhere = replace(noisy, where=replace(noisy.where, joints={}))
-    assert "left unexplained at the elbow goes from 0.21 N·m" in render(nowhere)
+    assert f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to" in render(nowhere)
 
 
 def test_no_keypoints_and_no_lasting_intervals():
