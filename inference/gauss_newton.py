@@ -203,7 +203,7 @@ def gauss_newton(
         max_iterations: linearisations at most, at the last stage.
         tolerance: stop when a step gains less than this, in nats.
         slopes: to take everywhere instead of the model's own: many parameter sets that are nearly the same may share
-            those of one of them, which a step costs most of its time. What is found is nearly the mode.
+            those of one of them, as slopes are most of a step's work. What is found is nearly the mode.
 
     Raises TypeError for a transition or emission that has no Gaussian approximation here, and
     ValueError when the starting path has no finite density.
