@@ -44,8 +44,9 @@ FILTERS, RUNS, PARTICLES = 8, 2, 20
 """Filters of a run, runs at most, particles of each filter."""
 DRAWS = 4
 """Paths of each filter in the posterior."""
-CLEAR = 0.2
-"""Nats: a standard error with which no further run is needed."""
+CLEAR, SURE = 0.2, 0.7
+"""Nats: a standard error with which no further run is needed, once tempered; and one up to which the evidence by SMC is
+taken for more certain than the linearised one."""
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -66,9 +67,12 @@ class Confirmed:
     result: FilterResult | None = None
 
 
-def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS) -> Confirmed:
+def confirm(
+    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS, temper: float = 1.0
+) -> Confirmed:
     """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
 
+    That is when it is certain, and its standard error counts for little once it is raised to the power ``temper``.
     Where a filter of any run dies, because parameters that may be let the simulation run away, or data that no noise
     explains, there is no evidence (−∞, and NaN as its error) and no result.
     """
@@ -79,7 +83,7 @@ def confirm(setting: Setting, cause: Refined, seed: int = 0, filters: int = FILT
             return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
         done.append(run)
         confirmed = _together(setting, cause, done)
-        if confirmed.log_evidence_sd < CLEAR:
+        if confirmed.log_evidence_sd < min(CLEAR / temper, SURE):
             break
     return confirmed
 

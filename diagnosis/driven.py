@@ -1,7 +1,8 @@
 """What a hinge that nobody sees does along a motion that is known: its path (ψ, ψ̇), driven by it.
 
 A hinge on a spring follows to first order: ψ_{t+1} = A_t ψ_t + b_t, with A and b by differences about rest, from the
-deflection that the first row would hold.
+deflection that the first row would hold. A changes only as the arm turns: where rows are evenly spaced it is worked out
+for some of them, in straight lines between.
 
 A gap forgets what was before as soon as there is contact: :meth:`.StateSpaceModel.settled`.
 
@@ -14,6 +15,9 @@ from torch import Tensor
 from invdyn.models import ArmModel
 from invdyn.models.state_space import gaussian_mean
 
+TURN, EVEN = 0.2, 1e-3
+"""rad, that the joints turn between rows of which slopes are worked out; and how far spacing may be uneven."""
+
 
 def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Along ``path`` (T, D): paths (S, T, D + 2) with the hinge of ``model``, of S = ``count`` parameter sets.
@@ -25,22 +29,23 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
     still = path.new_zeros(len(path), model.state_dim - path.shape[-1])
     path = torch.cat([path[:, :first], still, path[:, first:]], -1).expand(count, -1, -1).clone()
 
-    def moved(path: Tensor) -> Tensor:
-        return gaussian_mean(model.transition(path[:, :-1], rows))
+    def moved(path: Tensor, rows: Tensor) -> Tensor:
+        return gaussian_mean(model.transition(path[:, rows - 1], rows))
 
     if model.driven is not None:
         path = model.settled(path)
-        return path, moved(path)
+        return path, moved(path, rows)
 
     nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3
 
-    def nudged(nudge: Tensor) -> Tensor:
+    rest, some = moved(path, rows), _some(model, path[0])
+
+    def slope(nudge: Tensor) -> Tensor:
         shifted = path.clone()
         shifted[..., hidden] = nudge
-        return moved(shifted)
+        return (moved(shifted, rows[some]) - rest[:, some]) / nudge.sum()
 
-    rest = moved(path)
-    slopes = torch.stack([(nudged(nudge) - rest) / nudge.sum() for nudge in torch.diag(nudges)], -1)
+    slopes = _between(torch.stack([slope(nudge) for nudge in torch.diag(nudges)], -1), some, len(rows))
     A, b = slopes[..., hidden, :], rest[..., hidden]
     psi = torch.linalg.solve(torch.eye(len(nudges), dtype=path.dtype) - A[:, 0], b[:, 0])
     for t in range(path.shape[1]):
@@ -48,3 +53,24 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
         if t < len(rows):
             psi = (A[:, t] @ psi.unsqueeze(-1)).squeeze(-1) + b[:, t]
     return path, rest + (slopes @ path[:, :-1, hidden].unsqueeze(-1)).squeeze(-1)
+
+
+def _some(model: ArmModel, path: Tensor) -> Tensor:
+    """Steps of ``path`` (T, D), from 0, ``TURN`` or one step apart, the first and the last among them; or all."""
+    steps, count = model.time.diff(), len(path) - 1
+    if steps.max() - steps.min() > EVEN * steps.min():
+        return torch.arange(count)
+    turned = model.split(path)[1].diff(dim=0).abs().amax(-1).cumsum(0)
+    stretch = (turned / TURN).floor()
+    stretch[-1] = stretch[-1] + 1  # the last one counts
+    return torch.cat([torch.zeros(1, dtype=torch.long), stretch.diff().nonzero()[:, 0] + 1])
+
+
+def _between(values: Tensor, some: Tensor, count: int) -> Tensor:
+    """(S, count, ...) in straight lines between ``values`` (S, J, ...) of steps ``some`` (J,)."""
+    if len(some) == count:
+        return values
+    steps = torch.arange(count)
+    left = (torch.searchsorted(some, steps, right=True) - 1).clamp(max=len(some) - 2)
+    share = ((steps - some[left]) / (some[left + 1] - some[left])).to(values).reshape(-1, 1, 1)
+    return torch.lerp(values[:, left], values[:, left + 1], share)

@@ -7,9 +7,11 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
 A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion;
-if they are larger than the noise at rest; if its parameters are such that its effects would not be what they are called
-(:meth:`Effect.credible`); or if a residual still gains evidence, L_c = max_size log p − log p(spike), more than a
-hundredth (``LITTLE`` squared) of what it gains where there is no cause: it is small then, but surely there.
+if keypoints stray in the same rows, as no stray detections do (swapped ones are a cause of their own); if errors are
+larger than the noise at rest; if its parameters are such that its effects would not be what they are called
+(:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
+log p(spike), more than a hundredth (``LITTLE`` squared) of what it gains where there is no cause: it is small then, but
+surely there.
 
 With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
 there, and errors are those under an ample torque. And a cause that does not surely improve the prediction of held-out
@@ -23,7 +25,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.confirm import Confirmed, confirm
+from invdyn.diagnosis.confirm import SURE, Confirmed, confirm
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size
@@ -32,13 +34,12 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
-from invdyn.diagnosis.whiteness import along_motion, correlation, prediction_errors
+from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, prediction_errors
+from invdyn.models.effects.joint_limit import have_room
 
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
 CONFIRMED = 2
-SURE = 0.7
-"""Nats of Monte Carlo error up to which SMC's evidence is taken for more certain than the linearised one."""
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
 LITTLE = 0.1
@@ -53,6 +54,8 @@ standard deviations; a right simulation's have none, but for what reality's effe
 catalogue's."""
 ALONG = 0.05
 """Share of the errors beyond a half, and beyond chance, from which on they lie along the motion."""
+ONE = 0.25
+"""Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def credible(bound: Setting, cause: Refined) -> bool:
             return False
         if is_searched(effect) and any(at_far_end(p, own[0][p.name]) for p in parameters):
             return False
-    return True
+    return have_room(cause.effects, mean, bound.model.scale)
 
 
 def _alone(bound: Setting, found: Search, cause: Refined) -> float:
@@ -95,6 +98,9 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     errors = prediction_errors(bound, cause)
     alike, chance = correlation(errors)
     if alike > ALIKE + CHANCE * chance:
+        return 0.0
+    company, chance = in_concert(bound, cause)
+    if company > ONE + CHANCE * chance:
         return 0.0
     if bound.regime == "unknown_torque":
         return 1.0
@@ -117,7 +123,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     """Confirm the best by SMC, and turn scores into probabilities."""
     ranked = found.ranked
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
-    runs = side_by_side([partial(confirm, bound, c, seed) for c in close], found.workers)
+    runs = side_by_side([partial(confirm, bound, c, seed, temper=found.temper) for c in close], found.workers)
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a

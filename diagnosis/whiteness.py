@@ -1,4 +1,4 @@
-"""What is left in a cause's errors of prediction: alike from row to row, or along the motion.
+"""What is left in a cause's errors of prediction: alike from row to row, along the motion, or astray together.
 
 Whitened one-step prediction errors w_t of a right simulation are independent, and alike in all directions (whiteness
 tests: Mehra 1970, "On the identification of variances and adaptive Kalman filtering"):
@@ -8,14 +8,25 @@ tests: Mehra 1970, "On the identification of variances and adaptive Kalman filte
 
 v is not whitened, which costs power where predictions are uncertain. Noise of unlike width in x and y shows, too.
 
-Shapes: T rows, O observations.
+And stray detections of a tracker that errs now and then come upon each keypoint by itself. With r_t the probability
+that one strays in row t and s_t that another does, of all pairs together,
+
+    in concert      (Σ r_t s_t − E) / (M − E)                       0 ± √E/(M − E); 1 where they stray as one
+
+with E = Σr Σs / T what chance gives, and M = min(Σr, Σs) the most there could be.
+
+Shapes: T rows, O observations, P keypoints.
 """
 
+from itertools import combinations
+
 import numpy as np
+import torch
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.setting import Setting
+from invdyn.models.mixture import MistakenRows
 
 AMPLE = 3.0
 """Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
@@ -57,3 +68,24 @@ def along_motion(errors: np.ndarray, cause: Refined) -> tuple[float, float]:
         return 0.5, 0.5
     (x, y), (u, v) = errors[fast].T, velocity[fast].T
     return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
+
+
+def in_concert(setting: Setting, cause: Refined) -> tuple[float, float]:
+    """How far keypoints stray in the same rows, and its sd if each does by itself (of one chance coincidence at least).
+
+    Where the cause has rows swapped or mistimed, or knows of no stray detections, there is nothing to ask: 0.
+    """
+    rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
+    if not isinstance(rows, MistakenRows) or not rows.strays or rows.swaps or rows.shift:
+        return 0.0, 1.0
+    stray = rows.stray(setting.observations).numpy()
+    together = by_chance = most = 0.0
+    for one, other in combinations(stray.T, 2):
+        seen = ~np.isnan(one + other)
+        r, s = one[seen], other[seen]
+        together += float(r @ s)
+        by_chance += float(r.sum() * s.sum() / max(seen.sum(), 1))
+        most += float(min(r.sum(), s.sum()))
+    if most - by_chance < 1.0:
+        return 0.0, 1.0
+    return (together - by_chance) / (most - by_chance), max(by_chance, 1.0) ** 0.5 / (most - by_chance)

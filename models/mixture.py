@@ -173,6 +173,13 @@ class MistakenRows(TorchDistribution):
             off = (whitening @ (target - self.loc).unsqueeze(-1))[..., 0]
         return whitening, target, total + 0.5 * off.square().sum(-1)
 
+    def stray(self, value: Tensor) -> Tensor:
+        """Probability (..., P) that each keypoint's detection strays, in rows not swapped or shifted; NaN unseen."""
+        y, loc, scale = (self._split(each)[0] for each in (value, self.loc, self.scale))
+        options = [w + _normal(y, loc, width).sum(-1) for w, width in self._widths(scale)]
+        none = torch.stack(options).softmax(0)[0]
+        return torch.where(torch.isnan(y).all(-1), torch.nan, 1 - none)
+
     # -- drawing -------------------------------------------------------------------------------
     @property
     def mean(self) -> Tensor:

@@ -20,6 +20,8 @@ TINY = 1e-12  # rad, of a joint at rest
 OVERDAMPED = 3.0
 """Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side;
 stops that were found where there were some had .48 at most."""
+ROOM = 0.1
+"""Of the range that a joint has been seen in: what its two stops leave free at least. Stops that meet are a spring."""
 
 
 class JointLimit(Effect):
@@ -91,3 +93,14 @@ class JointLimit(Effect):
         entered = (0.5 + depth / (speed.abs() * now.step + TINY)).clamp(0.0, 1.0)
         push = p["stiffness"] * depth.clamp_min(0.0) + p["damping"] * speed * entered
         return now.at(j, -self.sign * push.clamp_min(0.0))
+
+
+def have_room(effects: Sequence[Effect], values: Mapping[str, float], scale: Scale) -> bool:
+    """Whether every joint moves freely between its stops, if it has two; ``values`` by "<effect key>.<parameter>"."""
+    ends: dict[int, dict[float, float]] = {}
+    for stop in effects:
+        if isinstance(stop, JointLimit):
+            ends.setdefault(stop.place[0], {})[stop.sign] = values[f"{stop.key}.angle"]
+    pairs = {j: angles[1.0] - angles[-1.0] for j, angles in ends.items() if len(angles) == len(SIDES)}
+    seen = {j: 0.0 if scale.range is None else float(scale.range[j][1] - scale.range[j][0]) for j in pairs}
+    return all(room > ROOM * seen[j] for j, room in pairs.items())

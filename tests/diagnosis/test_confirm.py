@@ -36,12 +36,12 @@ def test_smc_agrees_with_the_linearised_evidence():
         assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
 
 
-@pytest.mark.parametrize(("clear", "filters"), [(np.inf, 4), (0.0, 8)])
-def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, filters):
-    """All of them weigh together."""
+@pytest.mark.parametrize(("clear", "temper", "filters"), [(np.inf, 1.0, 4), (1e-3, 1.0, 8), (1e-3, 1e-3, 4)])
+def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, filters):
+    """All of them weigh together; evidence that is tempered need not be known so well."""
     here, _, cause = causes()
     monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", clear)
-    confirmed = confirm(here, cause, 3, filters=4)
+    confirmed = confirm(here, cause, 3, filters=4, temper=temper)
     assert confirmed.result.log_evidence.shape == (filters,)
     assert confirmed.result.states.shape[1] == len(confirmed.values) == filters
     assert len(set(confirmed.result.log_evidence.tolist())) == filters

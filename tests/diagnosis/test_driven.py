@@ -1,5 +1,7 @@
 """What a hinge that nobody sees does along a known motion, and to it."""
 
+import sys
+
 import pytest
 import torch
 from pendulum import ARM
@@ -7,6 +9,7 @@ from pendulum import ARM
 from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.setting import setting
+from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.models.state_space import gaussian_mean
 from invdyn.simulate import random_arm, record
@@ -45,3 +48,21 @@ def test_what_the_hinge_does_to_the_arm_is_the_models_to_first_order(bent):
     with torch.no_grad():
         after, rest = (gaussian_mean(model.transition(each[:, :-1], rows)) for each in (paths, still))
     assert ((following - after).abs().amax(1) <= 0.1 * (after - rest).abs().amax(1) + 1e-12).all()
+
+
+def test_slopes_of_some_rows_do_for_all(bent, monkeypatch):
+    """Within a twentieth of the largest deflection and of the largest change; of uneven rows all are asked."""
+    model, path = bent
+    module = sys.modules[driven.__module__]
+    paths, following = driven(model, path, 3)
+    assert len(module._some(model, paths[0])) < len(path) / 2
+    uneven = ArmModel(ARM, model.time + 0.002 * (torch.arange(len(path)) > 70))
+    assert len(module._some(uneven, path)) == len(path) - 1
+    monkeypatch.setattr(module, "TURN", 1e-9)
+    assert len(module._some(model, paths[0])) == len(path) - 1
+    exactly, next_exactly = driven(model, path, 3)
+    hinge = slice(2, 4)
+    off = (paths - exactly).abs().amax(1)[:, hinge]
+    assert (off <= 0.05 * exactly[..., hinge].abs().amax(1)).all()
+    moved = (next_exactly - exactly[:, :-1]).abs().amax(1)
+    assert ((following - next_exactly).abs().amax(1) <= 0.05 * moved + 1e-12).all()

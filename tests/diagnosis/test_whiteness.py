@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, causes
+from pendulum import ARM, PENDULUM, causes, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.predict import seen_tips
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import setting
-from invdyn.diagnosis.whiteness import along_motion, correlation, prediction_errors
+from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, prediction_errors
 from invdyn.models import ArmModel
+from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
 
@@ -46,6 +47,28 @@ def test_noise_lies_along_the_motion_no_more_than_across():
     assert along_motion(prediction_errors(mistimed, cause), cause)[0] > 0.5 + 4 * sd
     unseen = here.observing(torch.full_like(here.observations, torch.nan))
     assert along_motion(prediction_errors(unseen, cause), cause) == (0.5, 0.5)
+
+
+@pytest.mark.parametrize("mistake", ["outliers", "label_swap"])
+def test_swapped_keypoints_stray_as_one(mistake):
+    """Under a cause that has each stray by itself; one that knows of swaps, or of no mistakes, is not asked."""
+    swaps = mistake == "label_swap"
+    truth = EFFECTS[mistake]("elbow", "wrist") if swaps else EFFECTS[mistake]()
+    values = {"rate": 0.05} | ({} if swaps else {"scale": 0.1})
+    here = setting(recording_of(truth, ARM, rows=200, **values), ARM)
+    path = data_path(setting(recording_of(None, ARM, rows=200), ARM))[0]  # the same motion, without mistakes
+
+    def cause(*names):
+        effects = [EFFECTS[name](*(("elbow", "wrist") if name == "label_swap" else ())).bound(ARM) for name in names]
+        model = here.model.with_effects(*effects)
+        known = {f"effect.{e.key}.rate": torch.tensor([0.05]).double() for e in effects}
+        wide = {f"effect.{e.key}.scale": torch.tensor([0.1]).double() for e in effects if e.name == "outliers"}
+        return replace(refine(here, (), {}, path, here.loose), path=path, model=model.replace(**known, **wide))
+
+    company, chance = in_concert(here, cause("outliers"))
+    assert chance < 0.2
+    assert (company > 0.9) if swaps else (abs(company) < 3 * chance)
+    assert in_concert(here, cause("outliers", "label_swap")) == in_concert(here, cause()) == (0.0, 1.0)
 
 
 def test_a_limbs_torque_may_be_smoother_than_its_prior():

@@ -128,6 +128,22 @@ def test_a_swap_is_seen_where_it_belongs():
     assert explained(torch.distributions.Independent(plain, 1), y) is y
 
 
+@pytest.mark.parametrize("strays", [1, 2])
+def test_which_detections_stray(strays):
+    """By Bayes' rule, keypoint by keypoint, of a row as it stands; NaN where nothing is seen."""
+    y = np.stack([ROWS["stray"], ROWS["half missing"], ROWS["one missing"]])
+    found = rows_of(strays=strays).stray(torch.as_tensor(y)).numpy()
+    assert np.argwhere(np.isnan(found)).tolist() == [[2, 1]]
+    for row, point in np.argwhere(~np.isnan(found)):
+        here = slice(2 * point, 2 * point + 2)
+        seen = np.isfinite(y[row, here])
+        off, sd = (y[row, here] - LOC[here])[seen], SCALE[here][seen]
+        widths = [norm.pdf(off, 0, np.hypot(sd, math.sqrt(k) * WIDTH)).prod() for k in range(strays + 1)]
+        chance = [math.comb(strays, k) * RATE**k * (1 - RATE) ** (strays - k) for k in range(strays + 1)]
+        none, *some = np.array(widths) * chance
+        assert found[row, point] == pytest.approx(sum(some) / (none + sum(some)))
+
+
 def test_draws():
     torch.manual_seed(0)
     n = 40000

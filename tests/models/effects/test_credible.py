@@ -7,6 +7,7 @@ import torch
 
 from invdyn.diagnosis.unknowns import spread
 from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.joint_limit import have_room
 
 SURE = 1e-3
 """Of a parameter's value: its standard deviation."""
@@ -46,6 +47,26 @@ def test_a_stop_pushes_back(ratio, expected, arm):
 def test_a_joint_is_seen_free_of_its_stop(side, angle, expected, arm):
     values = {"angle": angle, "stiffness": 50.0, "damping": 0.1}
     assert credible(arm, "joint_limit", ["joint0", side], within=(-1.0, 1.0), **values) is expected
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [(-0.8, 0.9, True), (-0.1, 0.2, True), (-0.1, 0.05, False), (0.061, 0.0607, False), (0.5, -0.5, False)],
+)
+def test_two_stops_of_a_joint_leave_it_room(lower, upper, expected, arm):
+    """A tenth of the 2 rad that it has been seen in; of a joint with one stop, and of two joints, nothing is asked."""
+    model = arm(2)
+    scale = replace(model.scale, range=torch.tensor([[-1.0, 1.0]] * 2, dtype=torch.float64))
+    low, high, other = (
+        EFFECTS["joint_limit"](*where).bound(model.body)
+        for where in (("joint0", "lower"), ("joint0", "upper"), ("joint1", "upper"))
+    )
+    values = {f"{low.key}.angle": lower, f"{high.key}.angle": upper, f"{other.key}.angle": upper}
+    assert have_room([low, high], values, scale) is expected
+    assert have_room([low, high, other], values, scale) is expected
+    assert have_room([low, high], values, model.scale) is (lower < upper)
+    assert have_room([low, other], values, scale)
+    assert have_room([], {}, scale)
 
 
 @pytest.mark.parametrize(("static", "expected"), [(0.3, True), (0.2, True), (0.19, False), (0.01, False)])
