@@ -7,6 +7,7 @@ import arviz as az
 import numpy as np
 import torch
 
+from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.describe import Formula
 from invdyn.diagnosis.findings import finding, key
@@ -143,7 +144,7 @@ def assembled(
         ),
         visibility=visibility,
         method=_method(bound, found, held_out),
-        posterior=_posterior(bound, found, weighed, seed),
+        posterior=_posterior(bound, best, weighed, seed),
     )
 
 
@@ -158,9 +159,8 @@ def _unseen(bound: Setting, found: Search) -> set[str]:
     return unseen
 
 
-def _posterior(bound: Setting, found: Search, weighed: Weighed, seed: int) -> az.InferenceData:
-    best = weighed.best
-    run = weighed.confirmed.get(best.key) or confirm(bound, best, seed, temper=found.temper)
+def _posterior(bound: Setting, best: Refined, weighed: Weighed, seed: int) -> az.InferenceData:
+    run = weighed.confirmed.get(best.key) or confirm(bound, best, seed)
     return posterior(bound, best, run, seed)
 
 

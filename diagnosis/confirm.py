@@ -7,7 +7,7 @@ linearised about its own path, and the outer weight
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
 which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
-error is large, as one heavy weight makes it, leaves it a little low. Noise scale, residual and parameters that were
+error is large leaves it a little low. Noise scale, residual and parameters that were
 searched (:mod:`.noise`) stand at their estimates; what integrating over the residual's size and over those adds is
 taken from the refinement.
 
@@ -17,6 +17,7 @@ Shapes: M filters, N particles, T rows, p unknowns.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import arviz as az
 import numpy as np
@@ -28,6 +29,7 @@ from torch import Tensor
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
@@ -40,13 +42,13 @@ from invdyn.inference.seeds import derived, seeded
 from invdyn.inference.smoothing import genealogy
 from invdyn.models import ArmModel
 
-FILTERS, RUNS, PARTICLES = 8, 2, 20
-"""Filters of a run, runs at most, particles of each filter."""
+FILTERS, PARTICLES = 8, 20
+"""Filters of a run, particles of each filter."""
 DRAWS = 4
 """Paths of each filter in the posterior."""
-CLEAR, SURE = 0.2, 0.7
-"""Nats: a standard error with which no further run is needed, once tempered; and one up to which the evidence by SMC is
-taken for more certain than the linearised one."""
+CLEAR, SURE, HOPELESS = 0.2, 0.7, 0.9
+"""Nats: a standard error with which no further run is needed, once tempered; one up to which the evidence by SMC is
+taken for more certain than the linearised one; and one of filters among which a single one counts."""
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -67,25 +69,39 @@ class Confirmed:
     result: FilterResult | None = None
 
 
-def confirm(
-    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, runs: int = RUNS, temper: float = 1.0
-) -> Confirmed:
-    """Run filters of ``PARTICLES`` particles under the cause, so many at a time, until the evidence is clear.
+def confirm_all(
+    setting: Setting, causes: Sequence[Refined], seed: int = 0, temper: float = 1.0, workers: int = 1
+) -> list[Confirmed]:
+    """Confirm each cause, a second time those whose evidence, raised to the power ``temper``, is not clear by then.
 
-    That is when it is certain, and its standard error counts for little once it is raised to the power ``temper``.
-    Where a filter of any run dies, because parameters that may be let the simulation run away, or data that no noise
-    explains, there is no evidence (−∞, and NaN as its error) and no result.
+    If filters of one of them died, or one filter speaks for all, evidence by SMC can not weigh them: that is all then.
     """
-    done: list[tuple[Tensor, FilterResult]] = []
-    for number in range(runs):
-        run = _run(setting, cause, derived(seed, number), filters)
-        if run is None:
-            return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
-        done.append(run)
-        confirmed = _together(setting, cause, done)
-        if confirmed.log_evidence_sd < min(CLEAR / temper, SURE):
-            break
-    return confirmed
+    runs = side_by_side([partial(confirm, setting, cause, derived(seed, 0)) for cause in causes], workers)
+    if any(not run.log_evidence_sd < HOPELESS for run in runs):
+        return runs
+    unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, SURE)]
+    again = [partial(confirm, setting, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
+    both = dict(zip(unclear, side_by_side(again, workers), strict=True))
+    return [both.get(i, run) for i, run in enumerate(runs)]
+
+
+def confirm(
+    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, before: Confirmed | None = None
+) -> Confirmed:
+    """Run so many filters of ``PARTICLES`` particles under the cause, and weigh them with those of a run ``before``.
+
+    Where a filter dies, because parameters that may be let the simulation run away, or data that no noise explains,
+    there is no evidence (−∞, and NaN as its error) and no result.
+    """
+    run = _run(setting, cause, seed, filters)
+    if run is None:
+        return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
+    values, result = run
+    if before is not None:
+        values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
+    outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
+    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top] + cause.noise_log
+    return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 
 def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Tensor, FilterResult] | None:
@@ -96,14 +112,6 @@ def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Ten
     except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
-
-
-def _together(setting: Setting, cause: Refined, runs: Sequence[tuple[Tensor, FilterResult]]) -> Confirmed:
-    """Evidence of all runs' filters."""
-    values, result = torch.cat([values for values, _ in runs]), joined([result for _, result in runs])
-    outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
-    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top] + cause.noise_log
-    return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 
 def _filtered(setting: Setting, cause: Refined, values: Tensor, size: float, seed: int) -> FilterResult:

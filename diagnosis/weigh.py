@@ -19,19 +19,17 @@ rows is taken back.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.confirm import SURE, Confirmed, confirm
+from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, prediction_errors
@@ -123,7 +121,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     """Confirm the best by SMC, and turn scores into probabilities."""
     ranked = found.ranked
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
-    runs = side_by_side([partial(confirm, bound, c, seed, temper=found.temper) for c in close], found.workers)
+    runs = confirm_all(bound, close, seed, found.temper, found.workers)
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a

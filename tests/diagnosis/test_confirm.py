@@ -9,7 +9,7 @@ from oracles import kalman
 from pendulum import DAMPING, FRICTION, PENDULUM, at_best, causes, path_of, recorded, wheel, wheel_chain
 from pyro.infer.smcfilter import SMCFailed
 
-from invdyn.diagnosis.confirm import confirm, posterior, scaled
+from invdyn.diagnosis.confirm import confirm, confirm_all, posterior, scaled
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -36,15 +36,39 @@ def test_smc_agrees_with_the_linearised_evidence():
         assert confirmed.log_evidence == pytest.approx(each.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
 
 
-@pytest.mark.parametrize(("clear", "temper", "filters"), [(np.inf, 1.0, 4), (1e-3, 1.0, 8), (1e-3, 1e-3, 4)])
-def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, filters):
-    """All of them weigh together; evidence that is tempered need not be known so well."""
-    here, _, cause = causes()
-    monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", clear)
-    confirmed = confirm(here, cause, 3, filters=4, temper=temper)
+@pytest.mark.parametrize(
+    ("clear", "temper", "hopeless", "filters"),
+    [(np.inf, 1.0, np.inf, 8), (1e-3, 1.0, np.inf, 16), (1e-3, 1e-3, np.inf, 8), (1e-3, 1.0, 1e-3, 8)],
+)
+def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, hopeless, filters):
+    """All of them weigh together; evidence that is tempered need not be known so well, nor where SMC cannot say."""
+    here, none, cause = causes()
+    module = sys.modules[confirm.__module__]
+    monkeypatch.setattr(module, "CLEAR", clear)
+    monkeypatch.setattr(module, "HOPELESS", hopeless)
+    confirmed = confirm_all(here, [none, cause], 3, temper)[1]
     assert confirmed.result.log_evidence.shape == (filters,)
     assert confirmed.result.states.shape[1] == len(confirmed.values) == filters
     assert len(set(confirmed.result.log_evidence.tolist())) == filters
+
+
+def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
+    here, _, cause = causes()
+    module = sys.modules[confirm.__module__]
+    asked, own = [], module._filtered
+
+    def dies(setting, each, *rest):
+        asked.append(each)
+        if each is not cause:
+            raise SMCFailed("all particles of a filter have weight zero")
+        return own(setting, each, *rest)
+
+    monkeypatch.setattr(module, "_filtered", dies)
+    monkeypatch.setattr(module, "CLEAR", 0.0)
+    first, second = confirm_all(here, [cause, replace(cause)], 3)
+    assert np.isfinite(first.log_evidence)
+    assert second.log_evidence == -np.inf
+    assert len(asked) == 2
 
 
 def test_where_no_draw_is_plausible_there_are_paths_and_no_evidence():
@@ -80,7 +104,7 @@ def test_where_filters_die_the_linearised_model_gives_the_posterior(monkeypatch)
 
 def test_same_seed_same_numbers_and_all_within_bounds():
     here, _, cause = causes(0.0)  # at the edge: half of a symmetric proposal lies beyond it
-    first, again, other = (confirm(here, cause, seed, runs=1) for seed in (1, 1, 2))
+    first, again, other = (confirm(here, cause, seed) for seed in (1, 1, 2))
     assert first.log_evidence == again.log_evidence
     assert np.array_equal(first.values, again.values)
     assert not np.array_equal(first.values, other.values)
