@@ -61,35 +61,30 @@ def smooth_angles(
     shape = (len(agility), links)
     first = np.array([_first_seen(column) for column in measured.T])
     angle, rate = np.broadcast_to(first, shape).copy(), np.zeros(shape)
-    P = np.stack([np.full(shape, np.pi**2), np.zeros(shape), np.full(shape, 400.0)])  # φφ, φω, ωω
+    a, b, c = np.full(shape, np.pi**2), np.zeros(shape), np.full(shape, 400.0)  # variances: φφ, φω, ωω
     filtered, predicted = np.zeros((steps, 5, *shape)), np.zeros((steps, 5, *shape))
     for t in range(steps):
         if t > 0:
             dt = time[t] - time[t - 1]
             angle = angle + dt * rate
-            both, rates = P[1] + dt * P[2] + q * dt**2 / 2, P[2] + q * dt
-            P = np.stack([P[0] + 2 * dt * P[1] + dt**2 * P[2] + q * dt**3 / 3, both, rates])
-        predicted[t] = angle, rate, *P
+            a, b, c = a + 2 * dt * b + dt**2 * c + q * dt**3 / 3, b + dt * c + q * dt**2 / 2, c + q * dt
+        predicted[t] = angle, rate, a, b, c
         innovation = measured[t] - angle
-        wrapped = (innovation + np.pi) % (2 * np.pi) - np.pi
-        innovation = np.where(wrap[t], wrapped, innovation)
+        innovation = np.where(wrap[t], (innovation + np.pi) % (2 * np.pi) - np.pi, innovation)
         seen = np.isfinite(innovation)
-        gain = np.where(seen, P[:2] / (P[0] + sd**2), 0.0)
-        innovation = np.where(seen, innovation, 0.0)
-        angle, rate = angle + gain[0] * innovation, rate + gain[1] * innovation
-        P = np.stack([P[0] - gain[0] * P[0], P[1] - gain[0] * P[1], P[2] - gain[1] * P[1]])
-        filtered[t] = angle, rate, *P
+        known, innovation = np.where(seen, 1 / (a + sd**2), 0.0), np.where(seen, innovation, 0.0)
+        gain, other = a * known, b * known
+        angle, rate = angle + gain * innovation, rate + other * innovation
+        a, b, c = a - gain * a, b - gain * b, c - other * b
+        filtered[t] = angle, rate, a, b, c
+    # Smoother gains P Fᵀ P⁻¹ of the 2×2 systems, written out.
+    dt = np.diff(time)[:, None, None]
+    (a, b, c), (A, B, C) = (np.moveaxis(each, 1, 0) for each in (filtered[:-1, 2:], predicted[1:, 2:]))
+    cross, inverse = np.array([[a + dt * b, b], [b + dt * c, c]]), np.array([[C, -B], [-B, A]]) / (A * C - B**2)
+    gains = np.einsum("ijt...,jkt...->tik...", cross, inverse)
     smooth = filtered[:, :2].copy()
     for t in range(steps - 2, -1, -1):
-        dt = time[t + 1] - time[t]
-        _, _, a, b, c = filtered[t]
-        _, _, A, B, C = predicted[t + 1]
-        # Smoother gain P Fᵀ P⁻¹ of the 2×2 system, written out.
-        cross = np.stack([[a + dt * b, b], [b + dt * c, c]])
-        det = A * C - B**2
-        inverse = np.stack([[C, -B], [-B, A]]) / det
-        surprise = smooth[t + 1] - predicted[t + 1, :2]
-        smooth[t] += np.einsum("ij...,jk...,k...->i...", cross, inverse, surprise)
+        smooth[t] += (gains[t] * (smooth[t + 1] - predicted[t + 1, :2])).sum(1)
     return np.moveaxis(smooth[:, 0], 0, 1)
 
 
