@@ -5,16 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from rod import F64, rod
 
 from invdyn.models import ArmModel, Body, Emission, Link, dynamics_for
 from invdyn.models.effects import Backlash, BaseMotion, ExternalPush, JointStiffness, LinkFlexibility
 
-F64 = torch.float64
-
-
-def rod(rows=401, step=0.0025, gravity=(0.0, 0.0), command=None):
-    body = Body("rod", [Link("link", "hinge", "tip", length=0.3, mass=1.5)], gravity=gravity)
-    return ArmModel(body, step * np.arange(rows), Emission([0], 1), command=command)
+STEP = 0.0025  # s
 
 
 def rolled(model, hidden, q, qd):
@@ -48,7 +44,7 @@ def test_the_halves_are_the_link(link, arm, having, states):
 
 def test_a_flexible_rod_swings_at_its_mode(having):
     """A free hinge and a spring: ψ at ω² = k (M⁻¹)_ψψ, M of the straight chain; momentum about the joint stays."""
-    model = having(rod(), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
+    model = having(rod(401, STEP), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
     path = rolled(model, [1e-4, 0.0], [0.0], [0.0])
     m, l = 0.75, 0.15  # halves: uniform rods
     inner, outer = m * l**2 / 3, m * l**2 / 3
@@ -60,7 +56,7 @@ def test_a_flexible_rod_swings_at_its_mode(having):
 
 
 def test_a_damped_flexible_rod_loses_energy_and_only_it(having):
-    ideal = rod(gravity=(0.0, -9.81))
+    ideal = rod(401, STEP, (0.0, -9.81))
     effect = LinkFlexibility("link").bound(ideal.body)
     body, whole = ideal.body_parameters(), dynamics_for(2)
     links = effect.chain({}, body)
@@ -156,7 +152,7 @@ def test_the_gap_stays_within_its_stops_and_turns_over_with_the_load(pushed):
 
 def test_a_push_on_a_loose_link_leaves_the_rotor_where_it_is(having):
     """ψ̇ = J l / I, I the link's inertia about the joint but for the rotor's share."""
-    model = having(rod(81), Backlash("hinge"), width=1.0)
+    model = having(rod(81, STEP), Backlash("hinge"), width=1.0)
     values = {"impulse_x": 0.0, "impulse_y": 0.01, "moment": 0.05, "duration": 0.04}
     path = rolled(having(model, ExternalPush("tip"), **values), [0.0, 0.0], [0.0], [0.0])
     rotor = 0.5 * 1.5 * 0.3**2 / 12
@@ -234,7 +230,7 @@ def test_a_gap_is_where_the_motion_drives_it(having):
 
 
 def test_only_a_gap_is_driven(having):
-    springy = having(rod(20), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
+    springy = having(rod(20, STEP), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
     path = torch.randn(20, springy.state_dim, dtype=F64)
     assert springy.driven is None
     assert springy.settled(path) is path
