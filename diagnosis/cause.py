@@ -4,12 +4,13 @@ Shapes: p parameters, T rows, states of D coordinates, G sizes of the residual.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.prior import coarsened
 from invdyn.diagnosis.setting import Setting
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -33,6 +34,8 @@ class Refined:
         noise_log: what their integral added to the log evidence.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
         about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
+        learned: (p,) λ: along each principal direction, how many times more the data say of parameters than the prior.
+        far: −log prior density of the parameters, in units of the prior's highest one.
     """
 
     effects: tuple[Effect, ...]
@@ -49,6 +52,8 @@ class Refined:
     noise_log: float
     plausible: bool = True
     about: np.ndarray | None = None
+    learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    far: float = 0.0
 
     @property
     def complete(self) -> bool:
@@ -69,6 +74,10 @@ class Refined:
     def key(self) -> str:
         """Keys of the effects, sorted and joined; "" for none."""
         return key_of(self.effects)
+
+    def log_evidence_at(self, temper: float) -> float:
+        """Log evidence where the likelihood, and not the parameters' prior, is raised to a power; see :mod:`.prior`."""
+        return coarsened(self.log_evidence, self.learned, self.far, temper)
 
     @property
     def searched(self) -> dict:

@@ -103,6 +103,12 @@ def regression(
     return Regression(log_evidence, mean, covariance, np.sqrt(kappa2))
 
 
+def learned(covariance: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
+    """λ (p,) of a posterior: 1 + λ are the eigenvalues of its precision, in units of the prior's."""
+    left = np.linalg.eigvalsh(covariance / np.outer(prior_sd, prior_sd))
+    return np.maximum(1 / np.maximum(left, np.finfo(float).tiny) - 1, 0.0)
+
+
 def log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Log of a unit Gaussian's mass between ``low`` and ``high``, also far out."""
     # Φ is told apart from 1 only on its left side.

@@ -59,9 +59,9 @@ class Search:
 
         Stray detections gain thousands of nats: what is more likely than they alone is measured from there.
         """
-        none, cleaned = self.pool[""].log_evidence, self._cleaned
+        none, cleaned, temper = self.pool[""].log_evidence, self._cleaned, self.temper
         stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
-        beyond = self.temper * max(cause.log_evidence - cleaned, 0.0)
+        beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
         return stray + beyond + log_prior_of(cause.effects, self.candidates)
 
     @property

@@ -17,12 +17,20 @@ coarsening"), with G the nats that the best cause gains over none:
 
     ζ = 1 / (1 + G/α)
 
+That power is the likelihood's; the prior of parameters stays as it is. With a posterior N(φ̂, Σ), a prior N(μ, diag s²)
+and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
+
+    log p_ζ(y) = ζ log p(y) − ½ Σ_i [log(1 + ζλ_i) − ζ log(1 + λ_i)] − ½ (1 − ζ) |(φ̂ − μ)/s|²
+
+so that parameters which are known well, or far from what was expected, cost what they do without tempering.
 Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are. Stray
 detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.Search.score`).
 """
 
 import math
 from collections.abc import Sequence
+
+import numpy as np
 
 from invdyn.models.effects.base import Effect
 
@@ -37,6 +45,12 @@ ALPHA = 1000.0
 def tempered(gain: float) -> float:
     """ζ, for G = ``gain``."""
     return 1 / (1 + max(gain, 0.0) / ALPHA)
+
+
+def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: float) -> float:
+    """Log p_ζ, ζ = ``temper``, from log p, λ (p,) and ``far`` = ½ |(φ̂ − μ)/s|²."""
+    narrowed = np.log1p(temper * learned) - temper * np.log1p(learned)
+    return temper * log_evidence - 0.5 * float(narrowed.sum()) - (1 - temper) * far
 
 
 def believed(count: int) -> float:

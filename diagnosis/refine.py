@@ -23,7 +23,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.evidence import Regression, regression
+from invdyn.diagnosis.evidence import Regression, learned, regression
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, firmed, led, lifted
 from invdyn.diagnosis.setting import Setting
@@ -111,6 +111,8 @@ def refine(
             noise,
             spread,
             noise_log,
+            learned=learned(top.covariance[0], among.sd),
+            far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )
         return cause, target
 

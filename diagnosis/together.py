@@ -16,8 +16,8 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
-from invdyn.diagnosis.evidence import regression
-from invdyn.diagnosis.prior import MOST, log_prior_of, tempered
+from invdyn.diagnosis.evidence import learned, regression
+from invdyn.diagnosis.prior import MOST, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened, beside
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import Unknowns
@@ -122,7 +122,9 @@ def together(
             factors = results[best].mean[row]
             # At the edge of a half-normal prior an effect is absent; beyond other bounds it is implausible.
             beyond = (factors > upper[row]) | ((factors < lower[row]) & (lower[row] < mean[row]))
-            score = temper * float(logsumexp(table[:, row])) + log_prior_of(effects, candidates)
+            known = learned(results[best].covariance[row], sd[row])
+            off = 0.5 * float((((factors - mean[row]) / sd[row]) ** 2).sum())
+            score = coarsened(float(logsumexp(table[:, row])), known, off, temper) + log_prior_of(effects, candidates)
             score = -np.inf if beyond.any() else score
             values = _values([parts[i] for i in members], factors)
             evaluated.append(Together(effects, values, float(levels[best]), score))

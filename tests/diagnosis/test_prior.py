@@ -5,9 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 from pendulum import ARM, PENDULUM, recording_of
+from scipy.stats import multivariate_normal
 
+from invdyn.diagnosis.evidence import learned
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.setting import setting
 
 
@@ -39,3 +41,20 @@ def test_prior_sums_to_that_of_the_number(body):
     pairs = sum(np.exp(log_prior_of((a, b), candidates)) for i, a in enumerate(candidates) for b in candidates[i + 1 :])
     # Of two drawn one after the other, less what would be the same twice.
     assert pairs == pytest.approx(NUMBER[2] * (1 - ((single / NUMBER[1]) ** 2).sum()))
+
+
+@pytest.mark.parametrize("temper", [1.0, 0.5, 0.1])
+def test_the_likelihood_is_tempered_and_not_the_prior(temper):
+    """∫ p(y|φ)^ζ p(φ) dφ of a linear-Gaussian model: N(y; Aμ, I/ζ + A diag(s²) Aᵀ), and what the power adds."""
+    rng = np.random.default_rng(0)
+    A, mu, s = rng.normal(size=(400, 2)) * [5.0, 0.8], np.array([1.0, -2.0]), np.array([0.5, 3.0])
+    y = A @ np.array([2.5, 1.0]) + rng.normal(size=400)
+
+    def exact(power):
+        wide = multivariate_normal(A @ mu, np.eye(400) / power + (A * s**2) @ A.T).logpdf(y)
+        return wide + 0.5 * 400 * ((1 - power) * np.log(2 * np.pi) - np.log(power))
+
+    covariance = np.linalg.inv(A.T @ A + np.diag(s**-2))
+    mean = covariance @ (A.T @ y + mu / s**2)
+    known, far = learned(covariance, s), 0.5 * (((mean - mu) / s) ** 2).sum()
+    assert coarsened(exact(1.0), known, far, temper) == pytest.approx(exact(temper), abs=0.05)
