@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from pendulum import PENDULUM, recording_of
@@ -58,6 +59,19 @@ def test_stray_detections_are_measured_apart():
         scores = [found.score(replace(plain, effects=(friction,), log_evidence=e)) for e in (0.0, 12.0, 8999.0, 9100.0)]
         assert scores == sorted(scores)
         assert found.temper_of(outliers) == pytest.approx(tempered(9012.0))
+
+
+@pytest.mark.parametrize("gain", [9.0, 9000.0])
+def test_however_large_a_gap_its_parameters_are_paid_for(gain):
+    """Evidence counts the less the larger the gap; what the prior says of parameters, and how well known they are, not."""
+    found, _ = pool(none=0.0, a=gain)
+    plain = next(cause for cause in found.pool.values() if cause.effects)
+    far, known = replace(plain, far=12.5), replace(plain, learned=np.array([1e6]))
+    assert plain.log_evidence == far.log_evidence == known.log_evidence  # which has them in it
+    share = 1 - found.temper
+    assert found.score(plain) - found.score(far) == pytest.approx(12.5 * share)
+    nats = 0.5 * (np.log1p(found.temper * 1e6) - found.temper * np.log1p(1e6))
+    assert found.score(plain) - found.score(known) == pytest.approx(nats)
 
 
 def test_of_two_versions_the_better_is_kept():

@@ -82,7 +82,7 @@ def test_a_parameter_is_integrated_out():
 
 
 def test_friction_is_found_and_believed():
-    _, none, cause = causes()
+    here, none, cause = causes()
     assert cause.key == "viscous_friction.pivot"
     assert abs(cause.mean[0] - DAMPING) < 4 * cause.sd[0]
     assert cause.sd[0] < 0.1 * DAMPING
@@ -92,6 +92,9 @@ def test_friction_is_found_and_believed():
     assert cause.model.parameters["effect.viscous_friction.pivot.damping"].item() == pytest.approx(cause.mean[0])
     # The noise scale starts from the recording's own jitter: a factor near one, n = 160.
     assert 0.7 < cause.kappa < 1.3
+    prior = unknowns(here, cause.effects)
+    assert cause.learned == pytest.approx([(prior.sd[0] / cause.sd[0]) ** 2 - 1])
+    assert cause.far == pytest.approx(0.5 * (cause.mean[0] / prior.sd[0]) ** 2)
 
 
 @cache
