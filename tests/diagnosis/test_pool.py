@@ -63,7 +63,7 @@ def test_stray_detections_are_measured_apart():
 
 @pytest.mark.parametrize("gain", [9.0, 9000.0])
 def test_however_large_a_gap_its_parameters_are_paid_for(gain):
-    """Evidence counts the less the larger the gap; what the prior says of parameters, and how well known they are, not."""
+    """Evidence counts the less the larger the gap, and parameters cost what they do in a small one."""
     found, _ = pool(none=0.0, a=gain)
     plain = next(cause for cause in found.pool.values() if cause.effects)
     far, known = replace(plain, far=12.5), replace(plain, learned=np.array([1e6]))
