@@ -44,7 +44,7 @@ def seconds(recording: Recording, workers: int) -> tuple[float, str]:
     start = time.perf_counter()
     found = diagnose(recording, ARM, workers=workers)
     with tempfile.TemporaryDirectory() as folder:
-        save(found, folder)
+        save(found, folder, workers=workers)
     taken = time.perf_counter() - start
     effects = found.to_json()["causes"][0]["effects"]
     return taken, " + ".join(effect["effect"] for effect in effects) or "no gap"

@@ -107,10 +107,17 @@ def diagnose(
     return result
 
 
-def save(diagnosis: Diagnosis, folder: str | Path) -> None:
-    """Write diagnosis.json, report.html and posterior.nc into ``folder``, which exists; each whole or not at all."""
+def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
+    """Write diagnosis.json, report.html and posterior.nc into ``folder``, which exists; each whole or not at all.
+
+    By as many processes as there are ``workers``. Raises OSError where they cannot be written.
+    """
     folder = Path(folder)
-    write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, ensure_ascii=False) + "\n")
-    write_report(diagnosis, folder / "report.html")
-    if diagnosis.posterior is not None:
-        save_posterior(diagnosis.posterior, folder / "posterior.nc")
+
+    def told() -> None:
+        write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, ensure_ascii=False) + "\n")
+        write_report(diagnosis, folder / "report.html")
+
+    posterior = diagnosis.posterior
+    parts = [] if posterior is None else [partial(save_posterior, posterior, folder / "posterior.nc")]
+    side_by_side([*parts, told], workers)

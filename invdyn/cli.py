@@ -177,7 +177,7 @@ def diagnose(
     with ProgressBar() as progress:
         diagnosis = run(**arguments, progress=progress)
     out.mkdir(parents=True, exist_ok=True)
-    save(diagnosis, out)
+    save(diagnosis, out, workers=arguments["workers"])
     typer.echo(verdict(diagnosis))
     for sentence in details(diagnosis):
         typer.echo(sentence)

@@ -60,7 +60,8 @@ def calls(monkeypatch):
             raise InputError("rec.csv: the recording does not fit")
         return found(recording, body, seed, "6 rows, a diagnosis needs 20" if recording.num_frames < 10 else None)
 
-    def save(diagnosis, folder):
+    def save(diagnosis, folder, *, workers):
+        assert workers == calls[-1]["workers"]
         Path(folder, "diagnosis.json").write_text(json.dumps(diagnosis.to_json()))
         write_report(diagnosis, Path(folder, "report.html"))
 
