@@ -1,5 +1,6 @@
 """What counts as something left beside a cause."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, CHANCE, LOUD, _alone, credible, only, weigh
+from invdyn.diagnosis.weigh import ALIKE, CHANCE, LOUD, ONE, _alone, credible, only, weigh
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import correlation, prediction_errors
 from invdyn.models import ArmModel
@@ -97,6 +98,25 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
 
     assert _alone(bound, pool, with_residual(14.0)) > 0.9
     assert _alone(bound, pool, with_residual(16.0)) == 0.0
+
+
+def test_keypoints_that_stray_as_one_and_stops_that_meet_leave_something(monkeypatch):
+    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
+    pool, module = Search([], {"": none}, [], path, False), sys.modules[_alone.__module__]
+    for company, left in ((ONE, False), (ONE + CHANCE * 0.1 + 0.01, True)):
+        monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
+        assert (_alone(bound, pool, right) == 0.0) is left
+    stops = [EFFECTS["joint_limit"]("pivot", side).bound(PENDULUM) for side in ("lower", "upper")]
+    shaped = bound.shaped(path)
+    low, high = shaped.model.scale.range[0].tolist()
+    for meet in (False, True):
+        angles = {"lower": high - 0.01 if meet else low + 0.01, "upper": high - 0.01}
+        values = {f"{s.key}.{n}": v for s in stops for n, v in (("angle", angles[s.where[1]]), ("stiffness", 5.0))}
+        values |= {f"{stop.key}.damping": 0.01 for stop in stops}
+        found = {"names": tuple(values), "mean": np.array(list(values.values())), "covariance": 1e-8 * np.eye(6)}
+        assert credible(shaped, replace(none, effects=tuple(stops), **found)) is not meet
 
 
 def test_errors_larger_than_the_noise_at_rest_are_left():
