@@ -7,9 +7,8 @@ linearised about its own path, and the outer weight
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
 which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
-error is large leaves it a little low. Noise scale, residual and parameters that were
-searched (:mod:`.noise`) stand at their estimates; what integrating over the residual's size and over those adds is
-taken from the refinement.
+error is large leaves it a little low. Noise scale, residual and parameters that were searched (:mod:`.noise`) stand at
+their estimates; what integrating over the residual's size and over those adds is taken from the refinement.
 
 Shapes: M filters, N particles, T rows, p unknowns.
 """
@@ -74,7 +73,7 @@ def confirm_all(
 ) -> list[Confirmed]:
     """Confirm each cause, a second time those whose evidence, raised to the power ``temper``, is not clear by then.
 
-    If filters of one of them died, or one filter speaks for all, evidence by SMC can not weigh them: that is all then.
+    If filters of one of them died, or one filter speaks for all, evidence by SMC cannot weigh them: that is all then.
     """
     runs = side_by_side([partial(confirm, setting, cause, derived(seed, 0)) for cause in causes], workers)
     if any(not run.log_evidence_sd < HOPELESS for run in runs):

@@ -52,7 +52,7 @@ standard deviations; a right simulation's have none, but for what reality's effe
 catalogue's."""
 ALONG = 0.05
 """Share of the errors beyond a half, and beyond chance, from which on they lie along the motion."""
-ONE = 0.25
+COMPANY = 0.25
 """Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
 
 
@@ -98,7 +98,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     if alike > ALIKE + CHANCE * chance:
         return 0.0
     company, chance = in_concert(bound, cause)
-    if company > ONE + CHANCE * chance:
+    if company > COMPANY + CHANCE * chance:
         return 0.0
     if bound.regime == "unknown_torque":
         return 1.0

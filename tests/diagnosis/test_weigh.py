@@ -14,7 +14,7 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, CHANCE, LOUD, ONE, _alone, credible, only, weigh
+from invdyn.diagnosis.weigh import ALIKE, CHANCE, COMPANY, LOUD, _alone, credible, only, weigh
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import correlation, prediction_errors
 from invdyn.models import ArmModel
@@ -105,7 +105,7 @@ def test_keypoints_that_stray_as_one_and_stops_that_meet_leave_something(monkeyp
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     pool, module = Search([], {"": none}, [], path, False), sys.modules[_alone.__module__]
-    for company, left in ((ONE, False), (ONE + CHANCE * 0.1 + 0.01, True)):
+    for company, left in ((COMPANY, False), (COMPANY + CHANCE * 0.1 + 0.01, True)):
         monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
         assert (_alone(bound, pool, right) == 0.0) is left
     stops = [EFFECTS["joint_limit"]("pivot", side).bound(PENDULUM) for side in ("lower", "upper")]
