@@ -2,6 +2,9 @@
 
 A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
 screen says, which errs, and if it gains a fair share of what the best one gains.
+
+Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
+it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,6 +86,19 @@ def refine_promising(
         for causes in side_by_side(parts if first else [*parts, *besides], found.workers):
             for cause in causes:
                 found.add(cause)
+
+
+def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine those added to ``base`` that leave less than half of the gap where the residual is next to nothing."""
+    none = next(s for s in screened if s.effect is None)
+    least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
+    known = {effect.key for cause in found.pool.values() for effect in cause.effects}
+    clear = [s for s in screened if s.effect is not None and s.effect.key not in known and s.by_size[0] > least]
+    clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
+    limits = {"enough": found.top - HOPELESS}
+    for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
+        for cause in causes:
+            found.add(cause)
 
 
 def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> list[Refined]:

@@ -39,7 +39,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led, lifted
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_promising
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_clearing, refine_promising
 from invdyn.diagnosis.refine import ROUNDS, refine
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
@@ -173,6 +173,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     refine_promising(setting, found, base, best, width, meanwhile)
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
+        if not found.ranked[0].complete:
+            refine_clearing(setting, found, base, best)
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break

@@ -9,7 +9,9 @@ from invdyn.models.effects.situation import View
 
 
 class RollingShutter(Effect):
-    """The moment τ = ρ y at which a point is seen depends on its height then; to first order τ = ρ y / (1 − ρ ẏ).
+    """The delay with which a point is seen depends on its height then: two steps from τ = 0, the slope at the first,
+
+        τ ← τ + (ρ y(t + τ) − τ) / (1 − ρ ẏ(t)).
 
     ρ < 0 where the picture is read from its top. Told apart from latency by the product of velocity and height.
     """
@@ -21,7 +23,9 @@ class RollingShutter(Effect):
         return (Parameter("readout", "s/m", Normal(0.0, 0.15 / (max(scale.speed) * scale.reach))),)
 
     def points(self, p: Values, view: View) -> Tensor:
-        """p(t + ρ y)."""
+        """p(t + τ)."""
         readout = p["readout"].unsqueeze(-1)
         stretch = (1 - readout * view.tip_velocity[..., 1:]).clamp_min(0.2)
-        return view.later(readout * view.points[..., 1:] / stretch)
+        delay = readout * view.points[..., 1:] / stretch
+        missed = readout * view.later(delay)[..., 1:] - delay
+        return view.later(delay + missed / stretch)
