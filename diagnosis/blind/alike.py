@@ -6,8 +6,8 @@ An entry is one effect of an answer or of a cause: {"effect": …, "joint" | "li
 Exact equivalences: there is a size of the other that makes the same recording, whatever the motion. They are written
 down here, once, and nowhere else:
 
-    gravity_tilt      ≡ camera_roll           the base at the origin
-    actuator_delay    ≡ camera_latency        all joints alike
+    gravity_tilt      ≡ camera_roll           the base at the origin, no encoders
+    actuator_delay    ≡ camera_latency        all joints alike, no encoders
     camera_scale      ≡ lens_distortion       one link, the base at the origin: its tip stays on one circle
     armature          ≡ inertial_error        first joint, its link, no gravity: both are its inertia about the joint,
                       ≡ payload, actuator_gain           and with one link those too
@@ -22,9 +22,13 @@ simpler of the two is the better answer. But the other one can play it, and with
     viscous_friction  by drifting_friction    that does not drift
     payload           by inertial_error       of the last link
     armature          by inertial_error       first joint, its link
-    actuator_gain     by inertial_error       one link, all of whose numbers are so much smaller
     camera_scale      by keypoint_offset      one link, the base at the origin: along the link
     lens_distortion   by keypoint_offset      likewise
+    camera_roll       by keypoint_offset      likewise: across the link
+    gravity_tilt      by keypoint_offset      one link, no encoders: likewise
+
+And one link has two numbers, its inertia and the moment of its weight, to the motor's torque: of rotor, payload, gain,
+clock and inertial error each changes one or both, and two together what a third does, as far as each can.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,6 +36,8 @@ from itertools import permutations
 
 PLACES = ("joint", "link", "keypoint", "partner", "stop")
 Entry = Mapping[str, object]
+NUMBERS = {"armature", "payload", "actuator_gain", "clock_rate", "inertial_error"}
+"""Effects that change the two numbers of a single link."""
 
 
 def place(entry: Entry) -> frozenset[str]:
@@ -59,9 +65,10 @@ def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
         return entry["effect"] != "armature" or entry.get("joint") == joints[0]
 
     if names == {"gravity_tilt", "camera_roll"}:
-        return at_origin and any(body["gravity"])
+        return at_origin and any(body["gravity"]) and not _has_encoders(answer)
     if names == {"actuator_delay", "camera_latency"}:
-        return one or not any(place(e) for e in (truth, found) if e["effect"] == "actuator_delay")
+        every = one or not any(place(e) for e in (truth, found) if e["effect"] == "actuator_delay")
+        return every and not _has_encoders(answer)
     if names == {"camera_scale", "lens_distortion"}:
         return one and at_origin
     if not any(body["gravity"]) and one and answer["regime"] == "commanded":
@@ -74,10 +81,18 @@ def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
     return False
 
 
+def _has_encoders(answer: Mapping) -> bool:
+    """What they show is not changed by what the camera does."""
+    return answer.get("noise", {}).get("encoder_sd") is not None
+
+
 def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
     """Names of the effects that can make this very recording in place of the true one; see the top of the file."""
     name, joints = str(truth["effect"]), answer["joints"]
-    on_a_circle = len(joints) == 1 and not any(answer["body"]["base"])
+    one = len(joints) == 1
+    if one and name in NUMBERS:
+        return tuple(sorted(NUMBERS - {name}))
+    on_a_circle = one and not any(answer["body"]["base"])
     twins = ("gravity_tilt", "camera_roll", "actuator_delay", "camera_latency", "camera_scale", "lens_distortion")
     twins = (*twins, "armature", "inertial_error", "payload", "actuator_gain", "clock_rate")
     at = {"armature": {"joint": joints[0]}}
@@ -91,9 +106,10 @@ def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
         "viscous_friction": "drifting_friction",
         "payload": "inertial_error",
         "armature": "inertial_error" if truth.get("joint") == joints[0] else None,
-        "actuator_gain": "inertial_error" if len(joints) == 1 else None,
         "camera_scale": "keypoint_offset" if on_a_circle else None,
         "lens_distortion": "keypoint_offset" if on_a_circle else None,
+        "camera_roll": "keypoint_offset" if on_a_circle else None,
+        "gravity_tilt": "keypoint_offset" if one and not _has_encoders(answer) else None,
     }.get(name)
     return tuple(sorted({*equal, *([played] if played else [])}))
 

@@ -1,11 +1,17 @@
 """A spring across two joints: potential ½ k (θ_i − r θ_j)²."""
 
+from collections.abc import Mapping
+
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
+
+LEAST = 0.1
+"""Ratio of lever arms under which it is a spring of one joint; couplings that were found where there were some had .53
+or more."""
 
 
 class JointCoupling(Effect):
@@ -24,6 +30,10 @@ class JointCoupling(Effect):
             Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * scale.torque[self.place[1]])),
             Parameter("ratio", "1", ratio, None, quantiles(ratio, 6)),
         )
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """A spring that minds both joints."""
+        return abs(mean["ratio"]) + MARGIN * sd["ratio"] > LEAST
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−k (θ_i − r θ_j) (e_i − r e_j)."""

@@ -21,7 +21,8 @@ OVERDAMPED = 3.0
 """Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side;
 stops that were found where there were some had .48 at most."""
 ROOM = 0.1
-"""Of the range that a joint has been seen in: what its two stops leave free at least. Stops that meet are a spring."""
+"""Of the range that a joint has been seen in: what its stops leave free at least. One that always presses is a spring,
+as two are that meet; stops that were found where there were some left .81 or more."""
 
 
 class JointLimit(Effect):
@@ -81,8 +82,9 @@ class JointLimit(Effect):
         pushes = mean["damping"] <= OVERDAMPED * 2 * math.sqrt(stiffness * scale.inertia[j])
         if scale.range is None:
             return pushes
-        freest = self.sign * scale.range[j][0 if self.sign > 0 else 1].item()
-        return pushes and freest < self.sign * mean["angle"]
+        lowest, highest = scale.range[j].tolist()
+        free = mean["angle"] - lowest if self.sign > 0 else highest - mean["angle"]
+        return pushes and free > ROOM * (highest - lowest)
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """∓max(0, k e ± d θ̇) where e > 0; the damper's onset, a jump, spread over a sub-step about it."""

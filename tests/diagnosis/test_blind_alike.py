@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from invdyn.diagnosis.blind.alike import stand_ins
+from invdyn.diagnosis.blind.alike import NUMBERS, exactly_alike, stand_ins
 from invdyn.diagnosis.blind.camera import film
 from invdyn.diagnosis.blind.mechanisms import MECHANISMS
 from invdyn.diagnosis.blind.reality import World
@@ -117,20 +117,15 @@ def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known
         ),
         (("viscous_friction", 1, {"damping": 0.05}), ("drifting_friction", 1, {"damping": 0.05, "slope": 0.0}), 2),
         (("armature", 0, {"inertia": 0.01}), ("inertial_error", 0, {"mass": 0.0, "com": 0.0, "inertia": 0.01}), 2),
-        (
-            ("payload", None, {"mass": 0.2}),
-            ("inertial_error", 0, {"mass": 0.2, "com": 0.16 * 0.2 / 1.2, "inertia": 0.16**2 * 0.2 / 1.2}),
-            1,
-        ),
-        (
-            ("actuator_gain", 0, {"gain": -0.2}),
-            ("inertial_error", 0, {"mass": 0.25, "com": 0.0, "inertia": 0.002}),
-            1,
-        ),
         (("camera_scale", None, {"scale": 1.1}), ("keypoint_offset", 0, {"along": 0.03, "across": 0.0}), 1),
         (
             ("lens_distortion", None, {"k1": 0.3}),
             ("keypoint_offset", 0, {"along": 0.3 * 0.3 * 0.3**2, "across": 0.0}),
+            1,
+        ),
+        (
+            ("camera_roll", None, {"angle": 0.1}),
+            ("keypoint_offset", 0, {"along": 0.3 * (np.cos(0.1) - 1), "across": 0.3 * np.sin(0.1)}),
             1,
         ),
     ],
@@ -148,6 +143,40 @@ def test_what_can_play_an_effect_is_struck_with_it(special, general, joints):
     truth = {"effect": special[0]} | ({} if special[1] is None else {"joint": names[special[1]]})
     assert general[0] in stand_ins(truth, answer)
     assert special[0] not in stand_ins({"effect": general[0], "joint": names[0], "link": "l0"}, answer)
+
+
+def test_one_link_has_two_numbers():
+    """What a payload of .2 kg does to a link of 1 kg, a weaker motor with a rotor does as well: struck with it."""
+    arm, load, inertia = body(1), 0.2, 0.008 + 0.14**2
+    share = 0.14 / (0.14 + 0.3 * load)
+    rotor = share * (inertia + 0.3**2 * load) - inertia
+    assert rotor > 0
+    loaded = picture(arm, [("payload", None, {"mass": load})], torque=0.5)
+    weaker = [("actuator_gain", 0, {"gain": share - 1}), ("armature", 0, {"inertia": rotor})]
+    check(loaded, picture(arm, weaker, torque=0.5))
+    denser = (
+        "inertial_error",
+        0,
+        {"mass": load, "com": 0.16 * load / (1 + load), "inertia": 0.16**2 * load / (1 + load)},
+    )
+    check(loaded, picture(arm, [denser], torque=0.5))
+    answer = {"joints": ["j0"], "links": ["l0"], "body": {"gravity": [0.0, -9.81], "base": [0.0, 0.0]}}
+    for name in NUMBERS:
+        assert {name, *stand_ins({"effect": name, "joint": "j0"}, answer | {"regime": "commanded"})} == NUMBERS
+
+
+@pytest.mark.parametrize("pair", [("gravity_tilt", "camera_roll"), ("actuator_delay", "camera_latency")])
+def test_encoders_tell_the_camera_from_the_arm(pair):
+    answer = {"joints": ["j0"], "body": {"gravity": [0.0, -9.81], "base": [0.0, 0.0]}, "regime": "commanded"}
+    one, other = ({"effect": name} for name in pair)
+    for encoder, alike in ((None, True), (1e-3, False)):
+        case = answer | {"noise": {"keypoint_sd": 1e-3, "encoder_sd": encoder}}
+        assert exactly_alike(one, other, case) is alike
+        assert (pair[1] in stand_ins(one, case)) is alike
+    # What turns the picture turns a single link's tip alone, encoders or not.
+    rolled = stand_ins({"effect": "camera_roll"}, case)
+    assert "keypoint_offset" in rolled
+    assert "keypoint_offset" not in stand_ins({"effect": "gravity_tilt"}, case)
 
 
 def test_what_cannot_play_an_effect_stays():

@@ -42,9 +42,13 @@ def test_a_stop_pushes_back(ratio, expected, arm):
 
 @pytest.mark.parametrize(
     ("side", "angle", "expected"),
-    [("upper", 0.5, True), ("upper", -1.1, False), ("lower", 0.5, True), ("lower", 1.1, False)],
+    [
+        *(("upper", 0.5, True), ("upper", -0.7, True), ("upper", -0.9, False), ("upper", -1.1, False)),
+        *(("lower", 0.5, True), ("lower", 0.7, True), ("lower", 0.9, False), ("lower", 1.1, False)),
+    ],
 )
 def test_a_joint_is_seen_free_of_its_stop(side, angle, expected, arm):
+    """In a tenth of the 2 rad that it has been seen in: one that always presses is a spring."""
     values = {"angle": angle, "stiffness": 50.0, "damping": 0.1}
     assert credible(arm, "joint_limit", ["joint0", side], within=(-1.0, 1.0), **values) is expected
 
@@ -67,6 +71,25 @@ def test_two_stops_of_a_joint_leave_it_room(lower, upper, expected, arm):
     assert have_room([low, high], values, model.scale) is (lower < upper)
     assert have_room([low, other], values, scale)
     assert have_room([], {}, scale)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "sd", "expected"),
+    [
+        (0.5, 0.0, True),
+        (-0.5, 0.0, True),
+        (0.09, 0.0, False),
+        (-0.004, 0.0, False),
+        (0.004, 0.01, False),
+        (0.0, 0.1, True),
+    ],
+)
+def test_a_coupling_minds_both_joints(ratio, sd, expected, arm):
+    model = arm(2)
+    coupling = EFFECTS["joint_coupling"]("joint0", "joint1").bound(model.body)
+    assert (
+        coupling.credible({"stiffness": 1.0, "ratio": ratio}, {"stiffness": 0.1, "ratio": sd}, model.scale) is expected
+    )
 
 
 @pytest.mark.parametrize(("static", "expected"), [(0.3, True), (0.2, True), (0.19, False), (0.01, False)])
