@@ -12,7 +12,6 @@ import pytest
 
 from invdyn.diagnosis.blind.apart import serve
 from invdyn.diagnosis.blind.cases import Case, make_case
-from invdyn.diagnosis.blind.methods import Ours
 from invdyn.diagnosis.blind.present import CATALOGUE
 from invdyn.diagnosis.blind.run import BlindRun
 from invdyn.diagnosis.blind.sealed import read_opened
@@ -209,23 +208,6 @@ def test_the_process_apart_reads_a_case_and_survives_what_fails(tmp_path, monkey
     assert "ZeroDivisionError: a bug" in replies[1]["error"]
     assert "case.json" in replies[2]["error"]
     assert "seconds" in replies[3]
-
-
-def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
-    stand_in = tmp_path / "python"
-    stand_in.write_text(
-        f"#!{sys.executable}\nimport json, os, sys\n"
-        "for line in sys.stdin:\n"
-        "    if json.loads(line)['case'].endswith('bad'):\n        os._exit(3)\n"
-        "    print(json.dumps({'seconds': 0.1, 'error': None, 'pid': os.getpid()}), flush=True)\n"
-    )
-    stand_in.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(stand_in))
-    with Ours() as method:
-        assert method(tmp_path / "good", tmp_path) is None
-        assert "exit code 3" in method(tmp_path / "bad", tmp_path)
-        assert method(tmp_path / "good", tmp_path) is None
-    assert method._process is None
 
 
 def test_the_oracle_is_told_the_effect_and_nothing_else(tmp_path, monkeypatch):

@@ -1,0 +1,64 @@
+"""Methods that a blind run asks: a command for each case, and a process that goes from case to case."""
+
+import sys
+
+import pytest
+
+from invdyn.diagnosis.blind.methods import Ours, Theirs
+
+WRITES = "import pathlib, sys; pathlib.Path(sys.argv[1], 'diagnosis.json').write_text(repr(sys.argv[2:]))"
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """A case's and its diagnosis' folder, with blanks in their names."""
+    case, out = tmp_path / "a case", tmp_path / "its diagnosis"
+    case.mkdir()
+    out.mkdir()
+    return case, out
+
+
+def command(program, *words):
+    return f'{{python}} -c "{program}" {{out}} {" ".join(words)}'
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_a_command_is_told_where_things_lie(folders, other):
+    """Each place as one word, whatever blanks it has; no second recording where there is none."""
+    case, out = folders
+    if other:
+        (case / "other.csv").touch()
+    with Theirs(command(WRITES, "{recording}", "--body={body}", "{held_out}")) as method:
+        assert method(case, out) is None
+    told = [str(case / "recording.csv"), f"--body={case / 'body.toml'}", str(case / "other.csv") if other else ""]
+    assert (out / "diagnosis.json").read_text() == repr(told)
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ("import sys; print('so far'); sys.exit('no arm in it')", ("exit code 1", "so far", "no arm in it")),
+        ("print('forgot to write')", ("exit code 0", "forgot to write")),
+    ],
+)
+def test_a_command_that_gives_no_diagnosis_is_quoted(folders, program, said):
+    with Theirs(command(program)) as method:
+        wrong = method(*folders)
+    assert all(words in wrong for words in said)
+
+
+def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
+    stand_in = tmp_path / "python"
+    stand_in.write_text(
+        f"#!{sys.executable}\nimport json, os, sys\n"
+        "for line in sys.stdin:\n"
+        "    if json.loads(line)['case'].endswith('bad'):\n        os._exit(3)\n"
+        "    print(json.dumps({'seconds': 0.1, 'error': None, 'pid': os.getpid()}), flush=True)\n"
+    )
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(stand_in))
+    with Ours() as method:
+        assert method(tmp_path / "good", tmp_path) is None
+        assert "exit code 3" in method(tmp_path / "bad", tmp_path)
+        assert method(tmp_path / "good", tmp_path) is None
+    assert method._process is None
