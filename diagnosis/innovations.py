@@ -40,23 +40,20 @@ class Gains:
 def gains(F: np.ndarray, Q: np.ndarray, E: np.ndarray, P0: np.ndarray) -> Gains:
     """Of F (T−1, D, D), Q (G, T−1, D, D), E (T, O, D) whitened rows, zero where missing, and P0 (G, D, D)."""
     steps, rows, dim = E.shape
-    whitening = np.empty((steps, len(Q), rows, rows))
-    gain = np.empty((steps - 1, len(Q), dim, rows))
-    log_det = np.empty((steps, len(Q), rows))
+    expected = np.empty((steps, len(Q), rows, rows))  # S_t
+    towards = np.empty((steps - 1, len(Q), rows, dim))  # S_t^{-1} E_t P_t
     P, eye = P0, np.eye(rows)
     for t in range(steps):
-        H = E[t]
-        PH = P @ H.T
-        root = np.linalg.cholesky(H @ PH + eye)
-        log_det[t] = np.diagonal(root, axis1=-2, axis2=-1)
-        inverse = whitening[t] = np.linalg.inv(root)
+        HP = E[t] @ P
+        expected[t] = HP @ E[t].T + eye
         if t == steps - 1:
             break
-        half = PH @ inverse.swapaxes(-1, -2)  # P Hᵀ S^{-T/2}
-        gain[t] = F[t] @ half @ inverse
-        P = F[t] @ (P - half @ half.swapaxes(-1, -2)) @ F[t].T + Q[:, t]
+        towards[t] = np.linalg.solve(expected[t], HP)
+        P = F[t] @ (P - HP.swapaxes(-1, -2) @ towards[t]) @ F[t].T + Q[:, t]
         P = (P + P.swapaxes(-1, -2)) / 2
-    return Gains(whitening, gain, np.log(log_det).sum(-1).T)
+    root = np.linalg.cholesky(expected)
+    log_det = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(-1).T
+    return Gains(np.linalg.inv(root), F[:, None] @ towards.swapaxes(-1, -2), log_det)
 
 
 def innovations(

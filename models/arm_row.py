@@ -65,16 +65,16 @@ class ArmRow:
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
-            held, off = 0.0, None
+            held, off, first = 0.0, None, None
             if self.effects.has_friction:
                 torque, own, now = smooth(q, qd, begun)
-                held, off = self.effects.friction(self.parameters, now, torque, own, held=True)
+                held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
             def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
                 torque, own, _ = smooth(q, qd, begun + share * s)
                 return self.dynamics.forward(q, qd, torque + held, body, own)
 
-            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
+            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps, first)
             return (q if off is None else q + off), qd
 
         if not self.effects.has_friction:

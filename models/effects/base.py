@@ -27,6 +27,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, Self
 
 import torch
@@ -231,6 +232,7 @@ class Effect(ABC):
         return None
 
 
+@cache
 def effect_name(kind: type) -> str:
     """Canonical name of an effect's class: its name in snake case."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()

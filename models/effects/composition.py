@@ -89,11 +89,11 @@ class Composition:
         torque: Tensor,
         own: Tensor | None,
         held: bool = False,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Dry friction on all joints under the other torques (..., K) N·m; several effects at a joint add up.
 
-        At the moment ``now``, or as it is to be ``held`` over the sub-step that begins there; and what q, rad, is off
-        by at its end then.
+        At the moment ``now``, or as it is to be ``held`` over the sub-step that begins there; what q, rad, is off by at
+        its end then; and θ̈ at its beginning.
         """
 
         def levels(now: Situation) -> dict[int, Tensor]:

@@ -34,8 +34,8 @@ def dry_friction(
     torque: Tensor,
     own: Tensor | None,
     levels_at: Callable[[Tensor, Tensor], Mapping[int, Tensor]] | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Friction's mean over a sub-step (..., K), N·m, and by how much q (..., K), rad, is off at its end under the mean.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Friction's mean over a sub-step (..., K), N·m; by how much q, rad, is off at its end under the mean; θ̈ under it.
 
     ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
     change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None).
@@ -52,12 +52,12 @@ def dry_friction(
         levels = levels_at(q + half * now.qd, now.qd + half * (wanted - now.qd / now.step))
         wanted = _swept(friction, levels, wanted, columns)
     moved = still
+    under = wanted
     for j, level in levels.items():
-        friction[j], off = _through_stops(
-            friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j
-        )
-        moved = moved + columns[j] * off
-    return sum((now.at(j, f) for j, f in friction.items()), start=still), moved
+        mean, off = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
+        moved, under = moved + columns[j] * off, under + columns[j] * (mean - friction[j])
+        friction[j] = mean
+    return sum((now.at(j, f) for j, f in friction.items()), start=still), moved, under - now.qd / now.step
 
 
 def _swept(

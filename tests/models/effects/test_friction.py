@@ -53,6 +53,23 @@ def test_friction_holds_two_joints_at_once(arm, having, states):
     assert np.abs(qd[-1]).max() < 1e-3
 
 
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("effects", [[CoulombFriction("joint1")], [StribeckFriction("joint0"), LoadFriction("joint1")]])
+def test_the_acceleration_under_friction_is_that_of_the_dynamics(effects, held, arm, states):
+    """Sliding, stopping and held alike: θ̈ is what the dynamics give for the torque with the friction in it."""
+    model = arm(2).with_effects(*effects)
+    given = {"torque": 0.3, "coulomb": 0.2, "static": 0.4, "velocity": 0.5, "coefficient": 0.1}
+    levels = {name: given[name.rsplit(".", 1)[1]] for name in model.parameters if name.startswith("effect.")}
+    model = model.replace(**{name: torch.tensor([level], dtype=F64) for name, level in levels.items()})
+    _, q, qd = model.split(states(model, 200))
+    qd = qd * torch.logspace(-5, 0, 200, dtype=F64).unsqueeze(-1)
+    body, torque, own = model.body_parameters(), 0.5 * torch.randn(200, 2, dtype=F64), torch.tensor([0.01, 0.02])
+    here = model._now(q, qd, torque, body, model._clock(3), 0.0, torch.tensor(0.01))
+    friction, _, under = model.effects.friction(model.parameters, here, torque, own, held)
+    assert ((friction != 0).sum(0) > 100).sum() == len(effects)
+    torch.testing.assert_close(under, model.dynamics.forward(q, qd, torque + friction, body, own), rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])
 def test_a_rod_turns_around_within_a_step(step, having):
     """Thrown against a constant torque it stops at t* and comes back: both parts are parabolas, whatever the step."""
