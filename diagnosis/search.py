@@ -4,8 +4,9 @@ Forward selection with replacement over sets of at most four effects (Hastie, Ti
 set scored by its tempered evidence and its prior (:mod:`.prior`):
 
     1  "no effect" by itself; where detections are stray, what leaves them, before anything else
-    2  where the best single effect leaves something: from several values those that no screen tells the size of
-       (``Effect.scan``), then sets of several by a beam search (:mod:`.together`)
+    2  where the best single effect leaves something: those that would leave little to a small residual, from several
+       values those that no screen tells the size of (``Effect.scan``), then sets of several by a beam search
+       (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added, the first one also along the simulation's
        own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
