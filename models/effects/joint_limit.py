@@ -20,9 +20,9 @@ TINY = 1e-12  # rad, of a joint at rest
 OVERDAMPED = 3.0
 """Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side;
 stops that were found where there were some had .48 at most."""
-ROOM = 0.1
-"""Of the range that a joint has been seen in: what its stops leave free at least. One that always presses is a spring,
-as two are that meet; stops that were found where there were some left .81 or more."""
+FREE, ROOM = 0.5, 0.1
+"""Of the range that a joint has been seen in: what a stop leaves free at least, and what two leave between them. One
+that mostly presses is a spring, as two are that meet; stops that were found where there were some left .79 or more."""
 
 
 class JointLimit(Effect):
@@ -84,7 +84,7 @@ class JointLimit(Effect):
             return pushes
         lowest, highest = scale.range[j].tolist()
         free = mean["angle"] - lowest if self.sign > 0 else highest - mean["angle"]
-        return pushes and free > ROOM * (highest - lowest)
+        return pushes and free > FREE * (highest - lowest)
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """∓max(0, k e ± d θ̇) where e > 0; the damper's onset, a jump, spread over a sub-step about it."""
