@@ -26,7 +26,7 @@ from invdyn.inference.posterior import to_inference_data
 from invdyn.inference.seeds import seeded
 from invdyn.inference.smc import Progress, SMCOptions
 from invdyn.models import BodyParameters, Emission, dynamics_for
-from invdyn.models.kinematics import link_angles
+from invdyn.models.kinematics import link_angles, within_half_a_turn
 from invdyn.recordings import InputError
 
 FEWEST_FRAMES = 10
@@ -60,7 +60,7 @@ def joint_angles(
         gap[:, k] = np.where(np.isfinite(links[:, k]), 0.0, edges[place + 1] - edges[place])
     # A joint's angle is the difference of two links', and has the gaps of both.
     gap[:, 1:] = np.maximum(gap[:, 1:], gap[:, :-1])
-    return np.diff(absolute, axis=1, prepend=0.0), gap
+    return within_half_a_turn(np.diff(absolute, axis=1, prepend=0.0), wrapped), gap
 
 
 def derivatives(

@@ -1,7 +1,8 @@
 """Angles from observed tips, as a start for linearisation and for the first frame's prior.
 
 With tip k−1 and tip k both seen, link k points along their difference, so its absolute angle φ_k is
-an arctangent, known up to whole turns. A Kalman filter with nearly constant angular velocity,
+an arctangent, known up to whole turns; joints are taken to begin within half a turn. A Kalman filter
+with nearly constant angular velocity,
 
     φ' = φ + δ ω,   ω' = ω + q √δ η,   measured φ wrapped to within half a turn of its prediction,
 
@@ -104,4 +105,13 @@ def joint_angle_candidates(
     if not np.isfinite(absolute).any(axis=0).all():
         return None
     smooth = smooth_angles(time, absolute, sd, wrap=wrapped)
-    return np.diff(smooth, axis=-1, prepend=0.0)
+    return within_half_a_turn(np.diff(smooth, axis=-1, prepend=0.0), wrapped)
+
+
+def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
+    """Joint angles (..., T, K) less whole turns: those that nobody counted begin in [−π, π], as joints do.
+
+    Two links in that range may be up to a turn apart. ``wrapped`` (T, K) as of :func:`link_angles`.
+    """
+    turns = np.round(angles[..., :1, :] / (2 * np.pi))
+    return angles - 2 * np.pi * np.where(wrapped.all(axis=0), turns, 0.0)

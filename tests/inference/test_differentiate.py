@@ -54,6 +54,12 @@ def test_torques_of_a_clean_motion():
     assert idata["posterior"]["angle"].values[0, 0] == pytest.approx(q, abs=2e-3)
 
 
+def test_joints_begin_within_half_a_turn():
+    recording, q, _ = record(centre=(-2.8, -0.9))  # the outer link points past half a turn
+    angle, _ = joint_angles(TIME, arm_problem(recording, ARM, substeps=1).observations, Emission([0, 1]), PARAMETERS)
+    assert angle == pytest.approx(q, abs=1e-6)
+
+
 def test_whole_turns_of_a_whirling_arm_are_kept():
     recording, q, torque = record(rate=(4.0, 6.0), centre=(3.1, 3.0))
     angle, gap = joint_angles(TIME, arm_problem(recording, ARM, substeps=1).observations, Emission([0, 1]), PARAMETERS)

@@ -80,6 +80,16 @@ def test_irregular_time():
     assert best(joint_angle_candidates(time, rows, Emission([0, 1]), parameters, np.full(2, 5e-3)), angles) < 0.05
 
 
+@pytest.mark.parametrize("middle", [(-2.9, -0.9), (3.0, 0.8), (-1.6, 2.9), (1.5, -3.0)])
+def test_joints_begin_within_half_a_turn(middle):
+    """Where the outer link points past half a turn and the joint does not: not a turn more, nor one less."""
+    time = 0.02 * np.arange(100)
+    angles = np.array(middle) + np.array([0.2, 0.3]) * np.sin(4 * time)[:, None]
+    rows, parameters = observed(angles, Emission([0, 1]))
+    found = joint_angle_candidates(time, rows, Emission([0, 1]), parameters, np.full(2, 1e-3))
+    assert np.abs(found - angles).max(axis=(1, 2)).min() < 0.01
+
+
 def test_encoders_keep_their_turns():
     """Encoders count: a jump of many turns from row to row is as measured, and no turn is dropped."""
     time, angles = swing(100, 0.02, (60.0, -90.0))
