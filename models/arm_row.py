@@ -71,10 +71,12 @@ class ArmRow:
                 held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
             def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
+                if first is not None and not s:
+                    return first
                 torque, own, _ = smooth(q, qd, begun + share * s)
                 return self.dynamics.forward(q, qd, torque + held, body, own)
 
-            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps, first)
+            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
             return (q if off is None else q + off), qd
 
         if not self.effects.has_friction:

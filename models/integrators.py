@@ -2,7 +2,7 @@
 
 `acceleration(q, qd, s)` returns θ̈; s in [0, 1] is the fraction of the whole step, for torques that move
 inside it. q, qd (..., K) in rad and rad/s; dt in s, a number or a tensor that broadcasts against q.
-`first` is the acceleration at the beginning, where it is known. All return (q, qd) at the end of the step.
+All return (q, qd) at the end of the step.
 
     euler           order 1   θ' = θ + δ θ̇, θ̇' = θ̇ + δ a(θ, θ̇), both from the old state, as in the paper
     semi_implicit   order 1   θ̇' = θ̇ + δ a(θ, θ̇), θ' = θ + δ θ̇', with the new velocity
@@ -17,28 +17,17 @@ Acceleration = Callable[[Tensor, Tensor, float], Tensor]
 
 
 def euler(
-    acceleration: Acceleration,
-    q: Tensor,
-    qd: Tensor,
-    dt: Tensor | float,
-    substeps: int = 1,
-    first: Tensor | None = None,
+    acceleration: Acceleration, q: Tensor, qd: Tensor, dt: Tensor | float, substeps: int = 1
 ) -> tuple[Tensor, Tensor]:
     """Explicit Euler; the energy of a free swing grows with every step."""
     step = dt / _checked(substeps)
     for i in range(substeps):
-        a = acceleration(q, qd, i / substeps) if i or first is None else first
-        q, qd = q + step * qd, qd + step * a
+        q, qd = q + step * qd, qd + step * acceleration(q, qd, i / substeps)
     return q, qd
 
 
 def semi_implicit(
-    acceleration: Acceleration,
-    q: Tensor,
-    qd: Tensor,
-    dt: Tensor | float,
-    substeps: int = 1,
-    first: Tensor | None = None,
+    acceleration: Acceleration, q: Tensor, qd: Tensor, dt: Tensor | float, substeps: int = 1
 ) -> tuple[Tensor, Tensor]:
     """Semi-implicit Euler: velocity first, then the angle with the new velocity.
 
@@ -47,25 +36,19 @@ def semi_implicit(
     """
     step = dt / _checked(substeps)
     for i in range(substeps):
-        a = acceleration(q, qd, i / substeps) if i or first is None else first
-        qd = qd + step * a
+        qd = qd + step * acceleration(q, qd, i / substeps)
         q = q + step * qd
     return q, qd
 
 
 def rk4(
-    acceleration: Acceleration,
-    q: Tensor,
-    qd: Tensor,
-    dt: Tensor | float,
-    substeps: int = 1,
-    first: Tensor | None = None,
+    acceleration: Acceleration, q: Tensor, qd: Tensor, dt: Tensor | float, substeps: int = 1
 ) -> tuple[Tensor, Tensor]:
     """Classical Runge–Kutta of order 4 on (θ, θ̇); four accelerations a sub-step."""
     step = dt / _checked(substeps)
     for i in range(substeps):
         start, middle, end = i / substeps, (i + 0.5) / substeps, (i + 1) / substeps
-        v1, a1 = qd, acceleration(q, qd, start) if i or first is None else first
+        v1, a1 = qd, acceleration(q, qd, start)
         v2 = qd + step / 2 * a1
         a2 = acceleration(q + step / 2 * v1, v2, middle)
         v3 = qd + step / 2 * a2

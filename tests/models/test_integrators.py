@@ -112,23 +112,6 @@ def test_the_fraction_runs_over_the_whole_step(substeps):
 
 
 @EVERY
-@pytest.mark.parametrize("substeps", [1, 3])
-def test_a_known_beginning_is_not_asked_for_again(name, substeps):
-    seen, rng = [], torch.Generator().manual_seed(1)
-    q, qd = torch.randn(2, 4, 2, generator=rng, dtype=F64)
-
-    def spring(q, qd, s):
-        seen.append(s)
-        return -4 * q - 0.3 * qd + s
-
-    whole = INTEGRATORS[name](spring, q, qd, 0.1, substeps)
-    asked, seen[:] = len(seen), []
-    known = INTEGRATORS[name](spring, q, qd, 0.1, substeps, -4 * q - 0.3 * qd)
-    assert len(seen) == asked - 1
-    assert all(torch.equal(one, other) for one, other in zip(known, whole, strict=True))
-
-
-@EVERY
 def test_each_row_may_have_its_own_step(name):
     def spring(q, qd, _):
         return -4 * q
