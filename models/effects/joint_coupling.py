@@ -10,7 +10,7 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 LEAST = 0.1
-"""Ratio of lever arms under which it is a spring of one joint; couplings that were found where there were some had .53
+"""Ratio of lever arms under which it is a spring of one joint; couplings that were found where there were some had .52
 or more."""
 
 
