@@ -145,7 +145,9 @@ def actuator_lag(world: World, joint: int, time_constant: float) -> None:
 
     def change(spec):
         motor = spec.actuator(world.segments[world.hinge(joint)].hinge)
-        motor.dyntype = world.mujoco.mjtDyn.mjDYN_FILTEREXACT
+        # not mjDYN_FILTEREXACT, whose decay over a step is exact without Runge–Kutta: with it, it decays twice, as a
+        # time constant longer by half a step
+        motor.dyntype = world.mujoco.mjtDyn.mjDYN_FILTER
         set_part(motor, {"dynprm": time_constant})
 
     world.on_spec(change)

@@ -181,6 +181,13 @@ def test_lag_filters_the_command():
     assert np.abs(force - expected).max() < 0.02 * np.abs(force).max()  # RK4's last stage is a step ahead
 
 
+def test_lag_has_the_time_constant_that_it_was_given():
+    world = World(ARM)
+    m.actuator_lag(world, 1, 0.05)
+    world.run(ROWS[:6], lambda row, t, q, qd: np.array([0.0, float(row > 0)]), *START)
+    np.testing.assert_allclose(world.data.act, [-np.expm1(-0.08 / 0.05)], rtol=1e-9)  # filtered for four rows
+
+
 def test_inertial_changes_are_those_of_another_body():
     loaded, _, _, _, _ = moved("payload", {"mass": 0.3})
     com = (1.0 * 0.135 + 0.3 * 0.27) / 1.3
