@@ -11,7 +11,7 @@ A spring stiffer than the sub-steps can follow acts as the stiffest that they ca
 import math
 
 import torch
-from pyro.distributions import HalfNormal, LogNormal
+from pyro.distributions import LogNormal
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
@@ -44,7 +44,7 @@ class LinkFlexibility(HiddenHinge):
         damping = 0.2 * math.sqrt(middle * inertia)
         return (
             Parameter("stiffness", "N·m/rad", LogNormal(math.log(middle), 1.1), math.inf, grid),
-            Parameter("damping", "N·m·s/rad", HalfNormal(damping), None, (0.3 * damping, damping)),
+            Parameter("damping", "N·m·s/rad", LogNormal(math.log(0.6 * damping), 1.0), None, (0.3 * damping, damping)),
         )
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
