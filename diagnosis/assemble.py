@@ -60,7 +60,7 @@ def assembled(
     )
     causes = tuple(
         Cause(
-            tuple(finding(bound, cause, effect, seed, found.temper_of(effect)) for effect in cause.effects),
+            tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
             probability,
             weighed.log_evidence[cause.key],
             weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),

@@ -1,8 +1,8 @@
 """An effect of a refined cause in the words of the result: place, and parameters with units and intervals.
 
-Intervals are those of the coarsened posterior that weighs the causes (:mod:`.prior`), the likelihood raised to ζ: where
-much was gained, what reality's effect is otherwise than the catalogue's moves parameters by more than noise does. With
-the refined precision Λ and the prior's S⁻¹,
+Intervals are those of a coarsened posterior (:mod:`.prior`), the likelihood raised to ζ, by a larger α than between
+causes: where much was gained, what reality's effect is otherwise than the catalogue's moves parameters by more than
+noise does. With the refined precision Λ and the prior's S⁻¹,
 
     Λ_ζ = ζ (Λ − S⁻¹) + S⁻¹
 """

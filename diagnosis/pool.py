@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.prior import log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA_WITHIN, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.models.effects import EFFECTS
@@ -50,9 +50,10 @@ class Search:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
         return tempered(self.top - self._cleaned)
 
-    def temper_of(self, effect: Effect) -> float:
-        """Power to which the evidence of an effect is raised: all that is gained speaks of stray detections."""
-        return tempered(self.top - self.pool[""].log_evidence) if effect.name in MISTAKES else self.temper
+    def temper_within(self, effect: Effect) -> float:
+        """Power for the parameters of an effect; for stray detections, all that is gained speaks of them."""
+        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self._cleaned
+        return tempered(self.top - beside, ALPHA_WITHIN)
 
     def score(self, cause: Refined) -> float:
         """Log posterior but for a constant.
