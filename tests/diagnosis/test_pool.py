@@ -8,7 +8,6 @@ import torch
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.pool import Search, considered
-from invdyn.diagnosis.prior import tempered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 
