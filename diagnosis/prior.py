@@ -59,6 +59,11 @@ def believed(count: int) -> float:
     return 1.0 if count < IMITATORS else NUMBER[count] / (NUMBER[count] + LACKING)
 
 
+def another(count: int) -> float:
+    """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or no room for another."""
+    return NUMBER[count + 1] / NUMBER[count] if 0 < count < MOST else 1.0
+
+
 def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:
     """Log prior probability of a cause among ``candidates``, all effects at all places that are considered."""
     names = {candidate.name for candidate in candidates}

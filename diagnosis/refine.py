@@ -116,12 +116,12 @@ def refine(
         )
         return cause, target
 
-    def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int) -> None:
-        """Expand and move on, ``most`` times at most; the best stays."""
+    def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
+        """Expand and move on, ``most`` times at most; the best stays. ``fresh``: a path that was not sought so."""
         nonlocal best, worth, most_seen, step
         for done in range(most):
             try:
-                cause, target = once(point, path, stiffness * size, not done)
+                cause, target = once(point, path, stiffness * size, fresh and not done)
             except np.linalg.LinAlgError:
                 if best is None:
                     raise
@@ -156,7 +156,7 @@ def refine(
             firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
-        descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds)
+        descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
     if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)

@@ -13,6 +13,9 @@ larger than the noise at rest; if its parameters are such that its effects would
 log p(spike), more than a hundredth (``LITTLE`` squared) of what it gains where there is no cause: it is small then, but
 surely there.
 
+Another effect is then at work beside c, and in the choice between causes that costs what it does where it has a name
+(:mod:`.prior`): p_c of those with s_c = 0 falls by P(n + 1)/P(n), n ≥ 1 the effects of c.
+
 With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
 there, and errors are those under an ample torque. And a cause that does not surely improve the prediction of held-out
 rows is taken back.
@@ -28,7 +31,7 @@ from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import best_size
-from invdyn.diagnosis.prior import believed
+from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
@@ -132,6 +135,8 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
     share = np.array([_alone(bound, found, c) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)])
+    probability = probability * np.where(share > 0, 1.0, [another(len(c.effects)) for c in ranked])
+    probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from invdyn.diagnosis.evidence import learned
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.prior import ALPHA, NUMBER, believed, coarsened, log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA, NUMBER, another, believed, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.setting import setting
 
 
@@ -24,6 +24,11 @@ def test_three_at_once_may_imitate_what_is_lacking():
     assert believed(1) == believed(2) == 1.0
     assert believed(3) == pytest.approx(0.016 / 0.046)
     assert believed(4) < believed(3)
+
+
+def test_another_effect_costs_what_its_number_does():
+    assert [another(count) for count in (0, 4)] == [1.0, 1.0]
+    assert [another(count) for count in (1, 2, 3)] == pytest.approx([0.16, 0.2, 0.25])
 
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM])

@@ -9,7 +9,7 @@ import torch
 from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -117,6 +117,27 @@ def test_keypoints_that_stray_as_one_and_stops_that_meet_leave_something(monkeyp
         values |= {f"{stop.key}.damping": 0.01 for stop in stops}
         found = {"names": tuple(values), "mean": np.array(list(values.values())), "covariance": 1e-8 * np.eye(6)}
         assert credible(shaped, replace(none, effects=tuple(stops), **found)) is not meet
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_a_cause_that_leaves_something_pays_for_another_effect(left, monkeypatch):
+    """Beside one that leaves nothing it counts P(2)/P(1) = .08/.5 of what it else would."""
+    effects = [EFFECTS[name]("pivot") for name in ("viscous_friction", "quadratic_drag")]
+    bound = setting(recording_of(effects[0], damping=0.02), PENDULUM)
+    path = data_path(bound)[0]
+    none, damped, dragged = (refine(bound, e, {}, path, LOOSE) for e in ((), effects[:1], effects[1:]))
+    dragged = replace(dragged, log_evidence=damped.log_evidence - 1.0)
+    pool = Search(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
+    alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
+    monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause: alone[cause.key])
+    weighed = weigh(bound, pool, 0)
+    both = [weighed.causes[c.key][1] + weighed.in_part[c.key] for c in (damped, dragged)]
+    evidence = [weighed.log_evidence[c.key] - c.log_evidence for c in (damped, dragged)]
+    scores = [pool.score(c) + pool.temper * more for c, more in zip((damped, dragged), evidence, strict=True)]
+    odds = np.exp(scores[1] - scores[0])
+    assert both[1] / both[0] == pytest.approx(odds * (0.16 if left else 1.0), rel=1e-6)
+    assert sum(both) == pytest.approx(1.0, abs=1e-3)
+    assert weighed.outside == pytest.approx(both[1] if left else 0.0)
 
 
 def test_errors_larger_than_the_noise_at_rest_are_left():
