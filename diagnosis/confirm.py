@@ -73,10 +73,11 @@ def confirm_all(
 ) -> list[Confirmed]:
     """Confirm each cause, a second time those whose evidence, raised to the power ``temper``, is not clear by then.
 
-    If filters of one of them died, or one filter speaks for all, evidence by SMC cannot weigh them: that is all then.
+    One cause has none to be weighed against; and if filters of one of several died, or one filter speaks for all,
+    evidence by SMC cannot weigh them: that is all then.
     """
     runs = side_by_side([partial(confirm, setting, cause, derived(seed, 0)) for cause in causes], workers)
-    if any(not run.log_evidence_sd < HOPELESS for run in runs):
+    if len(runs) < 2 or any(not run.log_evidence_sd < HOPELESS for run in runs):
         return runs
     unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, SURE)]
     again = [partial(confirm, setting, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]

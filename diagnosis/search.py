@@ -154,7 +154,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     free = [e for e in found.candidates if e.key not in taken]
     straight = free_beside(found, base.effects)
     common = unknowns(setting, base.effects)
-    alone = not _others(base) and setting.regime != "unknown_torque"
+    known = setting.regime != "unknown_torque"
+    alone = known and not _others(base)
     if base.effects:
         model, path, point = base.model, base.path, base.mean
     else:
@@ -169,9 +170,13 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     else:
         screened = best = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
     found.first = found.first or best
-    # Where nothing is left to explain they need not wait for what else explains it.
-    meanwhile = _sought(setting, found, base, free, screened) if base.complete else []
-    refine_promising(setting, found, base, best, width, meanwhile)
+    gears, scatter = _searchable(setting, found, base, free)
+    # What changes the scatter need not wait for what else explains the gap: how much that is worth, the screen says.
+    promised = found.top if base.complete or not known else max(found.top, best[0].log_evidence)
+    least = -np.inf if known else idle(screened)
+    play = base.complete and not (found.ranked[0].complete and found.ranked[0].effects)
+    early = [*(gears if play else []), *scatter] if base.complete or known else []
+    refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
         if not found.ranked[0].complete:
@@ -182,33 +187,36 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     if not base.complete:
-        for causes in side_by_side(_sought(setting, found, base, free, screened), found.workers):
+        play = not (found.ranked[0].complete and found.ranked[0].effects)
+        broken = not early or found.top < promised - HOPELESS / 2
+        late = [*(gears if play else []), *(scatter if broken else [])]
+        for causes in side_by_side(_sought(setting, base, late, max(found.top - HOPELESS, least)), found.workers):
             for cause in causes:
                 found.add(cause)
     return screened
 
 
-def _sought(
-    setting: Setting, found: Search, base: Refined, free: Sequence[Effect], screened: Sequence[Screened]
-) -> list[Callable[[], list[Refined]]]:
-    """Searches of effects whose parameters are searched, beside ``base``, for :func:`side_by_side`."""
+def _searchable(
+    setting: Setting, found: Search, base: Refined, free: Sequence[Effect]
+) -> tuple[list[Effect], list[Effect]]:
+    """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
     # Where joints stick, too, play takes minutes.
-    free_to_slip = len(_others(base)) < 2 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
-    play = free_to_slip and not (found.ranked[0].complete and found.ranked[0].effects)
-    least = idle(screened) if setting.regime == "unknown_torque" else -np.inf
-    enough = max(found.top - HOPELESS, least)
+    slips = len(_others(base)) < 2 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
+    searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
+    gears = [e for e in searched if isinstance(e, HiddenHinge)]
+    return gears if slips else [], [e for e in searched if e not in gears]
+
+
+def _sought(
+    setting: Setting, base: Refined, effects: Sequence[Effect], enough: float
+) -> list[Callable[[], list[Refined]]]:
+    """Searches of ``effects`` beside ``base``, each given up under ``enough`` nats, for :func:`side_by_side`."""
 
     def searched(effect: Effect) -> list[Refined]:
         cause = attempt(refine_searched, setting, base, effect, enough)
         return [] if cause is None else [cause]
 
-    return [
-        partial(searched, effect)
-        for effect in free
-        if is_searched(effect)
-        and (found.stray or effect.name not in MISTAKES)
-        and (play or not isinstance(effect, HiddenHinge))
-    ]
+    return [partial(searched, effect) for effect in effects]
 
 
 def _others(cause: Refined) -> list[Effect]:
