@@ -53,11 +53,11 @@ def test_stray_detections_are_measured_apart():
         for effects, nats in (((), 0.0), ((first,), 9000.0), ((friction,), 12.0), ((first, friction), 9012.0)):
             found.add(replace(plain, effects=effects, log_evidence=nats))
         assert (len(found.ranked[0].effects) == 2) is second_is_believed
-        assert found.temper_within(friction) == pytest.approx(2000 / (2000 + (12.0 if first is outliers else 9012.0)))
+        assert found.temper_within(friction) == pytest.approx(8000 / (8000 + (12.0 if first is outliers else 9012.0)))
         # Of as many effects those with more evidence rank higher, whatever their sort.
         scores = [found.score(replace(plain, effects=(friction,), log_evidence=e)) for e in (0.0, 12.0, 8999.0, 9100.0)]
         assert scores == sorted(scores)
-        assert found.temper_within(outliers) == pytest.approx(2000 / (2000 + 9012.0))
+        assert found.temper_within(outliers) == pytest.approx(8000 / (8000 + 9012.0))
 
 
 @pytest.mark.parametrize("gain", [9.0, 9000.0])
