@@ -52,6 +52,14 @@ def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, ho
     assert len(set(confirmed.result.log_evidence.tolist())) == filters
 
 
+def test_one_cause_alone_is_confirmed_once(monkeypatch):
+    here, _, cause = causes()
+    monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", 0.0)
+    (alone,) = confirm_all(here, [cause], 3)
+    assert alone.result.log_evidence.shape == (8,)
+    assert confirm_all(here, [cause, cause], 3)[0].result.log_evidence.shape == (16,)
+
+
 def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
     here, _, cause = causes()
     module = sys.modules[confirm.__module__]

@@ -85,6 +85,35 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     assert ("backlash" in tried) is looked
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(monkeypatch, kept):
+    """Given up under what the screen promises, less a margin; under what was found, where that is far from it."""
+    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (EFFECTS["viscous_friction"]("pivot"),)))
+    module, asked = sys.modules[_extend.__module__], []
+    pool = Search(considered(bound), {none.key: none}, [], path, False, aside=path)
+
+    def refined(_, pool, base, best, width, meanwhile):
+        for each in meanwhile:
+            each()
+        if kept:
+            pool.add(found)
+
+    monkeypatch.setattr(module, "HOPELESS", 2.0)
+    monkeypatch.setattr(module, "refine_promising", refined)
+    monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
+    monkeypatch.setattr(module, "refine_kin", lambda *_: None)
+    monkeypatch.setattr(module, "_scan", lambda *_: none)
+    monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append((given[2].name, given[3])))
+    _extend(bound, pool, none, 1)
+    names = [name for name, _ in asked]
+    enough = [least for name, least in asked if name == "varying_noise"]
+    assert names.count("varying_noise") == names.count("timestamp_jitter") == (1 if kept else 2)
+    assert enough[0] > none.log_evidence
+    assert enough[1:] == ([] if kept else [none.log_evidence - 2.0])
+
+
 def test_load_friction_is_found_from_afar():
     bound = setting(recording_of(EFFECTS["load_friction"]("pivot"), rows=120, coefficient=0.2), PENDULUM)
     path, _ = data_path(bound)
