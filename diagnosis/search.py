@@ -26,10 +26,8 @@ that is less probable than a part of it is no rival of that part (Madigan & Raft
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import product
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
@@ -37,11 +35,12 @@ from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, with
 from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.paths import FIRM, led, lifted
+from invdyn.diagnosis.paths import FIRM, led
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_clearing, refine_promising
-from invdyn.diagnosis.refine import ROUNDS, refine
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.scan import scan
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting
@@ -184,7 +183,7 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
-            if (cause := attempt(_scan, setting, base, effect, found.top - HOPELESS)) is not None:
+            if (cause := attempt(scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     if not base.complete:
         play = not (found.ranked[0].complete and found.ranked[0].effects)
@@ -248,23 +247,3 @@ def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> N
         refine_kin(setting, found, len(sets[0].effects))
         if found.ranked[0].complete:
             break
-
-
-def _scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Refined:
-    """Refine an effect from the best of its starting values, each on a path of its own, if that has ``enough`` nats."""
-    effects = (*base.effects, effect)
-    model = setting.model.with_effects(*effects)
-
-    def refined(values: dict[str, float], path: Tensor, rounds: int) -> Refined:
-        known = {name: torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
-        there = model.replace(**{f"effect.{k}": v for k, v in known.items() if f"effect.{k}" in model.parameters})
-        path = led(setting, there, lifted(model, path), FIRM)
-        return refine(setting, effects, values, path, FIRM, rounds=rounds, **base.searched)
-
-    tried = []
-    for point in product(*effect.scan.values()):
-        values = base.values | {f"{effect.key}.{name}": v for name, v in zip(effect.scan, point, strict=True)}
-        tried.append(refined(values, base.path, 1))
-    best = max(tried, key=lambda cause: cause.log_evidence)
-    most = max(base.log_evidence, base.log_evidence + (1 - SHARE) * (enough - base.log_evidence))
-    return best if best.log_evidence < most else refined(best.values, best.path, ROUNDS)

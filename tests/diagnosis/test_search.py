@@ -11,7 +11,7 @@ from pendulum import ARM, PENDULUM, recorded, recording_of
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import _extend, _scan, search
+from invdyn.diagnosis.search import _extend, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -104,7 +104,7 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
-    monkeypatch.setattr(module, "_scan", lambda *_: none)
+    monkeypatch.setattr(module, "scan", lambda *_: none)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append((given[2].name, given[3])))
     _extend(bound, pool, none, 1)
     names = [name for name, _ in asked]
@@ -112,15 +112,6 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
     assert names.count("varying_noise") == names.count("timestamp_jitter") == (1 if kept else 2)
     assert enough[0] > none.log_evidence
     assert enough[1:] == ([] if kept else [none.log_evidence - 2.0])
-
-
-def test_load_friction_is_found_from_afar():
-    bound = setting(recording_of(EFFECTS["load_friction"]("pivot"), rows=120, coefficient=0.2), PENDULUM)
-    path, _ = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    cause = _scan(bound, none, EFFECTS["load_friction"]("pivot"), -np.inf)
-    assert cause.complete
-    assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
 
 
 @pytest.mark.parametrize(
