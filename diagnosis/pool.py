@@ -82,6 +82,11 @@ class Search:
         kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
         return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
 
+    @property
+    def explained(self) -> bool:
+        """Whether the best cause has an effect and leaves nothing."""
+        return self.ranked[0].complete and bool(self.ranked[0].effects)
+
     def add(self, cause: Refined) -> None:
         """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
         if not cause.plausible:

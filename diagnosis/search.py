@@ -11,8 +11,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
        own path; refine the most promising ones
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
-       (:mod:`.noise`) come after each screen, but play alone or beside one that does not stick, where no other effect
-       explains the gap
+       (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
+       other effect explains the gap
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
 
@@ -151,30 +151,15 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
-    straight = free_beside(found, base.effects)
-    common = unknowns(setting, base.effects)
     known = setting.regime != "unknown_torque"
     alone = known and not _others(base)
-    if base.effects:
-        model, path, point = base.model, base.path, base.mean
-    else:
-        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
-        model, path, point = setting.model, found.path, common.mean
-    few = base.complete and bool(base.effects)
-    # A screen takes as long as what it screens is much: in two halves, or along two paths.
-    if alone and not few:
-        parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers)
-        best = _aside(screened, other)
-    else:
-        screened = best = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
+    screened, best = _screened(setting, found, base, alone)
     found.first = found.first or best
-    gears, scatter = _searchable(setting, found, base, free)
     # What changes the scatter need not wait for what else explains the gap: how much that is worth, the screen says.
     promised = found.top if base.complete or not known else max(found.top, best[0].log_evidence)
     least = -np.inf if known else idle(screened)
-    play = base.complete and not (found.ranked[0].complete and found.ranked[0].effects)
-    early = [*(gears if play else []), *scatter] if base.complete or known else []
+    gears, scatter = _searchable(setting, found, base, free)
+    early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
     refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
     refine_kin(setting, found, len(base.effects) + 1)
     if alone:
@@ -186,13 +171,30 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
             if (cause := attempt(scan, setting, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     if not base.complete:
-        play = not (found.ranked[0].complete and found.ranked[0].effects)
         broken = not early or found.top < promised - HOPELESS / 2
-        late = [*(gears if play else []), *(scatter if broken else [])]
+        late = [*([] if found.explained else gears), *(scatter if broken else [])]
         for causes in side_by_side(_sought(setting, base, late, max(found.top - HOPELESS, least)), found.workers):
             for cause in causes:
                 found.add(cause)
     return screened
+
+
+def _screened(setting: Setting, found: Search, base: Refined, alone: bool) -> tuple[list[Screened], list[Screened]]:
+    """The screen beside ``base`` along its path, and, of the first effect (``alone``), each where it does best."""
+    straight, common = free_beside(found, base.effects), unknowns(setting, base.effects)
+    if base.effects:
+        model, path, point = base.model, base.path, base.mean
+    else:
+        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
+        model, path, point = setting.model, found.path, common.mean
+    few = base.complete and bool(base.effects)
+    # A screen takes as long as what it screens is much: in two halves, or along two paths.
+    if alone and not few:
+        parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
+        screened, other = side_by_side(parts, found.workers)
+        return screened, _aside(screened, other)
+    screened = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
+    return screened, screened
 
 
 def _searchable(
