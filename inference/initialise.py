@@ -24,8 +24,10 @@ from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-ORDERS = (3, 4, 5)
-"""Of the differences that noise is estimated from."""
+ORDERS, HIGHER = (3, 4, 5), (10, 15)
+"""Of the differences that noise is estimated from, and of those that a very fast motion needs."""
+SURELY, MEDIAN_SD = 3.0, 1.17
+"""Standard deviations by which a higher order must show less; √n times the relative one of a median of n sizes."""
 
 
 @dataclass(frozen=True)
@@ -206,11 +208,21 @@ def differences(column: np.ndarray) -> np.ndarray:
     """n-th differences of values (T,), (T − n,), as large as the noise in them; none of too few values.
 
     Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
-    to them falls with n, so that the order with the least of them counts.
+    to them falls with n, so that the order with the least of them counts. Of a very fast one it falls beyond ``ORDERS``
+    still: higher ones follow while each has surely less, by ``SURELY`` standard deviations of a median's logarithm.
     """
+
+    def scaled(n: int) -> np.ndarray:
+        return np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n))
+
     orders = [n for n in ORDERS if len(column) > n]
-    found = [np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n)) for n in orders]
-    return min(found, key=lambda each: np.median(np.abs(each)), default=np.empty(0))
+    found = min((scaled(n) for n in orders), key=lambda each: np.median(np.abs(each)), default=np.empty(0))
+    for higher in (scaled(n) for n in HIGHER if len(column) > 2 * n):
+        ratio = np.exp(-SURELY * MEDIAN_SD / math.sqrt(len(higher)))
+        if not np.median(np.abs(higher)) < ratio * np.median(np.abs(found)):
+            break
+        found = higher
+    return found
 
 
 def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:
