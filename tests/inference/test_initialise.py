@@ -21,7 +21,7 @@ def test_noise_is_estimated_beside_a_fast_motion():
 
 
 def test_noise_is_estimated_beside_a_motion_that_differences_of_fifth_order_still_show():
-    """At 9 Hz they have five times the noise, the tenth a ninth of it; and of noise alone higher orders tell no less."""
+    """At 9 Hz they have five times the noise, the tenth a ninth; and of noise alone higher orders tell no less."""
     rng = np.random.default_rng(2)
     swing = 0.5 * np.sin(2 * np.pi * 9.0 * np.arange(400) / 60 + 1.0)
     noise = 0.004 * rng.standard_normal((400, 200))
