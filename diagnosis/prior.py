@@ -39,8 +39,9 @@ MOST = len(NUMBER) - 1
 LACKING, IMITATORS = 0.03, 3
 """P(lacking), and the number of effects from which on they are suspected to imitate it."""
 ALPHA, ALPHA_WITHIN = 1000.0, 8000.0
-"""α, nats, between causes and for the parameters of one. With the latter .90 of 740 intervals at 90 % had the truth,
-and .62 (a Gaussian's: .59) its middle half, in commanded cases of opened blind runs whose cause was named."""
+"""α, nats, between causes and for the parameters of one. The latter from 740 intervals at 90 % of opened blind runs,
+commanded, whose cause was named: widened or narrowed to it, .90 have the truth, .62 (a Gaussian's: .59) its middle
+half. A sealed run after it: .936 of 311."""
 
 
 def tempered(gain: float, alpha: float = ALPHA) -> float:
