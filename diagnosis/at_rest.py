@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from invdyn.inference.initialise import differences, jitter
+from invdyn.inference.initialise import MEDIAN, differences, jitter
 
 Growth = Callable[[np.ndarray, float], np.ndarray]
 """Speeds (N,) and k → noise, in units of that at rest."""
@@ -38,8 +38,6 @@ SURELY = 16.0
 """Fall of the squared misfit, in variances, from which on noise is said to grow."""
 OVERLAP = 2.0
 """By which neighbouring differences, which share rows, make a median's variance larger."""
-MEDIAN = 1.36
-"""n times the relative variance of the median of the sizes of n Gaussians."""
 VAGUE = 1 / 3
 """Standard deviation of the logarithm of a noise at rest that was found by how it grows."""
 

@@ -51,7 +51,7 @@ class Search:
         return tempered(self.top - self._cleaned)
 
     def temper_within(self, effect: Effect) -> float:
-        """Power for the parameters of an effect; for stray detections, all that is gained speaks of them."""
+        """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
         beside = self.pool[""].log_evidence if effect.name in MISTAKES else self._cleaned
         return tempered(self.top - beside, ALPHA_WITHIN)
 

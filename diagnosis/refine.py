@@ -117,7 +117,10 @@ def refine(
         return cause, target
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
-        """Expand and move on, ``most`` times at most; the best stays. ``fresh``: a path that was not sought so."""
+        """Expand and move on, ``most`` times at most; the best stays.
+
+        A ``fresh`` path is another residual's or another cause's, and may need ever shorter steps to begin with.
+        """
         nonlocal best, worth, most_seen, step
         for done in range(most):
             try:

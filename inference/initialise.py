@@ -26,8 +26,10 @@ from invdyn.recordings import InputError, Recording, Truth
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
-SURELY, MEDIAN_SD = 3.0, 1.17
-"""Standard deviations by which a higher order must show less; √n times the relative one of a median of n sizes."""
+SURELY = 3.0
+"""Standard deviations by which a higher order must show less."""
+MEDIAN = 1.36
+"""n times the relative variance of the median of the sizes of n Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,7 @@ def differences(column: np.ndarray) -> np.ndarray:
     orders = [n for n in ORDERS if len(column) > n]
     found = min((scaled(n) for n in orders), key=lambda each: np.median(np.abs(each)), default=np.empty(0))
     for higher in (scaled(n) for n in HIGHER if len(column) > 2 * n):
-        ratio = np.exp(-SURELY * MEDIAN_SD / math.sqrt(len(higher)))
+        ratio = math.exp(-SURELY * math.sqrt(MEDIAN / len(higher)))
         if not np.median(np.abs(higher)) < ratio * np.median(np.abs(found)):
             break
         found = higher

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, DAMPING, PENDULUM, causes, path_of, recorded
+from pendulum import ARM, DAMPING, PENDULUM, causes, path_of, recorded, recording_of
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -125,3 +125,12 @@ def test_where_no_step_was_a_gain_shorter_ones_are_tried(monkeypatch):
     again = refine(here, (effect,), values, path_of(here), FIRM)
     assert tried[:2] == [STEPS, SHORTER]
     assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
+
+
+def test_what_a_bending_link_is_made_of_stays_positive():
+    """Without damping its resonance is another one, and slopes there do not lead back."""
+    bound = setting(recording_of(rows=30), PENDULUM)
+    effect = EFFECTS["link_flexibility"](PENDULUM.links[0].name).bound(PENDULUM)
+    among = unknowns(bound, [effect])
+    point = np.array([parameter.grid[0] for parameter in effect.parameters(bound.model.scale)])
+    np.testing.assert_allclose(among.step(point, -point), point / 2)
