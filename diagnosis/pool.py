@@ -2,18 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import log
 
+import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.prior import ALPHA_WITHIN, log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA_WITHIN, another, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import SLAB, log_prior, sizes
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
 
 MISTAKES = ("outliers", "label_swap")
 """Effects that leave stray detections, and are not looked for where there are none."""
+LITTLE = 0.1
+"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
+FEW = 5.0
+"""Nats that a residual may gain by chance."""
 
 
 @dataclass
@@ -58,12 +65,25 @@ class Search:
     def score(self, cause: Refined) -> float:
         """Log posterior but for a constant.
 
-        Stray detections gain thousands of nats: what is more likely than they alone is measured from there.
+        Stray detections gain thousands of nats: what is more likely than they alone is measured from there. A cause
+        that surely leaves something has another effect beside it, which has its prior.
         """
         none, cleaned, temper = self.pool[""].log_evidence, self._cleaned, self.temper
         stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
-        return stray + beyond + log_prior_of(cause.effects, self.candidates)
+        rest = log(another(len(cause.effects))) if self.leaves(cause) else 0.0
+        return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
+
+    def leaves(self, cause: Refined) -> bool:
+        """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside none.
+
+        A limb's own torque is always left, and no cause by itself leaves what no cause explains.
+        """
+        if not cause.effects or len(cause.by_size) != 1 + len(SLAB):
+            return False
+        prior = log_prior(sizes("commanded"))
+        left, gap = (float(np.max(c.by_size - prior) - (c.by_size - prior)[0]) for c in (cause, self.pool[""]))
+        return left > FEW + LITTLE**2 * gap
 
     @property
     def _cleaned(self) -> float:

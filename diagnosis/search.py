@@ -12,7 +12,7 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
-       other effect explains the gap
+       other effect explains the gap, or a small one
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
 
@@ -172,7 +172,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 found.add(cause)
     if not base.complete:
         broken = not early or found.top < promised - HOPELESS / 2
-        late = [*([] if found.explained else gears), *(scatter if broken else [])]
+        # What gains little, play may imitate, or be imitated by.
+        plain = found.explained and found.top > base.log_evidence + HOPELESS
+        late = [*([] if plain else gears), *(scatter if broken else [])]
         for causes in side_by_side(_sought(setting, base, late, max(found.top - HOPELESS, least)), found.workers):
             for cause in causes:
                 found.add(cause)

@@ -16,9 +16,11 @@ from invdyn.diagnosis.setting import Setting, Uncertain
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
-FAR, FAR_ONE_SIDED = 4.0, 8.0
-"""Prior standard deviations beyond which no parameter goes, and those of a half-normal prior. Where nothing fits,
-evidence would else pay any price: arms without mass under motors without torque explain whatever there is."""
+FAR = 4.0
+FARTHER = {"HalfNormal": 8.0, "StudentT": 10.0}
+"""Prior standard deviations beyond which no parameter goes, and those of priors with more in their tails or one side
+alone. Where nothing fits, evidence would else pay any price: arms without mass under motors without torque explain
+whatever there is."""
 EDGE = 1e-3
 """Share of an upper edge that parameters keep away from it: at probability one, what else there is is impossible."""
 
@@ -120,4 +122,4 @@ def at_far_end(parameter: Parameter, value: float) -> bool:
 
 
 def _far(parameter: Parameter) -> float:
-    return FAR_ONE_SIDED if type(parameter.prior).__name__ == "HalfNormal" else FAR
+    return FARTHER.get(type(parameter.prior).__name__, FAR)

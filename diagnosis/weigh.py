@@ -10,8 +10,8 @@ A cause explains a part only, s_c = 0, if errors of prediction are still alike f
 if keypoints stray in the same rows, as no stray detections do (swapped ones are a cause of their own); if errors are
 larger than the noise at rest; if its parameters are such that its effects would not be what they are called
 (:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
-log p(spike), more than a hundredth (``LITTLE`` squared) of what it gains where there is no cause: it is small then, but
-surely there.
+log p(spike), more than a hundredth of what it gains where there is no cause (:meth:`.pool.Search.leaves`): it is small
+then, but surely there.
 
 Another effect is then at work beside c, and in the choice between causes that costs what it does where it has a name
 (:mod:`.prior`): p_c of those with s_c = 0 falls by P(n + 1)/P(n), n ≥ 1 the effects of c.
@@ -29,7 +29,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.pool import LITTLE, Search
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
@@ -43,10 +43,6 @@ NEAR = 3.0
 CONFIRMED = 2
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
-LITTLE = 0.1
-"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
-FEW = 5.0
-"""Nats that a residual may gain by chance."""
 LOUD = 1.5
 """κ, of errors of prediction to the noise at rest, from which on something is left in them."""
 ALIKE, CHANCE = 0.1, 2.0
@@ -110,8 +106,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
         return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)
-    left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, found.pool[""]))
-    if cause.effects and left > FEW + LITTLE**2 * gap:
+    if found.leaves(cause):
         return 0.0
     weight = found.temper * (cause.by_size - prior) + prior
     # Thousandths of a typical torque are nothing to look for a cause of, though "no gap" is more than that.
@@ -135,7 +130,9 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
     share = np.array([_alone(bound, found, c) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)])
-    probability = probability * np.where(share > 0, 1.0, [another(len(c.effects)) for c in ranked])
+    # What sizes of the residual tell, the score knows already.
+    rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
+    probability = probability * np.where(rest, [another(len(c.effects)) for c in ranked], 1.0)
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}

@@ -13,7 +13,7 @@ inertia sit on the rotor.
 """
 
 import torch
-from pyro.distributions import HalfNormal
+from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
@@ -25,7 +25,7 @@ from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
 
 ROTOR_SHARE = 0.5
-WIDTHS = tuple(0.003 * 1.7**n for n in range(8))
+WIDTHS = tuple(0.003 * 1.7**n for n in range(9))
 """rad."""
 SHORTEST = 40.0
 """Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
@@ -40,9 +40,8 @@ class Backlash(HiddenHinge):
     forgets = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Width, rad."""
-        prior = HalfNormal(0.04)
-        return (Parameter("width", "rad", prior, 0.0, WIDTHS),)
+        """Width, rad: a gear's is some hundredths at most, a worn joint's has no such limit."""
+        return (Parameter("width", "rad", Exponential(1 / 0.06), 0.0, WIDTHS),)
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
         """Anywhere in a typical gap, slowly."""

@@ -1,6 +1,6 @@
 """A camera that is not level: the picture turned about the frame's origin."""
 
-from pyro.distributions import Normal
+from pyro.distributions import StudentT
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values, turned
@@ -18,8 +18,8 @@ class CameraRoll(Effect):
     side, site, order = "observation", "arm", 2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`)."""
-        return (Parameter("angle", "rad", Normal(0.0, 0.032)),)
+        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); others by any."""
+        return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.02)),)
 
     def points(self, p: Values, view: View) -> Tensor:
         """R(angle) p."""

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from pyro.distributions import LogNormal, Normal
+from pyro.distributions import LogNormal, StudentT
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
@@ -20,10 +20,10 @@ class CameraYaw(Effect):
     side, site, order = "observation", "arm", 2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle ψ, rad, and distance D of the camera from the origin, m."""
+        """Angle ψ, rad: few cameras stand far from square; distance D of the camera from the origin, m."""
         distance = LogNormal(math.log(3.5 * scale.reach), 0.4)
         return (
-            Parameter("angle", "rad", Normal(0.0, 0.15), 0.0, (-0.2, -0.12, -0.06, 0.06, 0.12, 0.2)),
+            Parameter("angle", "rad", StudentT(3.0, 0.0, 0.085), 0.0, (-0.2, -0.12, -0.06, 0.06, 0.12, 0.2)),
             Parameter("distance", "m", distance, None, tuple(n * scale.reach for n in (2.0, 3.5, 6.0))),
         )
 

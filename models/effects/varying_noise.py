@@ -1,6 +1,6 @@
 """Detections that get worse with motion blur: σ (1 + slope |ṗ|)."""
 
-from pyro.distributions import HalfNormal
+from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
@@ -17,8 +17,8 @@ class VaryingNoise(Effect):
     side, site = "observation", "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Slope, s/m; a typical tip's noise grows severalfold."""
-        return (Parameter("slope", "s/m", HalfNormal(4.0 / (scale.speed[0] * scale.reach))),)
+        """Slope, s/m; at the speed of the outstretched arm the noise is tenfold, give or take as much."""
+        return (Parameter("slope", "s/m", Exponential(scale.speed[0] * scale.reach / 10.0)),)
 
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
         """σ (1 + slope |ṗ|)."""

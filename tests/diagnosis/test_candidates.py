@@ -14,7 +14,7 @@ from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
-from invdyn.diagnosis.unknowns import FAR, FAR_ONE_SIDED, centre, lower_bound, spread, unknowns, upper_bound
+from invdyn.diagnosis.unknowns import FAR, FARTHER, centre, lower_bound, spread, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -216,7 +216,7 @@ def test_names_bounds_and_gaussians():
     # What only changes the scatter has no columns, and is not among them.
     effects = ("viscous_friction.elbow.damping", "camera_roll.angle")
     assert among.names == (*effects, "body.length.0", "body.mass.0", "body.length.1", "body.mass.1")
-    np.testing.assert_allclose(among.lower[:2], [0.0, -FAR * among.sd[1]])
+    np.testing.assert_allclose(among.lower[:2], [0.0, -FARTHER["StudentT"] * among.sd[1]])
     np.testing.assert_allclose(among.mean[2:], [0.3, 1.5, 0.25, 1.0], rtol=1e-6)
     np.testing.assert_allclose(among.sd[2:], [0.003, 0.075, 0.0025, 0.05], rtol=1e-6)
     assert not unknowns(bound(), []).names
@@ -232,7 +232,8 @@ def test_log_prior_is_that_of_half_normals_and_normals():
 
 def test_the_gaussian_of_a_prior():
     damping, *_ = chosen("viscous_friction.elbow")[0].parameters(bound().model.scale)
-    assert (centre(damping), lower_bound(damping), upper_bound(damping)) == (0.0, 0.0, FAR_ONE_SIDED * spread(damping))
+    assert (centre(damping), lower_bound(damping)) == (0.0, 0.0)
+    assert upper_bound(damping) == FARTHER["HalfNormal"] * spread(damping)
     assert spread(damping) == pytest.approx(float(damping.prior.scale))
     rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
     assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FAR * spread(rate)))

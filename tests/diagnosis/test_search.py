@@ -59,10 +59,14 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
             assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
 
 
-@pytest.mark.parametrize(("damping", "looked"), [(0.0, True), (0.05, False)])
-def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, damping, looked):
-    """A rigid arm follows small play without a residual torque: that nothing is left does not speak against play."""
+@pytest.mark.parametrize(("damping", "large", "looked"), [(0.0, 10.0, True), (0.05, 10.0, False), (0.05, 60.0, True)])
+def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, damping, large, looked):
+    """A rigid arm follows small play without a residual torque: that nothing is left does not speak against play.
+
+    Friction that explains a ``large`` gap, in nats, does; here it gains 19.
+    """
     tried = []
+    monkeypatch.setattr(sys.modules[search.__module__], "HOPELESS", large)
     monkeypatch.setattr(sys.modules[search.__module__], "refine_searched", lambda *given: tried.append(given[2].name))
     bound = setting(recorded(damping), PENDULUM)
     assert search(bound, *data_path(bound)).ranked[0].complete
