@@ -8,6 +8,7 @@ import torch
 from pendulum import PENDULUM
 from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
+from scipy.stats import t as student_t
 
 from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, unchanged
 from invdyn.diagnosis.driven import driven
@@ -239,6 +240,23 @@ def test_the_gaussian_of_a_prior():
     assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FAR * spread(rate)))
     assert isinstance(scale.prior, LogNormal)
     assert spread(scale) == pytest.approx(float(scale.prior.stddev))
+
+
+def test_of_what_may_be_any_size_much_is_plausible():
+    """Nine cameras in ten are level to 3°; twelve degrees cost a few nats, where half of a Gaussian asks 23."""
+    roll, yaw, play, blur = (
+        chosen(key)[0].parameters(bound().model.scale)[0]
+        for key in ("camera_roll", "camera_yaw", "backlash.elbow", "varying_noise")
+    )
+    assert student_t.cdf(np.deg2rad(3.0), 3, scale=float(roll.prior.scale)) > 0.95
+    assert upper_bound(roll) > np.deg2rad(15)
+    assert np.deg2rad(60) < upper_bound(yaw) < np.pi / 2
+    assert lower_bound(yaw) == -upper_bound(yaw)
+    for each, size, cost in ((roll, 0.21, 8.0), (yaw, 0.98, 10.0), (play, 0.25, 4.5)):
+        lost = each.prior.log_prob(torch.tensor(1e-6)) - each.prior.log_prob(torch.tensor(size))
+        assert 1.0 < float(lost) < cost
+    assert (lower_bound(play), lower_bound(blur)) == (0.0, 0.0)
+    assert upper_bound(play) == pytest.approx(0.3)
 
 
 def test_sets_of_values_are_the_single_ones():

@@ -10,6 +10,7 @@ from pendulum import PENDULUM, recording_of
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.whiten import log_prior, sizes
 
 
 def pool(**evidence):
@@ -39,6 +40,27 @@ def test_a_set_that_a_part_of_it_beats_is_no_rival():
     found, letters = pool(none=0.0, a=20.0, b=0.0, ab=60.0)
     names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
     assert names == ["ab", "a", ""]
+
+
+def test_a_single_effect_that_surely_leaves_something_gives_way_to_two_that_leave_nothing():
+    """Beside it another is at work, and that has its prior; not so beside none, nor where a torque is always left."""
+    found, letters = pool(none=0.0, a=200.0, ab=204.0)
+    none, single, both = sorted(found.pool.values(), key=lambda cause: len(cause.effects))
+    first, prior = np.arange(len(none.by_size)) == 0, log_prior(sizes("commanded"))
+
+    def left(cause, nats):
+        return replace(cause, by_size=prior - np.where(first, nats, 0.0))
+
+    before = found.score(single)
+    found.pool |= {none.key: left(none, 1000.0), single.key: left(single, 14.0)}
+    assert not found.leaves(found.pool[single.key])
+    assert [letters.get(e.key) for e in found.ranked[0].effects] == ["a"]
+    found.pool[single.key] = left(single, 16.0)  # more than five, and a hundredth of what none leaves
+    assert found.leaves(found.pool[single.key])
+    assert not found.leaves(found.pool[none.key])
+    assert not found.leaves(replace(single, by_size=np.r_[np.zeros(14), 9e3]))
+    assert found.score(found.pool[single.key]) == pytest.approx(before + np.log(0.08 / 0.5))
+    assert found.ranked[0].key == both.key
 
 
 def test_stray_detections_are_measured_apart():

@@ -19,6 +19,7 @@ from pendulum import (
     causes,
     path_of,
     recorded,
+    recording_of,
     wheel,
     wheel_chain,
 )
@@ -39,6 +40,18 @@ from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
+
+
+@pytest.mark.parametrize(("name", "values"), [("camera_roll", (0.25,)), ("camera_yaw", (0.9, 1.6))])
+def test_a_camera_that_is_far_from_level_or_square_is_found(name, values):
+    """Its angle is whatever it is: ten standard deviations of those that somebody saw to are no reason against it."""
+    effect = EFFECTS[name]()
+    names = [p.name for p in effect.bound(ARM).parameters(setting(recording_of(body=ARM), ARM).model.scale)]
+    here = setting(recording_of(effect, ARM, **dict(zip(names, values, strict=True))), ARM)
+    cause = refine(here, (effect,), {f"{name}.angle": 0.2}, path_of(here), LOOSE)
+    assert cause.plausible
+    assert cause.complete
+    assert np.all(np.abs(cause.mean - values) < 4 * cause.sd)
 
 
 def test_evidence_of_a_linear_chain_is_exact():

@@ -119,14 +119,17 @@ def test_keypoints_that_stray_as_one_and_stops_that_meet_leave_something(monkeyp
         assert credible(shaped, replace(none, effects=tuple(stops), **found)) is not meet
 
 
-@pytest.mark.parametrize("left", [True, False])
-def test_a_cause_that_leaves_something_pays_for_another_effect(left, monkeypatch):
-    """Beside one that leaves nothing it counts P(2)/P(1) = .08/.5 of what it else would."""
+@pytest.mark.parametrize(("left", "sized"), [(True, False), (True, True), (False, False)])
+def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monkeypatch):
+    """Beside one that leaves nothing it counts P(2)/P(1) = .08/.5 of what it else would; once, if its size tells."""
     effects = [EFFECTS[name]("pivot") for name in ("viscous_friction", "quadratic_drag")]
     bound = setting(recording_of(effects[0], damping=0.02), PENDULUM)
     path = data_path(bound)[0]
     none, damped, dragged = (refine(bound, e, {}, path, LOOSE) for e in ((), effects[:1], effects[1:]))
     dragged = replace(dragged, log_evidence=damped.log_evidence - 1.0)
+    if sized:
+        spike = np.arange(len(none.by_size)) == 0
+        dragged = replace(dragged, by_size=dragged.by_size - np.where(spike, 1e4, 0.0))
     pool = Search(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
     alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
     monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause: alone[cause.key])
@@ -135,7 +138,8 @@ def test_a_cause_that_leaves_something_pays_for_another_effect(left, monkeypatch
     evidence = [weighed.log_evidence[c.key] - c.log_evidence for c in (damped, dragged)]
     scores = [pool.score(c) + pool.temper * more for c, more in zip((damped, dragged), evidence, strict=True)]
     odds = np.exp(scores[1] - scores[0])
-    assert both[1] / both[0] == pytest.approx(odds * (0.16 if left else 1.0), rel=1e-6)
+    assert pool.leaves(dragged) is sized
+    assert both[1] / both[0] == pytest.approx(odds * (0.16 if left and not sized else 1.0), rel=1e-6)
     assert sum(both) == pytest.approx(1.0, abs=1e-3)
     assert weighed.outside == pytest.approx(both[1] if left else 0.0)
 
