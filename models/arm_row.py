@@ -55,8 +55,9 @@ class ArmRow:
             def pull(angles: Tensor, rates: Tensor, s: float) -> Tensor | float:
                 if not self.effects.pulls:
                     return 0.0
-                (q, _), (qd, _) = hinge.gathered(angles), hinge.gathered(rates)
-                here = self._now(q, qd, start, body, clock, s * interval, dt / parts)
+                here = self._now(
+                    hinge.turned(angles), hinge.turned(rates), start, body, clock, s * interval, dt / parts
+                )
                 bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
                 rigid = self.effects.pull(self.parameters, here)
                 return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)

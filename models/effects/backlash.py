@@ -1,15 +1,16 @@
 """Play between a motor and its joint: a gap ψ that is free within ±width/2.
 
 The motor turns a rotor of half the link's own inertia about its centre of mass, taken from the link, so that without
-play nothing is changed; ψ is how far the link is ahead of it. Time-stepping after Moreau: each short sub-step is either
+play nothing is changed; ψ is how far the link is ahead of it. What a joint has of its own, motor, friction, spring,
+stop and inertia, is on the rotor's side, and knows of its angle and velocity alone. Time-stepping after Moreau: each
+short sub-step is either
 
     held     at an end of the gap, with the stop pushing: the rigid arm, ψ at rest
     free     the motor drives the rotor alone; a gap that the sub-step would leave ends at its stop, in a plastic
              impact: with M the mass matrix, Δrates = −M⁻¹ e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ), and as the impact was
              earlier by as long as the gap took for what it is too wide, Δangles = the same of that in place of ψ̇
 
-which keeps momentum and the centre of inertia, and is stable however hard the stops are. Joints' own friction and
-inertia sit on the rotor.
+which keeps momentum and the centre of inertia, and is stable however hard the stops are.
 """
 
 import torch
@@ -71,6 +72,11 @@ class Backlash(HiddenHinge):
         rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
         return torch.cat([angles[..., :j], rotor + hinge, angles[..., j + 2 :]], -1), hinge
 
+    def turned(self, angles: Tensor) -> Tensor:
+        """The rotor's, as what a joint has of its own is on the motor's side of its play."""
+        j = self.place[0]
+        return torch.cat([angles[..., : j + 1], angles[..., j + 2 :]], -1)
+
     def step(
         self,
         p: Values,
@@ -89,14 +95,17 @@ class Backlash(HiddenHinge):
         half = p["width"] / 2
         parts = substeps_for(dt, SHORTEST, n)
         none = half <= 0
-        psi, rate, tight = hidden[..., :1], hidden[..., 1:], None
+        psi, rate, tight = hidden[..., :1].clamp(-half, half), hidden[..., 1:], None
 
         def held(q, qd, s):
-            torque, own = net(q, qd, s)
+            angles, rates = self.spread(q, psi), self.spread(qd, torch.zeros_like(psi))
+            torque, own = net(self.turned(angles), qd, s)
+            pulled = pull(angles, rates, s)
+            torque = torque + (self.turned(pulled) if isinstance(pulled, Tensor) else pulled)
             return rigid.forward(q, qd, torque, body, own)
 
         def free(angles, rates, s):
-            torque, own = net(self.gathered(angles)[0], self.gathered(rates)[0], s)
+            torque, own = net(self.turned(angles), self.turned(rates), s)
             turning = self.on_joints(torque) + pull(angles, rates, s)
             return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
@@ -105,7 +114,6 @@ class Backlash(HiddenHinge):
             if bool(none.all()):
                 return tight
         for i in range(parts):
-            psi = torch.maximum(torch.minimum(psi, half), -half)
             # what the stop would have to give for the gap to stay as it is
             qdd = held(q, qd, i / parts)
 
@@ -132,13 +140,13 @@ class Backlash(HiddenHinge):
             answer = whole.response(angles, unit, links, own)
             answer = answer / answer[..., j + 1, None]
             # The impact was earlier than the sub-step's end, by as long as the gap takes for what it is too wide.
-            over = gap - torch.maximum(torch.minimum(gap, half), -half)
+            over = gap - gap.clamp(-half, half)
             q_free, gap = self.gathered(torch.where(struck, angles - answer * over, angles))
             qd_free, rate_free = self.gathered(torch.where(struck, rates - answer * speed, rates))
 
             q, qd = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
-            psi, rate = torch.where(pushes, psi, gap), torch.where(pushes, torch.zeros_like(rate), rate_free)
-        psi = torch.maximum(torch.minimum(psi, half), -half)
+            psi = torch.where(pushes, psi, gap).clamp(-half, half)
+            rate = torch.where(pushes, torch.zeros_like(rate), rate_free)
         loose = (join(psi, rate), q, qd)
         if tight is None:
             return loose

@@ -59,6 +59,13 @@ class HiddenHinge(Effect):
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
+    def turned(self, angles: Tensor) -> Tensor:
+        """What the joints themselves have turned by, (..., K), of the angles, or rates, of the K + 1 hinges.
+
+        It is what springs, stops and friction at the joints know of.
+        """
+        return self.gathered(angles)[0]
+
     def on_joints(self, values: Tensor | None) -> Tensor | None:
         """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
         if values is None:

@@ -8,13 +8,15 @@ import inspect
 
 import numpy as np
 import pytest
+import torch
 
 from invdyn.diagnosis.blind import mechanisms as m
 from invdyn.diagnosis.blind.camera import OBSERVATIONS
 from invdyn.diagnosis.blind.outside import OUTSIDE
 from invdyn.diagnosis.blind.reality import World
 from invdyn.diagnosis.blind.sizes import SIZES, UNITS, scene
-from invdyn.models import Body, Link
+from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models.effects import EFFECTS, Backlash
 
 pytest.importorskip("mujoco")
 ARM = Body(
@@ -272,6 +274,52 @@ def test_backlash_lets_the_link_move_by_its_width():
     m.backlash(tight, 1, 1e-5)
     ideal = World(ARM).run(ROWS, swing, *START)
     assert np.abs(tight.run(ROWS, swing, *START).q - ideal.q).max() < 2e-3
+
+
+OWN = {
+    "nothing": ((), {}, 1e-3),
+    "joint_stiffness": ((1,), {"stiffness": 3.0, "rest_angle": 0.3}, 1e-3),
+    "joint_limit": ((1,), {"angle": 0.6, "stiffness": 10.0, "damping": 0.02, "side": 1.0}, 2e-3),
+    "torque_ripple": ((1,), {"amplitude": 0.5, "periods": 8.0, "phase": 0.0}, 1e-3),
+    "armature": ((1,), {"inertia": 0.01}, 2e-3),
+    "viscous_friction": ((1,), {"damping": 0.05}, 0.01),
+    "external_push": ((1,), {"force_x": 4.0, "force_y": 6.0, "start": 0.1, "stop": 0.3}, 1e-3),
+}
+"""Effects beside play: where, with what parameters, and how far the model may part from MuJoCo in .5 s, rad."""
+STATED = {
+    "joint_stiffness": (("elbow",), {"stiffness": 3.0, "torque": 0.9}),
+    "joint_limit": (("elbow", "upper"), {"angle": 0.6, "stiffness": 10.0, "damping": 0.02}),
+    "torque_ripple": (("elbow",), {"sine": 0.5, "cosine": 0.0, "periods": 8.0}),
+    "external_push": (("wrist",), {"impulse_x": 0.8, "impulse_y": 1.2, "moment": 0.2, "duration": 0.2}),
+}
+"""The same as effects of the model have them, where that is something else."""
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_what_a_joint_has_of_its_own_is_on_the_motor_s_side_of_its_play(name):
+    """There it turns the rotor, and the rotor's angle is what it knows of; what pulls at the link does neither."""
+    where, parameters, apart = OWN[name]
+    rows, width = 0.005 * np.arange(101), 0.06
+    commands = np.stack([1.5 * np.sin(5 * rows) + 1, 1.5 * np.cos(9 * rows)], axis=-1)
+    world, rigid = World(ARM), World(ARM)
+    model = ArmModel(ARM, rows, emission=Emission(range(2), 0), command=commands)
+    given = {Backlash("elbow"): {"width": width}}
+    if name != "nothing":
+        m.MECHANISMS[name](world, *where, **parameters)
+        m.MECHANISMS[name](rigid, *where, **parameters)
+        at, values = STATED.get(name, (("elbow",), parameters))
+        given[EFFECTS[name](*at)] = values
+    m.backlash(world, 1, width)
+    real, ideal = (each.run(rows, lambda row, *_: commands[row], *START) for each in (world, rigid))
+    values = {f"effect.{effect.key}.{key}": [v] for effect, own in given.items() for key, v in own.items()}
+    model = model.with_effects(*given)
+    model = model.replace(**{key: torch.tensor(v, dtype=model.dtype) for key, v in values.items()})
+    path = [torch.tensor([*np.zeros(4), *START[0], *START[1]], dtype=model.dtype)]
+    for row in range(1, len(rows)):
+        path.append(model.transition_mean(path[-1], row))
+    seen, rigid = (np.diff(each.heading, axis=1, prepend=0.0)[:: (len(each.time) - 1) // 100] for each in (real, ideal))
+    assert np.abs(torch.stack(path)[:, 4:6].numpy() - seen).max() < apart
+    assert np.abs(seen - rigid).max() > 3 * apart
 
 
 def test_every_effect_has_units_and_sizes():
