@@ -12,7 +12,7 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
-       other effect explains the gap, or a small one
+       other effect explains the gap, or a small one; and beside the best single one that sets of several overtook
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
 
@@ -83,6 +83,7 @@ def search(
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
+            _loosened(setting, found)
         _without_older(setting, found, best)
     reduce(setting, found)
     while known and found.ranked[0].effects:
@@ -132,6 +133,21 @@ def _without_older(setting: Setting, found: Search, best: Refined) -> None:
         _extend(setting, found, base, SWAPS)
 
 
+def _loosened(setting: Setting, found: Search) -> None:
+    """Where sets of several have overtaken the best single effect and leave something, look for play beside it.
+
+    It bends the path more than anything else does: a grid along the single one's shows little of it.
+    """
+    singles = [cause for cause in found.pool.values() if len(_others(cause)) == 1]
+    if found.ranked[0].complete or len(_others(found.ranked[0])) < 2 or not singles:
+        return
+    base = max(singles, key=found.score)
+    gears, _ = _searchable(setting, found, base, [e for e in found.candidates if e not in base.effects])
+    for causes in side_by_side(_sought(setting, base, gears, -np.inf), found.workers):
+        for cause in causes:
+            found.add(cause)
+
+
 def _mistaken(setting: Setting, found: Search) -> None:
     """Refine what leaves stray detections by itself, along the path that does not follow them and the simulation's own.
 
@@ -172,10 +188,12 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
                 found.add(cause)
     if not base.complete:
         broken = not early or found.top < promised - HOPELESS / 2
-        # What gains little, play may imitate, or be imitated by.
+        # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
         plain = found.explained and found.top > base.log_evidence + HOPELESS
-        late = [*([] if plain else gears), *(scatter if broken else [])]
-        for causes in side_by_side(_sought(setting, base, late, max(found.top - HOPELESS, least)), found.workers):
+        enough = max(found.top - HOPELESS, least)
+        driven = _sought(setting, base, [] if plain else gears, enough if found.explained else least)
+        late = _sought(setting, base, scatter if broken else [], enough)
+        for causes in side_by_side([*driven, *late], found.workers):
             for cause in causes:
                 found.add(cause)
     return screened
@@ -204,7 +222,7 @@ def _searchable(
 ) -> tuple[list[Effect], list[Effect]]:
     """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
     # Where joints stick, too, play takes minutes.
-    slips = len(_others(base)) < 2 and not base.model.effects.abrupt and setting.regime != "unknown_torque"
+    slips = len(_others(base)) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
     searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
     gears = [e for e in searched if isinstance(e, HiddenHinge)]
     return gears if slips else [], [e for e in searched if e not in gears]

@@ -11,7 +11,7 @@ from pendulum import ARM, PENDULUM, recorded, recording_of
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import _extend, search
+from invdyn.diagnosis.search import _extend, _loosened, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -75,18 +75,44 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
 
 @pytest.mark.parametrize(("other", "looked"), [("viscous_friction", True), ("coulomb_friction", False)])
 def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, looked):
-    """Where that one leaves something: a spring, which is not in it."""
+    """Where that one leaves something: a spring, which is not in it; however little a grid along its path shows."""
     tried, module = [], sys.modules[search.__module__]
     spring = EFFECTS["joint_stiffness"]("pivot")
     bound = setting(recording_of(spring, stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     none, base = (refine(bound, effects, {}, path, LOOSE, rounds=2) for effects in ((), (EFFECTS[other]("pivot"),)))
     assert not base.complete
-    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
+    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append((given[2].name, given[3])))
     monkeypatch.setattr(module, "refine_promising", lambda *_: None)
     found = Search(considered(bound), {"": none, base.key: base}, [], path, stray)
     _extend(bound, found, base, 1)
-    assert ("backlash" in tried) is looked
+    assert (("backlash", -np.inf) in tried) is looked
+
+
+@pytest.mark.parametrize(
+    ("single", "gain", "complete", "looked"),
+    [
+        ("joint_limit.pivot.upper", 50.0, False, True),
+        ("coulomb_friction.pivot", 50.0, False, False),  # beside what sticks it takes minutes
+        ("joint_limit.pivot.upper", -50.0, False, False),  # it is the best, and the next to be extended
+        ("joint_limit.pivot.upper", 50.0, True, False),
+    ],
+)
+def test_play_is_looked_for_beside_the_best_single_effect_that_several_overtook(
+    monkeypatch, single, gain, complete, looked
+):
+    tried = []
+    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    path, stray = data_path(bound)
+    effects = {e.key: e for e in considered(bound)}
+    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[single],)))
+    spike = np.arange(len(none.by_size)) == 0
+    none, one = replace(none, log_evidence=0.0), replace(one, log_evidence=100.0)
+    more = (effects["payload"], effects[single])
+    both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
+    monkeypatch.setattr(sys.modules[search.__module__], "refine_searched", lambda *given: tried.append(given[1:]))
+    _loosened(bound, Search(list(effects.values()), {c.key: c for c in (none, one, both)}, [], path, stray))
+    assert tried == ([(one, effects["backlash.pivot"], -np.inf)] if looked else [])
 
 
 @pytest.mark.parametrize("kept", [True, False])
