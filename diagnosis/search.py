@@ -142,7 +142,8 @@ def _loosened(setting: Setting, found: Search) -> None:
     if found.ranked[0].complete or len(_others(found.ranked[0])) < 2 or not singles:
         return
     base = max(singles, key=found.score)
-    gears, _ = _searchable(setting, found, base, [e for e in found.candidates if e not in base.effects])
+    taken = {effect.key for effect in base.effects}
+    gears, _ = _searchable(setting, found, base, [e for e in found.candidates if e.key not in taken])
     for causes in side_by_side(_sought(setting, base, gears, -np.inf), found.workers):
         for cause in causes:
             found.add(cause)
