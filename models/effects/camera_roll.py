@@ -18,7 +18,7 @@ class CameraRoll(Effect):
     side, site, order = "observation", "arm", 2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); others by any."""
+        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""
         return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.02)),)
 
     def points(self, p: Values, view: View) -> Tensor:

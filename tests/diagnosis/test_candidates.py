@@ -243,7 +243,7 @@ def test_the_gaussian_of_a_prior():
 
 
 def test_of_what_may_be_any_size_much_is_plausible():
-    """Nine cameras in ten are level to 3°; twelve degrees cost a few nats, where half of a Gaussian asks 23."""
+    """Nine cameras in ten are level to 3°; twelve degrees cost a few nats, where a Gaussian as wide asks 18."""
     roll, yaw, play, blur = (
         chosen(key)[0].parameters(bound().model.scale)[0]
         for key in ("camera_roll", "camera_yaw", "backlash.elbow", "varying_noise")
