@@ -20,9 +20,9 @@ from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
-from invdyn.diagnosis.shrinkage import Closed, closed, held_out_scores
+from invdyn.diagnosis.shrinkage import Closed, closed, unseen
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.diagnosis.weigh import only, weigh
+from invdyn.diagnosis.weigh import in_part_only, only, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import InputError, Recording, joined, write_text
@@ -85,20 +85,23 @@ def diagnose(
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
-    def held(cause: Refined) -> Closed:
-        return closed(*held_out_scores(bound, none, cause, other), time, seed)
+    def held(cause: Refined) -> tuple[Closed, bool]:
+        there = unseen(bound, none, cause, other)
+        return closed(*there.scores, there.rows, time, seed), there.leaves
 
     likely = found.ranked[0]
-    weighed, shares = side_by_side([partial(weigh, bound, found, seed), partial(held, likely)], workers)
+    weighed, (shares, left) = side_by_side([partial(weigh, bound, found, seed), partial(held, likely)], workers)
     report(3, "held out")
     if weighed.best is not likely:
-        shares = held(weighed.best)
+        shares, left = held(weighed.best)
+    if left:
+        weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
         weighed = only(bound, found, none, weighed.log_evidence)
-        shares = held(none)
+        shares, _ = held(none)
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None

@@ -75,15 +75,8 @@ class Search:
         return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
 
     def leaves(self, cause: Refined) -> bool:
-        """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside none.
-
-        A limb's own torque is always left, and no cause by itself leaves what no cause explains.
-        """
-        if not cause.effects or len(cause.by_size) != 1 + len(SLAB):
-            return False
-        prior = log_prior(sizes("commanded"))
-        left, gap = (float(np.max(c.by_size - prior) - (c.by_size - prior)[0]) for c in (cause, self.pool[""]))
-        return left > FEW + LITTLE**2 * gap
+        """Whether a residual surely gains evidence beside a cause."""
+        return leaves(cause, self.pool[""])
 
     @property
     def _cleaned(self) -> float:
@@ -114,6 +107,18 @@ class Search:
         known = self.pool.get(cause.key)
         if known is None or cause.log_evidence > known.log_evidence:
             self.pool[cause.key] = cause
+
+
+def leaves(cause: Refined, none: Refined) -> bool:
+    """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside ``none``.
+
+    A limb's own torque is always left, and no cause by itself leaves what no cause explains.
+    """
+    if not cause.effects or len(cause.by_size) != 1 + len(SLAB):
+        return False
+    prior = log_prior(sizes("commanded"))
+    left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
+    return left > FEW + LITTLE**2 * gap
 
 
 def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:

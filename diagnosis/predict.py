@@ -2,6 +2,9 @@
 
 * One-step predictive log density of every row given all before it, from the whitened innovations:
   log p(y_t | y_{<t}) = −½ |w_t|²/κ² − n_t log κ − ½ log |S_t| + const.
+  On rows that the parameters have not seen, integrated over their posterior N(μ, LLᵀ): with w_t + A_t L z, z ~ N(0, I),
+  G_t = I + Σ_{s≤t} LᵀA_sᵀA_s L/κ² and r_t = Σ_{s≤t} LᵀA_sᵀw_s/κ², it is more by
+  ½ (r_tᵀ G_t⁻¹ r_t − log |G_t|) less the same of t−1 (Bishop 2006, §3.3 and §3.5).
 * Residual torque: its smoothed posterior.
 * Replay: the simulation alone, set to the smoothed state every ``WINDOW`` seconds and left to run.
 
@@ -15,15 +18,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.candidates import Columns, slopes
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import SPIKE, Whitened, filter_of, sizes, whiten
 from invdyn.inference.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
 
 WINDOW = 1.0
 """s between the states that a replay is set to."""
+NUDGE = 0.05
+"""Standard deviations by which parameters differ for slopes."""
 
 
 @dataclass(frozen=True)
@@ -44,29 +50,58 @@ def best_size(setting: Setting, cause: Refined) -> float:
     return float(sizes(setting.regime)[int(cause.by_size.argmax())])
 
 
-def whitened(setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float]) -> Whitened:
-    """Innovations of ``setting``'s rows under a cause along a path (T, D), for each size of the residual."""
+def whitened(
+    setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float], columns: Columns | None = None
+) -> Whitened:
+    """Innovations of ``setting``'s rows under a cause along a path (T, D), for each size of the residual.
+
+    And ``columns``, if there are any.
+    """
     none = Columns(
         np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
     )
-    return whiten(setting, filter_of(setting, cause.model, path, np.array(levels)), none)
+    return whiten(setting, filter_of(setting, cause.model, path, np.array(levels)), columns or none)
 
 
-def scores(setting: Setting, cause: Refined, path: Tensor | None = None) -> Scores:
+def scores(setting: Setting, cause: Refined, unseen: np.ndarray | None = None) -> Scores:
     """One-step predictive scores of ``setting``'s rows under a cause found there or on another recording.
 
-    ``path`` is linearised along, the cause's own by default.
+    ``unseen`` (T,) are rows that the cause's parameters have not seen: there they are what is known of them and of the
+    rows before.
     """
-    path = cause.path if path is None else path
     quietest = SPIKE if setting.regime != "unknown_torque" else best_size(setting, cause)
-    rows = whitened(setting, cause, path, [best_size(setting, cause), quietest])
+    columns = None if unseen is None else posterior_columns(setting, cause)
+    rows = whitened(setting, cause, cause.path, [best_size(setting, cause), quietest], columns)
     seen, kappa = rows.seen, cause.kappa
-    squares = np.full(len(path), np.nan)
-    squares[seen > 0] = (rows.columns[0, :, 0].reshape(-1, setting.observations.shape[-1]) ** 2).sum(-1)
+    known = seen > 0
     constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
-    score = constant - rows.row_log_det[0] - 0.5 * squares / kappa**2
+    w = rows.columns[0].reshape(known.sum(), -1, rows.columns.shape[-1]) / kappa
+    score = np.full(len(seen), np.nan)
+    score[known] = (constant - rows.row_log_det[0])[known] - 0.5 * (w[..., 0] ** 2).sum(-1)
+    if unseen is not None:
+        here = known & unseen
+        score[here] += _learning(w[unseen[known]])
     floor = constant - rows.row_log_det[1] - 0.5 * seen
-    return Scores(score, np.where(seen > 0, floor, np.nan))
+    return Scores(score, np.where(known, floor, np.nan))
+
+
+def posterior_columns(setting: Setting, cause: Refined) -> Columns:
+    """Slopes in p numbers z ~ N(0, I) along a cause's path: its parameters are μ + L z a posteriori."""
+    among = unknowns(setting, cause.model.effects)
+    step = np.maximum(NUDGE * cause.sd, 1e-7 * among.sd)
+    plain = slopes(cause.model, among, cause.mean, step, cause.path)
+    values, vectors = np.linalg.eigh(cause.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return Columns(plain.g @ root, plain.d @ root)
+
+
+def _learning(w: np.ndarray) -> np.ndarray:
+    """What z ~ N(0, I), the more of its rows are known, adds to the log density of each row of w (T, O, 1 + p)."""
+    data, slope = w[..., 0], w[..., 1:]
+    G = np.eye(slope.shape[-1]) + np.einsum("toi,toj->tij", slope, slope).cumsum(0)
+    r = np.einsum("toi,to->ti", slope, data).cumsum(0)
+    fitted = np.einsum("ti,ti->t", r, np.linalg.solve(G, r[..., None])[..., 0])
+    return np.diff(0.5 * (fitted - np.linalg.slogdet(G)[1]), prepend=0.0)
 
 
 def smoothed(setting: Setting, cause: Refined) -> GaussianSmoother:

@@ -2,8 +2,9 @@
 
 Another recording of the same arm where there is one; else the last third of this one, the cause refitted on the first
 two; but what was searched (:mod:`.noise`), and what the first two cannot show, such as a push that comes later, keeps
-the parameters that all rows gave it. In nats of one-step prediction, with the simulation as it is, with the cause, and
-the floor that a simulation without a gap would reach:
+the parameters that all rows gave it. In nats of one-step prediction, the parameters' posterior integrated over
+(:mod:`.predict`), with the simulation as it is, with the cause, and the floor that a simulation without a gap would
+reach:
 
     closed = Σ (with − without) / Σ (floor − without)
 
@@ -16,11 +17,12 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.paths import led
+from invdyn.diagnosis.elsewhere import carried
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import leaves
 from invdyn.diagnosis.predict import Scores, best_size, scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
-from invdyn.inference.gauss_newton import gauss_newton
 
 BLOCK = 0.4
 """s, length of the bootstrap's blocks."""
@@ -47,32 +49,50 @@ def split(setting: Setting) -> tuple[Setting, np.ndarray]:
     return setting.until(first), np.arange(len(setting.observations)) >= first
 
 
-def held_out_scores(
-    setting: Setting, none: Refined, cause: Refined, other: Setting | None = None
-) -> tuple[Scores, Scores, np.ndarray]:
-    """Scores without and with the cause, and the rows (T,) that count."""
+@dataclass(frozen=True)
+class Unseen:
+    """No effect and a cause, as other rows know them, along the paths of those (T,) ``rows`` of ``setting`` that count.
+
+    Attributes:
+        leaves: whether the cause surely leaves something on another recording (:mod:`.elsewhere`).
+    """
+
+    setting: Setting
+    none: Refined
+    cause: Refined
+    rows: np.ndarray
+    leaves: bool = False
+
+    @property
+    def scores(self) -> tuple[Scores, Scores]:
+        """Scores without and with the cause."""
+        none, cause = (scores(self.setting, each, self.rows) for each in (self.none, self.cause))
+        return none, cause
+
+
+def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | None = None) -> Unseen:
+    """No effect and a cause that were found in ``setting`` on what they have not seen."""
     if other is not None:
-        pair = []
-        for each in (none, cause):
-            model = each.carried_to(other)
-            start = gauss_newton(other.with_residual(other.loose, model), other.observations).path
-            path = led(other, model, start, best_size(setting, each))
-            pair.append(scores(other, each.moved_to(model, path)))
-        return *pair, np.ones(len(other.observations), bool)
+        start, _ = data_path(other)
+        none, cause = (carried(setting, each, other, start) for each in (none, cause))
+        # What happened at some moment of the first recording does not happen in another.
+        left = leaves(cause, none) and not any(effect.dated for effect in cause.effects)
+        return Unseen(other, none, cause, np.ones(len(other.observations), bool), left)
     train, rows = split(setting)
-    pair = []
-    for each in (none, cause):
-        values = dict(zip(each.names, each.mean.tolist(), strict=True)) | each.noise
-        try:
-            begun, size = each.path[: len(train.observations)], best_size(setting, each)
-            fitted = refine(train, each.effects, values, begun, size, rounds=2, **each.searched)
-        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            fitted = each  # the first rows by themselves lead nowhere
-        if _shown_later(each, fitted):
-            fitted = each
-        # Linearised along a path that knows the held-out rows; the predictions themselves do not.
-        pair.append(scores(setting, fitted.moved_to(fitted.model, each.path)))
-    return *pair, rows
+    none, cause = (_fitted_before(setting, each, train) for each in (none, cause))
+    return Unseen(setting, none, cause, rows)
+
+
+def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
+    """``cause`` as the first rows know it, along the path that all rows have."""
+    values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
+    try:
+        begun, size = cause.path[: len(train.observations)], best_size(setting, cause)
+        fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return cause  # the first rows by themselves lead nowhere
+    # Linearised along a path that knows the held-out rows; the predictions themselves do not.
+    return cause if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
 
 
 def _shown_later(cause: Refined, fitted: Refined) -> bool:

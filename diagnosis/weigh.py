@@ -11,7 +11,7 @@ if keypoints stray in the same rows, as no stray detections do (swapped ones are
 larger than the noise at rest; if its parameters are such that its effects would not be what they are called
 (:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
 log p(spike), more than a hundredth of what it gains where there is no cause (:meth:`.pool.Search.leaves`): it is small
-then, but surely there.
+then, but surely there. On a held-out recording too, where there is one (:mod:`.elsewhere`).
 
 Another effect is then at work beside c, and in the choice between causes that costs what it does where it has a name
 (:mod:`.prior`): p_c of those with s_c = 0 falls by P(n + 1)/P(n), n ≥ 1 the effects of c.
@@ -21,7 +21,7 @@ there, and errors are those under an ample torque. And a cause that does not sur
 rows is taken back.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -138,6 +138,14 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
+
+
+def in_part_only(weighed: Weighed) -> Weighed:
+    """The best cause explains a part, as another recording shows."""
+    best, probability = next(iter(weighed.causes.values()))
+    causes = weighed.causes | {best.key: (best, 0.0)}
+    in_part = weighed.in_part | {best.key: weighed.in_part[best.key] + probability}
+    return replace(weighed, causes=causes, in_part=in_part, outside=min(sum(in_part.values()), 1.0))
 
 
 def only(bound: Setting, found: Search, cause: Refined, log_evidence: dict[str, float]) -> Weighed:

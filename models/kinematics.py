@@ -7,8 +7,10 @@ with nearly constant angular velocity,
     φ' = φ + δ ω,   ω' = ω + q √δ η,   measured φ wrapped to within half a turn of its prediction,
 
 unwraps it where plain frame-to-frame unwrapping slips (fast limbs, coarse frames, noise), and its
-Rauch–Tung–Striebel smoother bridges what was not seen. Several q are tried side by side. None of
-this enters the likelihood.
+Rauch–Tung–Striebel smoother bridges what was not seen. Several q are tried side by side. A stray
+detection can throw ω so far that φ then gains whole turns from frame to frame, which a camera
+cannot deny: where that happens, and need not, what is far from its prediction is left out. None
+of this enters the likelihood.
 
 Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s).
 """
@@ -21,6 +23,8 @@ from invdyn.models.emission import Emission
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb."""
+GATE = 4.0
+"""Standard deviations from its prediction beyond which an angle is left out, where what strays matters."""
 
 
 def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) -> tuple[np.ndarray, np.ndarray]:
@@ -51,10 +55,12 @@ def smooth_angles(
     sd: np.ndarray,
     agility=AGILITY,
     wrap: bool | np.ndarray = True,
+    gate: float = np.inf,
 ) -> np.ndarray:
     """Smoothed angles (C, T, K) of ``measured`` (T, K) with noise ``sd`` (K,), for each agility.
 
-    ``wrap``, one for all or (T, K): whether an angle is known but for whole turns, as a camera's is.
+    ``wrap``, one for all or (T, K): whether an angle is known but for whole turns, as a camera's is. What is off its
+    prediction by more than ``gate`` standard deviations is left out.
     """
     wrap = np.broadcast_to(wrap, measured.shape)
     q = np.asarray(agility, dtype=float)[:, None] ** 2
@@ -72,7 +78,7 @@ def smooth_angles(
         predicted[t] = angle, rate, a, b, c
         innovation = measured[t] - angle
         innovation = np.where(wrap[t], (innovation + np.pi) % (2 * np.pi) - np.pi, innovation)
-        seen = np.isfinite(innovation)
+        seen = np.abs(innovation) < gate * np.sqrt(a + sd**2)
         known, innovation = np.where(seen, 1 / (a + sd**2), 0.0), np.where(seen, innovation, 0.0)
         gain, other = a * known, b * known
         angle, rate = angle + gain * innovation, rate + other * innovation
@@ -105,7 +111,16 @@ def joint_angle_candidates(
     if not np.isfinite(absolute).any(axis=0).all():
         return None
     smooth = smooth_angles(time, absolute, sd, wrap=wrapped)
+    whirls = _whirls(smooth) & wrapped.all(axis=0)
+    if whirls.any():
+        firm = smooth_angles(time, absolute, sd, wrap=wrapped, gate=GATE)
+        smooth = np.where(whirls & ~_whirls(firm), firm, smooth)
     return within_half_a_turn(np.diff(smooth, axis=-1, prepend=0.0), wrapped)
+
+
+def _whirls(angles: np.ndarray) -> np.ndarray:
+    """Whether angles (C, T, K) turn by more than half a turn from one row to the next, (C, 1, K)."""
+    return (np.abs(np.diff(angles, axis=1)) > np.pi).any(axis=1, keepdims=True)
 
 
 def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:

@@ -102,6 +102,10 @@ class Effect(ABC):
     located: ClassVar[tuple[str, ...]] = ()
     """Parameters that a recording itself suggests values of, such as when a push began; any grid is a makeshift."""
 
+    dated: ClassVar[bool] = False
+    """Whether its parameters tell when something happened in one recording, which another of the same arm does not
+    share: a push, the phase in which a base shakes."""
+
     longest: ClassVar[float] = math.inf
     """s, longest sub-step, where its force jumps within a motion, as dry friction's where a joint turns around."""
     steady: ClassVar[bool] = False

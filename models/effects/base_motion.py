@@ -21,6 +21,7 @@ class BaseMotion(Effect):
 
     site = "arm"
     pulls = True
+    dated = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Amplitudes, m, of sine and cosine along x and y, and frequency f, Hz.

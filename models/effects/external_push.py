@@ -23,6 +23,7 @@ class ExternalPush(Effect):
     site = "keypoint"
     located = ("moment", "duration")
     pulls = True
+    dated = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Impulse, N·s, its middle and its duration, s."""

@@ -1,11 +1,15 @@
 """What a cause predicts: scores of rows, residual torque, replay."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from pendulum import DAMPING, at_best, causes
+from scipy.special import logsumexp
 
 from invdyn.diagnosis.predict import replay, replay_rms, residual, scores, smoothed
+from invdyn.diagnosis.unknowns import unknowns
 
 
 def test_scores_sum_to_the_evidence():
@@ -23,6 +27,28 @@ def test_the_floor_is_what_a_perfect_simulation_scores():
         assert abs((both.floor - both.score).sum()) < 4 * np.sqrt(2 * 160) / 2
     poor = scores(here, none)
     assert (poor.floor - poor.score).sum() > 10
+
+
+def test_parameters_are_integrated_over_on_rows_that_they_have_not_seen():
+    """Row by row against Gauss–Hermite quadrature of p(y_t | y_<t, damping) over a broad posterior of the damping."""
+    here, _, cause = causes()
+    broad = replace(cause, mean=cause.mean + 4 * cause.sd, covariance=9 * cause.covariance)
+    among = unknowns(here, cause.effects)
+    broad = broad.moved_to(among.set_in(cause.model, broad.mean), cause.path)
+    unseen = np.arange(80) >= 30
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    plain = np.array(
+        [
+            scores(here, replace(broad, model=among.set_in(cause.model, broad.mean + node * broad.sd))).score
+            for node in nodes
+        ]
+    )
+    total = logsumexp(plain[:, unseen].cumsum(1) + np.log(weights / weights.sum())[:, None], axis=0)
+    found = scores(here, broad, unseen).score
+    at_mean = scores(here, broad).score
+    np.testing.assert_allclose(found[unseen], np.diff(total, prepend=0.0), atol=0.02)
+    np.testing.assert_allclose(found[~unseen], at_mean[~unseen], rtol=1e-12)
+    assert (found - at_mean).sum() > 1
 
 
 def test_rows_that_were_not_seen_have_no_score():

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import DAMPING, PENDULUM, causes, path_of, recorded
+from pendulum import ARM, DAMPING, PENDULUM, causes, path_of, recorded, recording_of
 
 from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.predict import Scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.diagnosis.shrinkage import closed, held_out_scores, split
+from invdyn.diagnosis.shrinkage import closed, split, unseen
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -23,9 +24,10 @@ def test_the_last_third_is_held_out():
     train, rows = split(here)
     assert np.flatnonzero(rows).tolist() == list(range(53, 80))
     assert torch.equal(train.observations, here.observations[:53])
-    without, with_cause, used = held_out_scores(here, none, cause)
-    assert np.array_equal(used, rows)
-    result = closed(without, with_cause, used, here.model.time.numpy(), 0)
+    last = unseen(here, none, cause)
+    assert np.array_equal(last.rows, rows)
+    assert not last.leaves
+    result = closed(*last.scores, last.rows, here.model.time.numpy(), 0)
     assert 0.5 < result.share <= 1.0
     assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
     per_frame = result.per_frame
@@ -55,7 +57,8 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     none = refine(here, (), {}, path, LOOSE)
     cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
     assert cause.log_evidence > none.log_evidence + 20
-    result = closed(*held_out_scores(here, none, cause), here.model.time.numpy(), 0)
+    last = unseen(here, none, cause)
+    result = closed(*last.scores, last.rows, here.model.time.numpy(), 0)
     assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
     assert result.share > 0.5
 
@@ -63,13 +66,60 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
 def test_another_recording_is_held_out():
     here, none, cause = causes()
     other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
-    without, with_cause, rows = held_out_scores(here, none, cause, other)
-    assert rows.all()
-    assert len(rows) == len(without.score) == 60
+    there = unseen(here, none, cause, other)
+    without, with_cause = there.scores
+    assert there.rows.all()
+    assert len(there.rows) == len(without.score) == 60
+    assert not there.leaves
     assert np.nansum(with_cause.score - without.score) > 5
     # Parameters are those of the first recording, not fitted again.
     carried = cause.carried_to(other).parameters["effect.viscous_friction.pivot.damping"].item()
     assert carried == pytest.approx(cause.mean[0])
+
+
+def test_what_another_recording_does_not_bear_out_is_a_part():
+    """An arm whose friction is another one there: what was found was not all there was."""
+    first, same, other = recorded(DAMPING, rows=200), recorded(DAMPING, seed=5), recorded(3 * DAMPING, seed=5)
+    borne_out, odd = (diagnose(first, PENDULUM, held_out=second) for second in (same, other))
+    likely = borne_out.causes[0]
+    assert [effect.effect for effect in likely.effects] == ["viscous_friction"]
+    assert likely.probability > 0.9
+    assert borne_out.outside.probability < 0.01
+    part = next(cause for cause in odd.causes if cause.effects == likely.effects)
+    assert (part.probability, part.in_part) == (0.0, pytest.approx(likely.probability))
+    assert odd.outside.probability == pytest.approx(likely.probability)
+
+
+def test_a_push_is_not_missed_in_another_recording():
+    """It came at a moment of the first one: that another one goes without it says nothing of the catalogue."""
+    push = EFFECTS["external_push"]("tip")
+    truth = {"impulse_x": 0.72, "impulse_y": 0.36, "moment": 0.7, "duration": 0.12}
+    here = setting(recording_of(push, **truth), PENDULUM)
+    path = path_of(here)
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
+    assert cause.log_evidence > none.log_evidence + 20
+    there = unseen(here, none, cause, setting(recording_of(seed=5), PENDULUM))
+    without, with_cause = there.scores
+    assert np.nansum(with_cause.score - without.score) < -10
+    assert not there.leaves
+
+
+@pytest.mark.parametrize("seed", [10, 20])
+def test_another_recording_has_its_own_swapped_labels(seed):
+    """Its path is found as the first one's is: not along detections that stray."""
+    swap = EFFECTS["label_swap"]("elbow", "wrist")
+    here, other = (setting(recording_of(swap, body=ARM, rows=150, seed=s, rate=0.06), ARM) for s in (seed, seed + 1))
+    path, stray = data_path(here)
+    assert stray
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine(here, (swap,), {"label_swap.elbow.wrist.rate": 0.06}, path, FIRM)
+    there = unseen(here, none, cause, other)
+    without, with_cause = there.scores
+    assert not there.leaves
+    assert with_cause.score.mean() > without.score.mean() + 5
+    # Half the squares of 600 unit innovations: sd √300; and as much for the noise scale, known from as many.
+    assert abs((with_cause.score - with_cause.floor).sum()) < 4 * np.sqrt(2 * 300)
 
 
 def test_the_noise_of_another_recording_is_no_part_of_the_prediction():

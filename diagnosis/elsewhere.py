@@ -1,0 +1,73 @@
+"""A cause on another recording of the same arm: its path there, and whether it leaves something there.
+
+Its parameters' posterior is the prior there, N(μ, LLᵀ). The path is whichever of a few has the highest predictive
+score (:mod:`.predict`). With one-step prediction errors w_s of each size s of the residual (:mod:`.whiten`), linear in
+z ~ N(0, I), and an unknown noise scale, evidence by size is that of a regression (:mod:`.evidence`). A cause that
+explained the first recording, and for which a residual surely gains evidence here (:func:`.pool.leaves`), imitated
+there what else was at work: two recordings move otherwise.
+
+Shapes: T rows, D states.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from torch import Tensor
+
+from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.evidence import regression
+from invdyn.diagnosis.paths import CLOSE, FIRM, led, lifted
+from invdyn.diagnosis.predict import best_size, posterior_columns, scores, whitened
+from invdyn.diagnosis.promising import attempt
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import log_prior, sizes
+from invdyn.inference.gauss_newton import gauss_newton_path
+from invdyn.recordings import InputError
+
+MOST = 50
+"""Gauss–Newton steps, at most."""
+
+
+def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> Refined:
+    """``cause``, found in ``setting``, on another recording: model, path and evidence by size there.
+
+    ``start`` (T, D) is the path that the other recording's data ask for (:func:`.paths.data_path`). Gauss–Newton by
+    itself may end in a poor one, and so may a homotopy; where joints stick, also one after the other. Raises InputError
+    where no path can be followed.
+    """
+    model, size = cause.carried_to(other), best_size(setting, cause)
+    quiet, begun = other.with_residual(max(size, FIRM), model), lifted(model, start)
+    rows = np.ones(len(start), bool)
+
+    def path_from(start: Tensor) -> Tensor:
+        return gauss_newton_path(quiet, other.observations, start, MOST, CLOSE)
+
+    def score(there: Refined) -> float:
+        found = attempt(scores, other, there, rows)
+        return -np.inf if found is None else float(np.nan_to_num(np.nansum(found.score), nan=-np.inf))
+
+    paths = [path_from(begun), path_from(led(other, model, begun, size))]
+    if model.effects.abrupt:
+        paths.append(path_from(led(other, model, paths[0], size)))
+    tried = [cause.moved_to(model, path) for path in paths]
+    worth = [score(each) for each in tried]
+    if not np.isfinite(worth).any():
+        raise InputError(
+            f"{other.problem.recording.name}: body {model.body.name!r} cannot follow it, even with torque of its own "
+            "at each joint: hold out a calmer recording of the same arm, or none"
+        )
+    best = tried[int(np.argmax(worth))]
+    return replace(best, by_size=_by_size(other, best))
+
+
+def _by_size(other: Setting, there: Refined) -> np.ndarray:
+    """Log evidence (G,) of another recording's rows and each size of the residual."""
+    levels = sizes(other.regime)
+    rows = whitened(other, there, there.path, levels, posterior_columns(other, there))
+    p = len(there.mean)
+    index, unit, far = np.arange(1, p + 1)[None], np.ones((1, p)), np.full((1, p), np.inf)
+    found = [
+        regression(gram, index, np.zeros(1, int), 0.0 * unit, unit, -far, far, rows.count, log_det).log_evidence[0]
+        for gram, log_det in zip(rows.gram, rows.log_det, strict=True)
+    ]
+    return np.array(found) + log_prior(levels)
