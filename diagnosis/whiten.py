@@ -105,6 +105,10 @@ def filter_of(
     covariance = square(scale[:, None, :, None] * linear.L)
     for sd in setting.begun.values():
         covariance[:, [0, *setting.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
+    late = model.replace(**setting.begun).late(torch.arange(1, len(path))) if setting.begun else None
+    if late is not None:
+        ahead = np.setdiff1d(np.arange(1, len(path)), setting.starts)
+        covariance[:, ahead[:, None], np.arange(joints), np.arange(joints)] += late.numpy()[ahead - 1] ** 2
     filtered = gains(linear.F, covariance[:, 1:], linear.E, covariance[:, 0])
     return Filter(levels, linear, filtered, whitening.numpy(), normaliser.numpy())
 

@@ -97,7 +97,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
             raise ValueError("expected at least two strictly increasing times, in seconds")
         self.num_steps = len(self.time)
         intervals = self.time.diff()
-        self._elapsed = self.time - self.time[0]
+        self._elapsed = self._since = self.time - self.time[0]
         # dt[t] leads into row t; row 0 has no step of its own and stands for the stationary law.
         self.dt = torch.cat([intervals.median().reshape(1), intervals])
         self.command = None if command is None else torch.as_tensor(np.asarray(command, dtype=np.float64))
@@ -200,6 +200,8 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         """x_t given x_{t−1} = ``state`` (..., D); event shape (D,)."""
         p = self.parameters
         root = self.torque.noise(self._step(t), p)
+        if (late := self.late(t)) is not None:
+            root = torch.hypot(root, late)
         sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
         moved = self._gaussian(self.transition_mean(state, t), root, sds)
         return moved if self._anew is None else self._unless_anew(moved, t)

@@ -164,6 +164,17 @@ class ArmRow:
     def _interval(self, t: int | Tensor) -> Tensor:
         return self.dt[t].to(self.dtype).unsqueeze(-1)
 
+    def late(self, t: int | Tensor) -> Tensor | None:
+        """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t`` and nobody was told.
+
+        None where there are none, or where a recording begins with what it knows.
+        """
+        if not (self.effects.has_late and self.torque.underway):
+            return None
+        begun = self._since[t - 1].to(self.dtype).unsqueeze(-1)
+        share = self.effects.late(self.parameters, begun, self.body.num_joints)
+        return share * self.torque.unsettled(self._step(t), self.parameters)
+
     @property
     def substeps_taken(self) -> int:
         """Integrator steps per row: ``substeps``, or more where an effect's force jumps."""

@@ -65,7 +65,8 @@ class ArmVariants:
 
     def _follow(self, device: torch.device) -> None:
         """Move what rows need besides parameters to where these are: a row must not wait for the host."""
-        self.time, self._elapsed, self.dt = (clock.to(device) for clock in (self.time, self._elapsed, self.dt))
+        clocks = (self.time, self._elapsed, self._since, self.dt)
+        self.time, self._elapsed, self._since, self.dt = (clock.to(device) for clock in clocks)
         self._derived = {quantity: which.to(device) for quantity, which in self._derived.items()}
         self.emission_model = self.emission_model.to(device)
         if self.command is not None:
@@ -108,4 +109,6 @@ class ArmVariants:
         middle = torch.zeros(self.num_steps, self.body.num_joints, dtype=torch.float64)
         first[list(rows)], middle[list(rows)] = True, angle.double()
         other._anew = first.to(self.device), middle.to(self.device)
+        began = torch.where(first.to(self.device), self.time, self.time[0]).cummax(0).values
+        other._since = self.time - began
         return other

@@ -1,6 +1,7 @@
 """Motors that act late: u(t − T)."""
 
 from pyro.distributions import HalfNormal
+from torch import Tensor
 
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import Parameter, Values, quantiles
@@ -22,3 +23,7 @@ class ActuatorDelay(Actuator):
     def command(self, p: Values, command: Command) -> Command:
         """u(t − T)."""
         return command.delayed(self.at_joints(p["delay"], command.mean.shape[-1]))
+
+    def late(self, p: Values, elapsed: Tensor, joints: int) -> Tensor:
+        """All of it, until T has passed."""
+        return (elapsed < self.at_joints(p["delay"], joints)).to(elapsed)

@@ -1,6 +1,8 @@
 """Motors that follow their command slowly: T u̇_f + u_f = u."""
 
+import torch
 from pyro.distributions import HalfNormal
+from torch import Tensor
 
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import Parameter, Values, quantiles
@@ -22,3 +24,8 @@ class ActuatorLag(Actuator):
     def command(self, p: Values, command: Command) -> Command:
         """The lagging torque, at rest with the first command."""
         return command.lagged(self.at_joints(p["time_constant"], command.mean.shape[-1]))
+
+    def late(self, p: Values, elapsed: Tensor, joints: int) -> Tensor:
+        """exp(−t/T)."""
+        T = self.at_joints(p["time_constant"], joints)
+        return torch.exp(-elapsed / T.clamp_min(1e-12)) * (T > 0)

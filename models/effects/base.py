@@ -203,6 +203,13 @@ class Effect(ABC):
         """What the motors make of the command."""
         return command
 
+    def late(self, p: Values, elapsed: Tensor, joints: int) -> Tensor | None:
+        """Share, (..., K) from 0 to 1, of what motors were told before a recording that still acts after ``elapsed`` s.
+
+        None for motors that act at once.
+        """
+        return None
+
     def force(self, p: Values, now: Situation) -> Tensor | None:
         """Generalised force on the joints, (..., K) N·m, or None."""
         return None

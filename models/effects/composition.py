@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -40,6 +41,7 @@ class Composition:
         )
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
         self.has_command = any(type(effect).command is not Effect.command for effect in effects)
+        self.has_late = any(type(effect).late is not Effect.late for effect in effects)
         self.has_points = any(type(effect).points is not Effect.points for effect in effects)
         self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
@@ -71,6 +73,12 @@ class Composition:
         for effect, p in self._each(parameters):
             command = effect.command(p, command)
         return command
+
+    def late(self, parameters: Mapping[str, Tensor], elapsed: Tensor, joints: int) -> Tensor:
+        """Largest share of what motors were told before a recording that still acts after ``elapsed`` (..., 1) s."""
+        shares = [effect.late(p, elapsed, joints) for effect, p in self._each(parameters)]
+        shares = [share for share in shares if share is not None]
+        return reduce(torch.maximum, shares)
 
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Sum of the generalised forces, (..., K) N·m."""

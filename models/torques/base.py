@@ -20,6 +20,8 @@ class TorqueProcess(ABC):
 
     diagonal: bool = True
     """Whether :meth:`noise` gives standard deviations (..., Z) or a triangular square root (..., Z, Z)."""
+    underway: bool = False
+    """Whether a recording begins in the middle of a motion."""
     unconstrained: frozenset[str] = frozenset()
     """Parameters that may be negative (all others are positive)."""
 

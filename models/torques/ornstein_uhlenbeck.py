@@ -11,7 +11,7 @@ How much noise one step of length δ carries is a choice, by name:
 | "exact"   | e^(−λδ) τ    | σ √((1 − e^(−2λδ)) / (2λ))   | N·m/√s          |
 
 A recording may begin in the middle of a motion: with ``underway`` the sd of τ_0 is larger than the stationary one, by
-"torque.initial_scale" (N·m) in quadrature.
+"torque.initial_scale" (N·m) in quadrature. Motors that act late still do, for a while, what they were told before.
 
 "printed" is the paper's covariance δ²σ²; its torque becomes smooth as δ → 0, so its σ belongs
 to one frame rate. "wiener" is Euler–Maruyama with a true Wiener increment; "exact" is the
@@ -68,6 +68,10 @@ class OrnsteinUhlenbeck(TorqueProcess):
         factor = self._factor(dt, parameters)
         known = self.noise(dt, parameters) / torch.sqrt(1 - factor**2)
         return torch.hypot(known, parameters["torque.initial_scale"]) if self.underway else known
+
+    def unsettled(self, dt: Tensor, parameters: Parameters) -> Tensor:
+        """Sd (..., K), N·m, of one step's noise by which what is not known of the beginning stays as large as it is."""
+        return parameters["torque.initial_scale"] * torch.sqrt(-torch.expm1(-2 * parameters["torque.decay"] * dt))
 
 
 class RandomWalk(TorqueProcess):

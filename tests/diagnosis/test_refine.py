@@ -31,6 +31,7 @@ from invdyn.diagnosis.cause import key_of
 from invdyn.diagnosis.confirm import confirm
 from invdyn.diagnosis.findings import finding, tempered_covariance
 from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
+from invdyn.diagnosis.pool import leaves
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import BEGINNING, LOOSE, setting
@@ -278,3 +279,16 @@ def test_intervals_are_those_of_the_tempered_likelihood():
     narrow, wide = (finding(here, cause, cause.effects[0], 0, temper).parameters["damping"] for temper in (1.0, 0.1))
     assert wide.sd == pytest.approx(narrow.sd / np.sqrt(0.1), rel=0.1)
     assert wide.mean == pytest.approx(narrow.mean, abs=3 * wide.sd / np.sqrt(4000))
+
+
+def test_a_slow_motor_still_does_what_it_was_told_before_the_recording():
+    """Commands of the first second are lost: they act on for a third of one, and that is no residual of the cause."""
+    lag = EFFECTS["actuator_lag"]()
+    here = setting(recording_of(lag, rows=200, effort=0.8, time_constant=0.3).at(slice(50, 200)), PENDULUM)
+    path = path_of(here)
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine(here, (lag,), {"actuator_lag.time_constant": 0.3}, path, LOOSE)
+    assert cause.log_evidence > none.log_evidence + 50
+    assert cause.complete
+    assert not leaves(cause, none)
+    assert abs(cause.mean[0] - 0.3) < 3 * cause.sd[0]

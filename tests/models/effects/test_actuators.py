@@ -16,6 +16,7 @@ from invdyn.models.effects import (
     ActuatorSaturation,
     Command,
 )
+from invdyn.models.torques import OrnsteinUhlenbeck
 
 F64 = torch.float64
 ROWS, FINE = 12, 1000
@@ -105,6 +106,36 @@ def test_one_after_the_other(arm):
     lag = lag.replace(**{"effect.actuator_lag.joint0.time_constant": torch.tensor([0.02], dtype=F64)})
     torch.testing.assert_close(model.motors.mean[:, 0], 1.5 * lag.motors.mean[:, 0])
     torch.testing.assert_close(model.motors.slope[:, 0], 1.5 * lag.motors.slope[:, 0])
+
+
+@pytest.mark.parametrize(("effect", "name"), [(ActuatorDelay("joint1"), "delay"), (ActuatorLag(), "time_constant")])
+def test_what_motors_were_told_before_a_recording_acts_on(effect, name, arm, having):
+    """Its sd stays while a dead time lasts, and falls with a lag's time constant; at each recording's beginning.
+
+    The variance of an Ornstein–Uhlenbeck torque, step by step, against its closed form.
+    """
+    late, decay, step, sd = 0.055, 2000.0, 0.01, torch.tensor([0.4, 0.7], dtype=F64)
+    torque = OrnsteinUhlenbeck(decay=decay, underway=True)
+    model = having(arm(2, rows=40, step=step, torque=torque), effect, **{name: late})
+    model = model.replace(**{"torque.initial_scale": sd, "torque.scale": 0.0 * sd})
+    model = model.starting_anew([20], torch.zeros(1, 2, dtype=F64))
+    keep, variance, found = np.exp(-2 * decay * step), sd**2, []
+    for t in range(1, 40):
+        variance = sd**2 if t == 20 else keep * variance + model.late(t) ** 2
+        found.append(variance.sqrt().numpy())
+        at_once = model.transition(torch.zeros(6, dtype=F64), t).base_dist.scale[:2]
+        torch.testing.assert_close(at_once, sd if t == 20 else model.late(t))
+    torch.testing.assert_close(model.late(torch.arange(1, 40))[6], model.late(7))
+    # Decay within a row is nearly whole, so that the sd is that of what acts during the row before.
+    begun = step * np.r_[np.arange(19), 0, np.arange(19)]
+    share = (begun < late) if name == "delay" else np.exp(-begun / late)
+    share[19] = 1.0
+    expected = share[:, None] * sd.numpy() * ([1, 1] if name == "time_constant" else [0, 1])
+    expected[19] = sd
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    knows = having(arm(2), effect, **{name: late})
+    assert knows.late(3) is None
+    assert arm(2, torque=torque).late(3) is None
 
 
 def test_the_grid_of_a_limit_follows_the_command(arm):
