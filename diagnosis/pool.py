@@ -19,6 +19,8 @@ MISTAKES = ("outliers", "label_swap")
 """Effects that leave stray detections, and are not looked for where there are none."""
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
+LOUD = 1.5
+"""κ, of errors of prediction to the noise at rest, from which on something is left in them."""
 FEW = 5.0
 """Nats that a residual may gain by chance."""
 

@@ -5,6 +5,9 @@ screen says, which errs, and if it gains a fair share of what the best one gains
 
 Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
 it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
+
+With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
+stay larger than the noise whatever it does.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +18,7 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.pool import Search, imitable
+from invdyn.diagnosis.pool import LOUD, Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.relocate import relocated
@@ -97,6 +100,22 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - HOPELESS}
     for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
+        for cause in causes:
+            found.add(cause)
+
+
+def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine those added to ``base`` that no torque imitates and that gain less in the screen than one that it does.
+
+    Where the best cause's errors of prediction are larger than the noise at rest, though a torque may do anything: a
+    large effect on what is seen bends the path that the screen is along.
+    """
+    if found.ranked[0].kappa <= LOUD:
+        return
+    nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
+    barred = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
+    barred = [s for s in barred if nothing + DOUBT < s.log_evidence <= bar]
+    for causes in side_by_side([partial(_refined, setting, base, each, {}) for each in barred], found.workers):
         for cause in causes:
             found.add(cause)
 

@@ -38,7 +38,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_clearing, refine_promising
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_barred, refine_clearing, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.scan import scan
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
@@ -179,6 +179,8 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
     refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
     refine_kin(setting, found, len(base.effects) + 1)
+    if not known:
+        refine_barred(setting, found, base, best)
     if alone:
         if not found.ranked[0].complete:
             refine_clearing(setting, found, base, best)

@@ -29,7 +29,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.pool import LITTLE, Search
+from invdyn.diagnosis.pool import LITTLE, LOUD, Search
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
@@ -43,8 +43,6 @@ NEAR = 3.0
 CONFIRMED = 2
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
-LOUD = 1.5
-"""κ, of errors of prediction to the noise at rest, from which on something is left in them."""
 ALIKE, CHANCE = 0.1, 2.0
 """Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
 standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the

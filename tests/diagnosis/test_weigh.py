@@ -9,12 +9,12 @@ import torch
 from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.pool import LOUD, Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, CHANCE, COMPANY, LOUD, _alone, credible, only, weigh
+from invdyn.diagnosis.weigh import ALIKE, CHANCE, COMPANY, _alone, credible, only, weigh
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import correlation, prediction_errors
 from invdyn.models import ArmModel
