@@ -5,6 +5,9 @@ median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} g
 d_t the fourth smallest of the distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may
 have jumped themselves: four parabolas do without them.
 
+The first two and the last two rows have three or four neighbours; they are measured by what the same neighbours tell of
+all rows, by the smallest of the distances.
+
 Shapes: T rows, O columns.
 """
 
@@ -21,6 +24,8 @@ JUMP, MOST = 7.0, 0.75
 """Times the upper quartile of the distances."""
 FEWEST = 10
 """Parabolas, under which nothing is said of a row."""
+EDGES = {0: (1, 2, 3), 1: (-1, 1, 2, 3), -2: (-3, -2, -1, 1), -1: (-3, -2, -1)}
+"""Neighbours of the first rows and the last."""
 EXACT = 1e-9
 """Of an observation's size: nearer to a parabola is rounding."""
 
@@ -28,21 +33,35 @@ EXACT = 1e-9
 def calm(time: Tensor, observations: Tensor) -> Tensor:
     """Observations (T, O) at ``time`` (T,) s, NaN where they jump."""
     values = observations.numpy()
-    away = _beside_parabolas(time.numpy()[:, None], values)
+    when = time.numpy()[:, None]
+    jumps = _jumps(_beside_parabolas(when, values, NEIGHBOURS, CLEAN, FEWEST), values)
+    if len(values) > 2 * max(NEIGHBOURS):
+        for row, near in EDGES.items():
+            jumps[row] = _jumps(_beside_parabolas(when, values, near, 1, 1), values)[row]
+    return torch.as_tensor(np.where(jumps, np.nan, values))
+
+
+def _jumps(away: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Which of ``values`` (T, O) are farther from their neighbours' parabolas than most."""
     usual = np.array([_usual(column[np.isfinite(column)]) for column in away.T])
     # Of what is on its neighbours' course exactly, as at rest in rounded numbers, nobody knows what is usual.
     known = usual > EXACT * np.nan_to_num(np.abs(values)).max(0)
-    return torch.as_tensor(np.where(known & (away > JUMP * usual), np.nan, values))
+    return known & (away > JUMP * usual)
 
 
 def _usual(away: np.ndarray) -> float:
     return float(np.quantile(away, MOST)) if len(away) else 0.0
 
 
-def _beside_parabolas(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Distances d (T, O) of ``values`` at ``time`` (T, 1); NaN where too few neighbours were seen."""
-    when = {k: _shifted(time, k) for k in NEIGHBOURS}
-    what = {k: _shifted(values, k) for k in NEIGHBOURS}
+def _beside_parabolas(
+    time: np.ndarray, values: np.ndarray, neighbours: tuple[int, ...], place: int, fewest: int
+) -> np.ndarray:
+    """Distances d (T, O), the smallest but ``place`` − 1, of ``values`` at ``time`` (T, 1).
+
+    NaN where fewer than ``fewest`` parabolas are known.
+    """
+    when = {k: _shifted(time, k) for k in neighbours}
+    what = {k: _shifted(values, k) for k in neighbours}
 
     def parabola(i: int, j: int, k: int) -> np.ndarray:
         return sum(
@@ -50,8 +69,8 @@ def _beside_parabolas(time: np.ndarray, values: np.ndarray) -> np.ndarray:
             for a, b, c in ((i, j, k), (j, i, k), (k, i, j))
         )
 
-    away = np.sort([np.abs(values - parabola(*three)) for three in combinations(NEIGHBOURS, 3)], axis=0)  # NaN last
-    return np.where(np.isfinite(away).sum(0) < FEWEST, np.nan, away[CLEAN - 1])
+    away = np.sort([np.abs(values - parabola(*three)) for three in combinations(neighbours, 3)], axis=0)  # NaN last
+    return np.where(np.isfinite(away).sum(0) < fewest, np.nan, away[place - 1])
 
 
 def _shifted(rows: np.ndarray, by: int) -> np.ndarray:
