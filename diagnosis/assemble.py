@@ -37,9 +37,12 @@ def assembled(
     shares: Closed,
     formula: Formula | None,
     seed: int,
-    held_out: object,
+    held_out: str,
 ) -> Diagnosis:
-    """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left."""
+    """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
+
+    ``held_out`` says in words what was.
+    """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
     asked = [none] if best is none else [none, best]
@@ -190,7 +193,7 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
     return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
 
 
-def _method(bound: Setting, found: Search, held_out: object) -> dict[str, str]:
+def _method(bound: Setting, found: Search, held_out: str) -> dict[str, str]:
     model = bound.model
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
@@ -198,7 +201,7 @@ def _method(bound: Setting, found: Search, held_out: object) -> dict[str, str]:
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size and noise scale "
         "integrated out; the best confirmed by nested sequential Monte Carlo with parameters integrated out",
-        "held out": "another recording" if held_out is not None else "the last third of the rows",
+        "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
 

@@ -105,7 +105,9 @@ def diagnose(
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
-    result = assembled(bound, found, weighed, shares, formula, seed, held_out)
+    rows = "the last third of the rows" if other is None else "another recording"
+    rows += ", in which the best cause leaves something" if left else ""
+    result = assembled(bound, found, weighed, shares, formula, seed, rows)
     report(5, "done")
     return result
 

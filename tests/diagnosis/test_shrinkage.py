@@ -88,6 +88,8 @@ def test_what_another_recording_does_not_bear_out_is_a_part():
     part = next(cause for cause in odd.causes if cause.effects == likely.effects)
     assert (part.probability, part.in_part) == (0.0, pytest.approx(likely.probability))
     assert odd.outside.probability == pytest.approx(likely.probability)
+    assert borne_out.method["held out"] == "another recording"
+    assert odd.method["held out"] == "another recording, in which the best cause leaves something"
 
 
 def test_a_push_is_not_missed_in_another_recording():
