@@ -39,17 +39,19 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
     quiet, begun = other.with_residual(max(size, FIRM), model), lifted(model, start)
     rows = np.ones(len(start), bool)
 
-    def path_from(start: Tensor) -> Tensor:
+    def along(start: Tensor, *, by_itself: bool) -> Tensor:
+        start = start if by_itself else led(other, model, start, size)
         return gauss_newton_path(quiet, other.observations, start, MOST, CLOSE)
 
     def score(there: Refined) -> float:
         found = attempt(scores, other, there, rows)
         return -np.inf if found is None else float(np.nan_to_num(np.nansum(found.score), nan=-np.inf))
 
-    paths = [path_from(begun), path_from(led(other, model, begun, size))]
-    if model.effects.abrupt:
-        paths.append(path_from(led(other, model, paths[0], size)))
-    tried = [cause.moved_to(model, path) for path in paths]
+    own = attempt(along, begun, by_itself=True)
+    paths = [own, attempt(along, begun, by_itself=False)]
+    if model.effects.abrupt and own is not None:
+        paths.append(attempt(along, own, by_itself=False))
+    tried = [cause.moved_to(model, path) for path in paths if path is not None]
     worth = [score(each) for each in tried]
     if not np.isfinite(worth).any():
         raise InputError(
