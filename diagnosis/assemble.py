@@ -114,7 +114,7 @@ def assembled(
             formula.terms if formula else {},
             float(formula.gain_per_frame) if formula else None,
         ),
-        not_identifiable=tuple(sorted(_unseen(bound, found))),
+        not_identifiable=tuple(sorted(_unseen(bound, found) - {key(effect) for effect in best.effects})),
         shrinkage=Shrinkage(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,

@@ -16,6 +16,7 @@ from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
@@ -45,8 +46,8 @@ def diagnose(
     """Diagnose the gap.
 
     Args:
-        recording: keypoints, encoders or both, with the commanded torques where they are known; or several of one arm,
-            which then have their causes in common.
+        recording: keypoints, encoders or both, with the commanded torques where they are known (without ``torques``
+            they are unknown); or several of one arm, which then have their causes in common.
         body: the simulation.
         held_out: another recording of the same arm, or several, to measure how far the gap closes; by default the last
             third.
@@ -90,10 +91,10 @@ def diagnose(
         return closed(*there.scores, there.rows, time, seed), there.leaves
 
     likely = found.ranked[0]
-    weighed, (shares, left) = side_by_side([partial(weigh, bound, found, seed), partial(held, likely)], workers)
+    # What is likely may fail there, and not be the best.
+    weighed, known = side_by_side([partial(weigh, bound, found, seed), partial(attempt, held, likely)], workers)
     report(3, "held out")
-    if weighed.best is not likely:
-        shares, left = held(weighed.best)
+    shares, left = held(weighed.best) if known is None or weighed.best is not likely else known
     if left:
         weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]

@@ -1,10 +1,10 @@
 """A cause on another recording of the same arm: its path there, and whether it leaves something there.
 
 Its parameters' posterior is the prior there, N(μ, LLᵀ). The path is whichever of a few has the highest predictive
-score (:mod:`.predict`). With one-step prediction errors w_s of each size s of the residual (:mod:`.whiten`), linear in
-z ~ N(0, I), and an unknown noise scale, evidence by size is that of a regression (:mod:`.evidence`). A cause that
-explained the first recording, and for which a residual surely gains evidence here (:func:`.pool.leaves`), imitated
-there what else was at work: two recordings move otherwise.
+score (:mod:`.predict`), under the residual that the first recording needs. With one-step prediction errors w_s of each
+size s of the residual (:mod:`.whiten`), linear in z ~ N(0, I), and an unknown noise scale, evidence by size is that of
+a regression (:mod:`.evidence`). A cause that explained the first recording, and for which a residual surely gains
+evidence here (:func:`.pool.leaves`), imitated there what else was at work: two recordings move otherwise.
 
 Shapes: T rows, D states.
 """
@@ -17,6 +17,7 @@ from torch import Tensor
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.evidence import regression
 from invdyn.diagnosis.paths import CLOSE, FIRM, led, lifted
+from invdyn.diagnosis.pool import leaves
 from invdyn.diagnosis.predict import best_size, posterior_columns, scores, whitened
 from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.setting import Setting
@@ -29,7 +30,7 @@ MOST = 50
 
 
 def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> Refined:
-    """``cause``, found in ``setting``, on another recording: model, path and evidence by size there.
+    """``cause``, found in ``setting``, with its model and path on another recording.
 
     ``start`` (T, D) is the path that the other recording's data ask for (:func:`.paths.data_path`). Gauss–Newton by
     itself may end in a poor one, and so may a homotopy; where joints stick, also one after the other. Raises InputError
@@ -37,7 +38,7 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
     """
     model, size = cause.carried_to(other), best_size(setting, cause)
     quiet, begun = other.with_residual(max(size, FIRM), model), lifted(model, start)
-    rows = np.ones(len(start), bool)
+    rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
 
     def along(start: Tensor, *, by_itself: bool) -> Tensor:
         start = start if by_itself else led(other, model, start, size)
@@ -45,7 +46,8 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
 
     def score(there: Refined) -> float:
         found = attempt(scores, other, there, rows)
-        return -np.inf if found is None else float(np.nan_to_num(np.nansum(found.score), nan=-np.inf))
+        total = np.nan if found is None else found.score[seen].sum()
+        return float(total) if np.isfinite(total) else -np.inf
 
     own = attempt(along, begun, by_itself=True)
     paths = [own, attempt(along, begun, by_itself=False)]
@@ -58,8 +60,16 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
             f"{other.problem.recording.name}: body {model.body.name!r} cannot follow it, even with torque of its own "
             "at each joint: hold out a calmer recording of the same arm, or none"
         )
-    best = tried[int(np.argmax(worth))]
-    return replace(best, by_size=_by_size(other, best))
+    return tried[int(np.argmax(worth))]
+
+
+def leaves_there(other: Setting, none: Refined, cause: Refined) -> bool:
+    """Whether a cause surely leaves something on another recording, to which both were carried."""
+    # What happened at some moment of the first recording does not happen in another.
+    if any(effect.dated for effect in cause.effects):
+        return False
+    there, without = (replace(each, by_size=_by_size(other, each)) for each in (cause, none))
+    return leaves(there, without)
 
 
 def _by_size(other: Setting, there: Refined) -> np.ndarray:

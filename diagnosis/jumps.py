@@ -5,12 +5,13 @@ median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} g
 d_t the fourth smallest of the distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may
 have jumped themselves: four parabolas do without them.
 
-The first two and the last two rows have three or four neighbours; they are measured by what the same neighbours tell of
-all rows, by the smallest of the distances.
+The first three and the last three rows have fewer neighbours: each is measured by one parabola through rows on its
+inner side, the outermost row last, as the same parabola measures all rows; 5 times are too far there.
 
 Shapes: T rows, O columns.
 """
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -22,31 +23,46 @@ CLEAN = 4
 """Parabolas that go without two of the neighbours."""
 JUMP, MOST = 7.0, 0.75
 """Times the upper quartile of the distances."""
+OFF = 5.0
+"""The same beside one parabola."""
 FEWEST = 10
 """Parabolas, under which nothing is said of a row."""
-EDGES = {0: (1, 2, 3), 1: (-1, 1, 2, 3), -2: (-3, -2, -1, 1), -1: (-3, -2, -1)}
-"""Neighbours of the first rows and the last."""
+BEYOND = ((1, 3, 4), (1, 2, 4), (1, 2, 3), (2, 3, 4))
+"""Neighbours beyond which a parabola goes on, those first beyond which noise moves it least."""
+BACK = tuple(tuple(-k for k in near) for near in BEYOND)
+EDGES = {2: BEYOND, -3: BACK, 1: BEYOND, -2: BACK, 0: BEYOND, -1: BACK}
+"""Neighbours of the first rows and the last: the first ones of which none jumped or was lost count."""
 EXACT = 1e-9
 """Of an observation's size: nearer to a parabola is rounding."""
 
 
-def calm(time: Tensor, observations: Tensor) -> Tensor:
-    """Observations (T, O) at ``time`` (T,) s, NaN where they jump."""
-    values = observations.numpy()
-    when = time.numpy()[:, None]
-    jumps = _jumps(_beside_parabolas(when, values, NEIGHBOURS, CLEAN, FEWEST), values)
-    if len(values) > 2 * max(NEIGHBOURS):
-        for row, near in EDGES.items():
-            jumps[row] = _jumps(_beside_parabolas(when, values, near, 1, 1), values)[row]
-    return torch.as_tensor(np.where(jumps, np.nan, values))
+def calm(time: Tensor, observations: Tensor, starts: Sequence[int] = ()) -> Tensor:
+    """Observations (T, O) at ``time`` (T,) s, NaN where they jump; at ``starts`` further recordings begin."""
+    parts = zip(np.split(time.numpy(), starts), np.split(observations.numpy(), starts), strict=True)
+    return torch.as_tensor(np.concatenate([_calm(when[:, None], values) for when, values in parts]))
 
 
-def _jumps(away: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Which of ``values`` (T, O) are farther from their neighbours' parabolas than most."""
+def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
+    jumps = _jumps(_beside_parabolas(when, values, NEIGHBOURS, CLEAN, FEWEST), values, JUMP)
+    ends = list(EDGES) if len(values) > len(EDGES) else []
+    jumps[ends] = False
+    left = np.where(jumps, np.nan, values)
+    for row in ends:
+        asked = np.isfinite(left[row])
+        for near in EDGES[row]:
+            away = _beside_parabolas(when, left, near, 1, 1)
+            told = asked & np.isfinite(away[row])
+            left[row, told & _jumps(away, left, OFF)[row]] = np.nan
+            asked &= ~told
+    return left
+
+
+def _jumps(away: np.ndarray, values: np.ndarray, times: float) -> np.ndarray:
+    """Which of ``values`` (T, O) are so many times farther from their neighbours' parabolas than most."""
     usual = np.array([_usual(column[np.isfinite(column)]) for column in away.T])
     # Of what is on its neighbours' course exactly, as at rest in rounded numbers, nobody knows what is usual.
     known = usual > EXACT * np.nan_to_num(np.abs(values)).max(0)
-    return known & (away > JUMP * usual)
+    return known & (away > times * usual)
 
 
 def _usual(away: np.ndarray) -> float:
@@ -75,6 +91,6 @@ def _beside_parabolas(
 
 def _shifted(rows: np.ndarray, by: int) -> np.ndarray:
     """Rows (T, C) of so many rows later; NaN beyond the ends."""
-    most = max(NEIGHBOURS)
-    padded = np.pad(rows, ((most, most), (0, 0)), constant_values=np.nan)
-    return padded[most + by : most + by + len(rows)]
+    beyond = abs(by)
+    padded = np.pad(rows, ((beyond, beyond), (0, 0)), constant_values=np.nan)
+    return padded[beyond + by : beyond + by + len(rows)]

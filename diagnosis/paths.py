@@ -39,7 +39,7 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
     if not bool(far.any()):
         return path, False
     # What jumps has led the first path to where it is: it must not be what the second one starts from.
-    start = gauss_newton(loose, calm(setting.model.time, setting.observations)).path
+    start = gauss_newton(loose, calm(setting.model.time, setting.observations, setting.starts)).path
     return gauss_newton(_heavy_tailed(loose), setting.observations, start=start).path, True
 
 

@@ -135,7 +135,11 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
                 break
     if "moment" in each.effect.located and refined:
         best = max(refined, key=lambda cause: cause.log_evidence)
-        moved = attempt(relocated, setting, base, each.effect, best) if best.log_evidence > limits["enough"] else None
+        moved = (
+            attempt(relocated, setting, base, each.effect, best)
+            if best.log_evidence > limits.get("enough", -np.inf)
+            else None
+        )
         refined += [moved] if moved is not None else []
     return refined
 

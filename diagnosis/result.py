@@ -28,7 +28,8 @@ class Estimate:
 class Finding:
     """One effect at one place, with its parameters' posterior.
 
-    `where` maps "joint", "link" or "keypoint" (and "partner" for pairs) to a name; empty for the whole arm.
+    `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name; empty
+    for the whole arm.
     """
 
     effect: str
@@ -166,9 +167,12 @@ class Visibility:
 class Diagnosis:
     """All that :func:`.diagnose.diagnose` finds.
 
-    `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
-    candidate; `method` what was computed and how (sub-steps, sizes, seconds are left out: the report must not
-    change from run to run).
+    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
+    apart, each as its effects' keys, and `separating_experiment` the recording that would; `not_identifiable` keys of
+    effects that it could not have shown. `screened` has every candidate's key and log evidence against "no gap", best
+    first; `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report
+    must not change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside`
+    "outside_catalogue" and an interval's `stop` its "end".
     """
 
     recording: str

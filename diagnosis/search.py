@@ -101,7 +101,7 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
     def along_its_own() -> tuple[Tensor, Refined | None]:
-        usual = setting.observing(calm(setting.model.time, setting.observations)) if stray else setting
+        usual = setting.observing(calm(setting.model.time, setting.observations, setting.starts)) if stray else setting
         aside = led(usual, setting.model, path, FIRM)
         return aside, attempt(refine, setting, (), {}, aside, FIRM)
 

@@ -163,12 +163,12 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
-    usual = calm(problem.model.time, problem.observations)
+    # The first row of a recording that was seen; it follows from none before it.
+    starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
+    usual = calm(problem.model.time, problem.observations, starts)
     model = _as_seen(problem, usual, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
-    # The first row of a recording that was seen; it follows from none before it.
-    starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if starts:

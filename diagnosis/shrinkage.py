@@ -11,15 +11,14 @@ reach:
 Its interval comes from a moving-block bootstrap of the rows (Künsch 1989), as neighbouring errors are alike.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.elsewhere import carried
+from invdyn.diagnosis.elsewhere import carried, leaves_there
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import leaves
 from invdyn.diagnosis.predict import Scores, best_size, scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
@@ -75,24 +74,25 @@ def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | Non
     if other is not None:
         start, _ = data_path(other)
         none, cause = (carried(setting, each, other, start) for each in (none, cause))
-        # What happened at some moment of the first recording does not happen in another.
-        left = leaves(cause, none) and not any(effect.dated for effect in cause.effects)
-        return Unseen(other, none, cause, np.ones(len(other.observations), bool), left)
+        return Unseen(other, none, cause, np.ones(len(other.observations), bool), leaves_there(other, none, cause))
     train, rows = split(setting)
     none, cause = (_fitted_before(setting, each, train) for each in (none, cause))
     return Unseen(setting, none, cause, rows)
 
 
 def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
-    """``cause`` as the first rows know it, along the path that all rows have."""
+    """``cause`` as the first rows know it, along the path that all rows have; with the parameters that all rows give
+    it, and no more to learn of them, where the first ones do not know it.
+    """
     values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
+    settled = replace(cause, covariance=np.zeros_like(cause.covariance))
     try:
         begun, size = cause.path[: len(train.observations)], best_size(setting, cause)
         fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
     except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-        return cause  # the first rows by themselves lead nowhere
+        return settled  # the first rows by themselves lead nowhere
     # Linearised along a path that knows the held-out rows; the predictions themselves do not.
-    return cause if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
+    return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
 
 
 def _shown_later(cause: Refined, fitted: Refined) -> bool:

@@ -190,13 +190,13 @@ def blind(
     cases: Annotated[int, typer.Option(min=1, help="How many, over the kinds.")] = 60,
     kinds: Annotated[
         str | None,
-        typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, most of them commanded."),
+        typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, four in ten commanded."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Cases follow from it; keep it from the method.")] = 1_000_000,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     method_command: Annotated[
         str | None,
-        typer.Option(help="Another method: a command with {recording}, {body} and {out}; see docs/blind_protocol.md."),
+        typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
     ] = None,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Then once more knowing the effect: how far could the gap close?")

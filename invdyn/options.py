@@ -31,9 +31,9 @@ class Recorded:
         bool, typer.Option("--body-lengths", help="No scale known: divide by the body's own length.")
     ] = False
     base: Annotated[
-        str | None, typer.Option(help="Keypoint to subtract; default: the first joint's, where tracked.")
+        str | None, typer.Option(help="Keypoint to subtract; default: the first joint's (`diagnose`: none in metres).")
     ] = None
-    frames: Annotated[str, typer.Option(help="Which frames to use, such as 50:250.")] = ":"
+    frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
 
@@ -135,13 +135,14 @@ class Diagnosed(Recorded):
         str | None, typer.Option(help="More recordings of the same arm to diagnose together with it, comma-separated.")
     ] = None
     held_out: Annotated[
-        str | None, typer.Option(help="Another recording of the same, on which the gap is measured again.")
+        str | None,
+        typer.Option(help="Another recording of the same arm, to check the answer on; default: this one's last third."),
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     seed: Seed = 0
     workers: Annotated[
         int,
-        typer.Option(min=1, help="Processes side by side, with the same result; two take 3/4 of the time."),
+        typer.Option(min=1, help="Processes side by side, with the same result (on Linux; one elsewhere)."),
     ] = 2
 
     def check(self) -> None:

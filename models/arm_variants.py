@@ -79,11 +79,12 @@ class ArmVariants:
     def driven_by(self, time: Tensor, torque: Tensor) -> Self:
         """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
 
-        ``command`` becomes its mean over each row.
+        ``command`` becomes its mean over each row. It may begin before the first row.
         """
         other = copy.copy(self)
         other._finer, other._motors = Command.held(time, torque).to(self.device), None
         other.command = other._finer.onto(self.time).mean
+        other._since = self.time - time[0].to(self.time)
         return other
 
     def moving(self, speed: Tensor) -> Self:
@@ -109,6 +110,6 @@ class ArmVariants:
         middle = torch.zeros(self.num_steps, self.body.num_joints, dtype=torch.float64)
         first[list(rows)], middle[list(rows)] = True, angle.double()
         other._anew = first.to(self.device), middle.to(self.device)
-        began = torch.where(first.to(self.device), self.time, self.time[0]).cummax(0).values
-        other._since = self.time - began
+        began = torch.where(first.to(self.device), self.time, -torch.inf).cummax(0).values
+        other._since = torch.minimum(self._since, self.time - began)
         return other

@@ -1,4 +1,4 @@
-"""How many cases of each kind: most of them commanded, where the whole catalogue takes turns."""
+"""How many cases of each kind: four in ten commanded, where the whole catalogue takes turns."""
 
 import math
 

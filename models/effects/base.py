@@ -104,7 +104,7 @@ class Effect(ABC):
 
     dated: ClassVar[bool] = False
     """Whether its parameters tell when something happened in one recording, which another of the same arm does not
-    share: a push, the phase in which a base shakes."""
+    share: a push, the phase in which a base shakes, how warm a joint was at first."""
 
     longest: ClassVar[float] = math.inf
     """s, longest sub-step, where its force jumps within a motion, as dry friction's where a joint turns around."""

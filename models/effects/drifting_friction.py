@@ -14,6 +14,8 @@ class DriftingFriction(Effect):
     Told apart from plain viscous friction by repeating a clip.
     """
 
+    dated = True
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping at the start b₀, N·m·s/rad, and its slope s, N·m/rad."""
         j = self.place[0]

@@ -71,7 +71,7 @@ class OrnsteinUhlenbeck(TorqueProcess):
 
     def unsettled(self, dt: Tensor, parameters: Parameters) -> Tensor:
         """Sd (..., K), N·m, of one step's noise by which what is not known of the beginning stays as large as it is."""
-        return parameters["torque.initial_scale"] * torch.sqrt(-torch.expm1(-2 * parameters["torque.decay"] * dt))
+        return parameters["torque.initial_scale"] * torch.sqrt(1 - self._factor(dt, parameters) ** 2)
 
 
 class RandomWalk(TorqueProcess):

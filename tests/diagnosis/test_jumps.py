@@ -48,8 +48,25 @@ def test_jumps_at_the_ends(row):
         seen[row] += [0.06, -0.06]
         assert np.isnan(calmed(time, seen)[row]).all()
         others = np.delete(np.arange(ROWS), row)
-        assert np.isfinite(calmed(time, seen)[others]).mean() > 0.98
+        left = calmed(time, seen)
+        assert np.isfinite(left[others]).mean() > 0.98
+        assert np.isfinite(left[[each for each in (0, -1) if each != row]]).all()  # not led away by it
         assert np.isfinite(calmed(time[:6], seen[:6])).all()  # too few rows to know what is usual
+
+
+def test_each_of_several_recordings_has_ends_of_its_own():
+    """One begins elsewhere than another ends: that is no jump, and a stray there still is one."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        (time, first), (_, second) = motion(rng), motion(rng)
+        both = np.concatenate([first[:100], second[:100]])
+        clean = calm(torch.as_tensor(time), torch.as_tensor(both), [100]).numpy()
+        assert np.isfinite(clean[97:103]).all()
+        assert np.isnan(calmed(time, both)[97:103]).any()
+        both[100] += [0.06, -0.06]
+        left = calm(torch.as_tensor(time), torch.as_tensor(both), [100]).numpy()
+        assert np.isnan(left[100]).all()
+        assert np.isfinite(left[97:100]).all()
 
 
 def test_exchanged_labels_jump():

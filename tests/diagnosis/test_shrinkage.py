@@ -7,9 +7,10 @@ import pytest
 import torch
 from pendulum import ARM, DAMPING, PENDULUM, causes, path_of, recorded, recording_of
 
-from invdyn.diagnosis import diagnose
+from invdyn.diagnosis import diagnose, elsewhere
+from invdyn.diagnosis.elsewhere import carried
 from invdyn.diagnosis.paths import FIRM, data_path
-from invdyn.diagnosis.predict import Scores
+from invdyn.diagnosis.predict import Scores, scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.shrinkage import closed, split, unseen
@@ -61,6 +62,8 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     result = closed(*last.scores, last.rows, here.model.time.numpy(), 0)
     assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
     assert result.share > 0.5
+    # What has seen these rows already has no more to learn from them.
+    np.testing.assert_allclose(last.scores[1].score, scores(here, last.cause).score, rtol=1e-12)
 
 
 def test_another_recording_is_held_out():
@@ -90,6 +93,28 @@ def test_what_another_recording_does_not_bear_out_is_a_part():
     assert odd.outside.probability == pytest.approx(likely.probability)
     assert borne_out.method["held out"] == "another recording"
     assert odd.method["held out"] == "another recording, in which the best cause leaves something"
+    # Predicted under the residual that the first recording needs, which is none.
+    assert borne_out.shrinkage.gap_closed > 0.95
+    assert odd.shrinkage.gap_closed < 0
+
+
+def test_of_paths_elsewhere_one_with_unknown_scores_is_none(monkeypatch):
+    here, _, cause = causes()
+    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    start, _ = data_path(other)
+    known = scores(other, carried(here, cause, other, start))
+    unknown = replace(known, score=np.where(np.arange(60) > 5, np.nan, known.score))
+    tried = []
+
+    def scored(_, there, rows):
+        tried.append(there)
+        return unknown if len(tried) == 1 else known
+
+    monkeypatch.setattr(elsewhere, "scores", scored)
+    assert carried(here, cause, other, start) is tried[1]
+    monkeypatch.setattr(elsewhere, "scores", lambda *_: unknown)
+    with pytest.raises(InputError, match="cannot follow it"):
+        carried(here, cause, other, start)
 
 
 def test_a_push_is_not_missed_in_another_recording():

@@ -133,6 +133,11 @@ def test_what_motors_were_told_before_a_recording_acts_on(effect, name, arm, hav
     expected = share[:, None] * sd.numpy() * ([1, 1] if name == "time_constant" else [0, 1])
     expected[19] = sd
     np.testing.assert_allclose(found, expected, atol=1e-6)
+    # A camera that starts later than the commands: what was told before its first row is known.
+    told = model.driven_by(model.time[0] - 1.0 + step * torch.arange(140), torch.zeros(140, 2, dtype=F64))
+    told = told.starting_anew([20], torch.zeros(1, 2, dtype=F64))
+    assert told.late(torch.arange(1, 20)).abs().max() < 1e-6
+    torch.testing.assert_close(told.late(torch.arange(21, 40)), model.late(torch.arange(21, 40)))
     knows = having(arm(2), effect, **{name: late})
     assert knows.late(3) is None
     assert arm(2, torque=torque).late(3) is None

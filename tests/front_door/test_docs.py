@@ -1,0 +1,79 @@
+"""What the pages say is what the program does: commands parse, the files shown are read, links lead somewhere."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer.main
+
+from invdyn.cli import app
+from invdyn.inputs import load_body, load_recording
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(page for folder in (".", "docs", "benchmarks") for page in (ROOT / folder).glob("*.md"))
+FILES = ROOT / "docs" / "files.md"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Contents of the fenced blocks of a language ("" for none)."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+    return [block for said, block in found if said == language]
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, command line), continued lines joined."""
+    lines = [
+        (page.name, line)
+        for page in PAGES
+        for block in blocks(page, "")
+        for line in block.replace("\\\n", " ").splitlines()
+    ]
+    return [(name, line) for name, line in lines if line.startswith("invdyn ")]
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_a_command_can_be_pasted_into_a_shell(page, line):
+    """Nothing for the shell in it, no stray words, and every option is one of that command's."""
+    words = shlex.split(line, comments=True)
+    assert not re.search(r"[<>|;&`$]", line.split(" #")[0]), f"{page}: the shell would read {line!r} otherwise"
+    command = typer.main.get_command(app).commands[words[1]]
+    with command.make_context(words[1], words[2:]) as context:
+        assert context.params
+
+
+def test_pages_have_commands():
+    assert len(commands()) > 12
+
+
+def test_the_recording_and_the_body_shown_fit_one_another(tmp_path):
+    (table,), (body_file,) = blocks(FILES, "csv"), blocks(FILES, "toml")
+    (tmp_path / "rec.csv").write_text(table)
+    (tmp_path / "arm.toml").write_text(body_file)
+    body = load_body(str(tmp_path / "arm.toml"))
+    recording = load_recording(str(tmp_path / "rec.csv"), body, None, False, as_filmed=True)
+    assert recording.keypoint_names == body.keypoint_names
+    assert recording.joint_names == body.joint_names
+    assert np.isnan(recording.keypoints[1]).all()
+    assert np.isfinite(recording.torques).all()
+
+
+def test_the_snippet_turns_a_log_into_a_recording(tmp_path, monkeypatch):
+    (snippet,) = blocks(FILES, "python")
+    monkeypatch.chdir(tmp_path)
+    Path("robot_log.csv").write_text("t,q1,q2,tau1,tau2\n0,0,0.1,1,2\n0.1,0.2,0.1,1,2\n")
+    exec(compile(snippet, str(FILES), "exec"), {})
+    recording = load_recording("rec.csv", load_body(str(_body(tmp_path))), None, False, as_filmed=True)
+    np.testing.assert_allclose(recording.angles, [[-np.pi / 2, 0.1], [0.2 - np.pi / 2, 0.1]])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_relative_links_lead_to_files(page):
+    for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def _body(folder: Path) -> Path:
+    (folder / "arm.toml").write_text(blocks(FILES, "toml")[0])
+    return folder / "arm.toml"
