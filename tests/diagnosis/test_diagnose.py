@@ -1,11 +1,14 @@
 """The whole way from a recording to a diagnosis, where a part of it says something else."""
 
 import sys
+from dataclasses import replace
 
+import pytest
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
 
 
 def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
@@ -23,3 +26,35 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     assert named["causes"][0]["effects"] == []
     told = named["gap"]["elpd_per_frame"]
     assert told["corrected"] == told["nominal"] < told["noise_floor"]
+
+
+def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
+    """It is tried there before anybody knows whether it is the best; only the best one's failure is the user's."""
+    recording = recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, damping=0.05)
+    room = sys.modules[diagnose.__module__]
+    unseen, failed = room.unseen, []
+
+    def fails(bound, none, cause, other):
+        if cause.effects and len(failed) < times:
+            failed.append(cause.key)
+            raise InputError("cannot follow it")
+        return unseen(bound, none, cause, other)
+
+    monkeypatch.setattr(room, "unseen", fails)
+    times = 1
+    named = diagnose(recording, PENDULUM)
+    assert failed == [effect.key for effect in named.causes[0].effects] == ["viscous_friction.pivot"]
+    times = 3
+    with pytest.raises(InputError, match="cannot follow it"):
+        diagnose(recording, PENDULUM)
+
+
+def test_what_is_named_is_not_said_to_be_hidden():
+    """With unknown torque a base that shakes is the one effect of the dynamics that can be named."""
+    shake = {"sine_x": 0.02, "cosine_x": 0.006, "sine_y": 0.006, "cosine_y": 0.006, "frequency": 3.1}
+    recording = recording_of(EFFECTS["base_motion"](), rows=150, **shake)
+    found = diagnose(replace(recording, torques=None), PENDULUM)
+    assert [effect.key for effect in found.causes[0].effects] == ["base_motion"]
+    assert found.causes[0].probability > 0.9
+    assert "base_motion" not in found.not_identifiable
+    assert "viscous_friction.pivot" in found.not_identifiable
