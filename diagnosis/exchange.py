@@ -95,7 +95,8 @@ def exchange(setting: Setting, found: Search) -> None:
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
         least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
-        bared = replace(best, effects=rest, log_evidence=nothing, by_size=np.r_[-np.inf, best.by_size[1:]])
+        by_size = np.r_[-np.inf, best.by_size[1:]]
+        bared = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
         refine_promising(setting, found, bared, near, SWAPS)
     refine_kin(setting, found, len(best.effects))
 

@@ -13,6 +13,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.relocate import relocated
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -165,3 +166,23 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
     exchange(bound, found)
     assert tried == ["gravity_tilt"]
+
+
+def test_a_push_in_the_place_of_a_bending_link_is_moved_in_time(monkeypatch):
+    """What it joins is the set without the link, in model and path too: the hinge in the link has states of its own."""
+    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
+    path, stray = data_path(bound)
+    friction, bending = EFFECTS["viscous_friction"]("pivot"), EFFECTS["link_flexibility"]("rod")
+    push = next(e for e in considered(bound) if e.name == "external_push")
+    none, both = refine(bound, (), {}, path, LOOSE), refine(bound, (friction, bending), {}, path, LOOSE, rounds=2)
+    both = replace(both, log_evidence=none.log_evidence + 100)
+    room, bases = sys.modules[exchange.__module__], []
+    monkeypatch.setattr(room, "refine_promising", lambda setting, found, base, *_: bases.append(base))
+    exchange(bound, Search([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray))
+    base = next(base for base in bases if base.effects == both.effects[:1])
+    assert [effect.name for effect in base.model.effects] == ["viscous_friction"]
+    assert base.path.shape[-1] == base.model.state_dim < both.model.state_dim
+    values = base.values | {f"{push.key}.{n}": v for n, v in {"impulse_x": 0.0, "impulse_y": 0.0}.items()}
+    values |= {f"{push.key}.moment": 0.7, f"{push.key}.duration": 0.1}
+    pushed = refine(bound, (*base.effects, push), values, base.path, FIRM, rounds=1)
+    assert relocated(bound, base, push, pushed).log_evidence >= pushed.log_evidence
