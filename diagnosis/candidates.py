@@ -234,16 +234,19 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
     return Columns(slope(f), slope(h))
 
 
-def bursts(model: ArmModel, response: np.ndarray) -> tuple[list[tuple[float, float]], Columns]:
-    """Stretches of time, and K columns each: a constant torque on each joint while it lasts.
+def spans(model: ArmModel) -> list[tuple[float, float]]:
+    """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording."""
+    first, last = model.time[[0, -1]].tolist()
+    return [(float(s), float(min(s + WINDOW, last))) for s in np.arange(first, last - WINDOW / 2, WINDOW / 2)]
+
+
+def bursts(model: ArmModel, response: np.ndarray, times: Sequence[tuple[float, float]]) -> Columns:
+    """K columns for each stretch of time: a constant torque on each joint while it lasts.
 
     ``response`` (T−1, D, K) is what a unit torque during a row makes of the next state.
     """
-    time = model.time.numpy()
-    starts = np.arange(time[0], time[-1] - WINDOW / 2, WINDOW / 2)
+    time, (starts, stops) = model.time.numpy(), np.array(times).T
     low, high = time[:-1, None], time[1:, None]
-    overlap = np.clip((np.minimum(high, starts + WINDOW) - np.maximum(low, starts)) / (high - low), 0, 1)  # (T−1, W)
+    overlap = np.clip((np.minimum(high, stops) - np.maximum(low, starts)) / (high - low), 0, 1)  # (T−1, W)
     g = (response[:, :, None, :] * overlap[:, None, :, None]).reshape(len(response), response.shape[1], -1)
-    return [(float(s), float(min(s + WINDOW, time[-1]))) for s in starts], Columns(
-        g, np.zeros((len(time), model.observation_dim, g.shape[-1]))
-    )
+    return Columns(g, np.zeros((len(time), model.observation_dim, g.shape[-1])))

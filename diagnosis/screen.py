@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes, unchanged
+from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -27,6 +27,9 @@ from invdyn.models.effects.hidden import HiddenHinge
 
 PEAKS = 2
 """Stretches of time that are kept, for each size that they are sought under."""
+SHORT, SURELY = 11, 10.0
+"""Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
+beyond it, in twice the nats."""
 
 BLOCK = 200
 """Columns that are whitened together."""
@@ -35,26 +38,44 @@ HINGED = 10
 
 
 def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
-    """The ``PEAKS`` stretches of time in which a burst of torque on the joints would explain most."""
+    """Stretches of time in which a burst of torque on the joints would explain most: ``PEAKS`` for each of three sizes.
+
+    And a short one within the first of them, where that explains surely more: what strikes within a row or two and is
+    then over is not like a long push, however weak.
+    """
     K = model.body.num_joints
     response = linear.F[:, :, :K].copy()
     response[:, :K] = 0.0
-    times, columns = bursts(model, response)
     about = filter_of(setting, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
-    whitened = whiten(setting, about, columns, [slice(1 + K * i, 1 + K * (i + 1)) for i in range(len(times))])
-    gains = np.zeros((3, len(times)))
-    for g, gram in enumerate(whitened.gram):
+
+    def gains_of(times: Sequence[tuple[float, float]]) -> np.ndarray:
+        """Twice the nats (3, W) that a burst in each stretch explains, under each size."""
+        parts = [slice(1 + K * i, 1 + K * (i + 1)) for i in range(len(times))]
+        whitened = whiten(setting, about, bursts(model, response, times), parts)
         index = 1 + np.arange(len(times) * K).reshape(-1, K)
-        A = gram[index[:, :, None], index[:, None, :]] + 1e-9 * np.trace(gram) * np.eye(K)
-        r = gram[index, 0]
-        gains[g] = np.einsum("wi,wij,wj->w", r, np.linalg.inv(A), r) * whitened.count / gram[0, 0]
-    found = []
+        gains = []
+        for gram in whitened.gram:
+            A = gram[index[:, :, None], index[:, None, :]] + 1e-9 * np.trace(gram) * np.eye(K)
+            r = gram[index, 0]
+            gains.append(np.einsum("wi,wij,wj->w", r, np.linalg.inv(A), r) * whitened.count / gram[0, 0])
+        return np.stack(gains)
+
+    times = spans(model)
+    gains = gains_of(times)
+    firsts, most = gains.argmax(-1), gains.max(-1)
+    found = set()
     for gain in gains:
         for _ in range(PEAKS):
             top = int(gain.argmax())
-            found.append(times[top])
+            found.add(times[top])
             gain[max(top - 2, 0) : top + 3] = -np.inf
-    return sorted(set(found))
+    middles = {
+        sum(times[first]) / 2 + shift for first in firsts for shift in np.linspace(-WINDOW / 2, WINDOW / 2, SHORT)
+    }
+    short = [(middle - WINDOW / SHORT, middle + WINDOW / SHORT) for middle in sorted(middles)]
+    gains = gains_of(short)
+    found |= {short[int(gain.argmax())] for gain, least in zip(gains, most, strict=True) if gain.max() > least + SURELY}
+    return sorted(found)
 
 
 def blocks(

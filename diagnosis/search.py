@@ -83,7 +83,7 @@ def search(
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
-            _loosened(setting, found)
+            _overtaken(setting, found, extended)
         _without_older(setting, found, best)
     reduce(setting, found)
     while known and found.ranked[0].effects:
@@ -133,20 +133,18 @@ def _without_older(setting: Setting, found: Search, best: Refined) -> None:
         _extend(setting, found, base, SWAPS)
 
 
-def _loosened(setting: Setting, found: Search) -> None:
-    """Where sets of several have overtaken the best single effect and leave something, look for play beside it.
+def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
+    """Where sets of several have overtaken the best single effect and leave something, extend that one, too.
 
-    It bends the path more than anything else does: a grid along the single one's shows little of it.
+    Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
     """
     singles = [cause for cause in found.pool.values() if len(_others(cause)) == 1]
     if found.ranked[0].complete or len(_others(found.ranked[0])) < 2 or not singles:
         return
     base = max(singles, key=found.score)
-    taken = {effect.key for effect in base.effects}
-    gears, _ = _searchable(setting, found, base, [e for e in found.candidates if e.key not in taken])
-    for causes in side_by_side(_sought(setting, base, gears, -np.inf), found.workers):
-        for cause in causes:
-            found.add(cause)
+    if base.key not in extended:
+        extended.add(base.key)
+        _extend(setting, found, base, WIDTH[1])
 
 
 def _mistaken(setting: Setting, found: Search) -> None:

@@ -2,7 +2,8 @@
 
 Their evidence is looked at on a grid, with what the base has left free integrated out at each point; from the best
 point on it is climbed, and its curvature at the top is their integral's width (Laplace). That is along one path, and
-play's gap bends it: its width is followed, a step and a path at a time, before it is climbed.
+play's gap bends it: its width is followed, a step and a path at a time, before it is climbed. Where that leaves
+something, each of the wider ones gets a path that is led to it (:func:`.paths.led`), and the best is followed so, too.
 """
 
 from collections.abc import Mapping
@@ -12,11 +13,13 @@ from itertools import product
 import numpy as np
 import torch
 from scipy.special import logsumexp
+from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.noise import climb, grid, is_noise, log_prior_of
-from invdyn.diagnosis.paths import FIRM, lifted
+from invdyn.diagnosis.paths import FIRM, led, lifted
+from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
@@ -29,6 +32,8 @@ EARNED = 2.0
 FOLLOWED, STRIDES, ONWARD = 20.0, (0.15, 0.07, 0.035), 0.5
 """Nats that play must gain for its width to be followed; steps of its logarithm, one after the other, and nats that
 each must gain."""
+WIDER = 0.02
+"""rad, of play that bends a path by so much that it may need to be led there."""
 
 
 def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
@@ -44,16 +49,14 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     common = unknowns(setting, base.effects)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     path, some = base.path, _telling(base, levels)
-    # A larger residual than there is bends the path; a limb's own torque is as large as it was found.
-    size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
 
     # What changes the scatter alone leaves the slopes as they are, whatever its parameters.
     tangents = slopes_along(base.model, path) if is_noise(effect) else None
 
     most = np.array([upper_bound(p) for p in parameters])
 
-    def score(log_values: np.ndarray) -> float:
-        values = np.minimum(np.exp(log_values), most)
+    def by_size(values: np.ndarray) -> np.ndarray:
+        """Log evidence with ``some`` sizes of the residual, and their prior weights."""
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
         here, there, those = model.replace(**given), path, columns
         if model.driven is not None:
@@ -61,8 +64,11 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
             those = slopes(here, common, base.mean, 0.05 * base.sd, there)
         linear = linear_of(setting, here, there, tangents)
         whitened = whiten(setting, filter_of(setting, here, there, levels[some], linear), those)
-        by_size = [o.log_evidence[0] for o in expansions(whitened, common, base.mean)]
-        return float(logsumexp(np.array(by_size) + log_prior(levels)[some])) + log_prior_of(parameters, values)
+        return np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)]) + log_prior(levels)[some]
+
+    def score(log_values: np.ndarray) -> float:
+        values = np.minimum(np.exp(log_values), most)
+        return float(logsumexp(by_size(values))) + log_prior_of(parameters, values)
 
     def best_of(points: list[tuple[float, ...]]) -> tuple[float, tuple[float, ...]]:
         return max((score(np.log(point)) - log_prior_of(parameters, np.array(point)), point) for point in points)
@@ -74,11 +80,25 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     top, start = best_of(points)
     if top < least:
         return None
+    # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
+    # most detections stray; a limb's own torque is as large as it was found.
+    size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
+    if tangents is not None:
+        some = np.arange(len(levels))
+        size = max(size, float(levels[by_size(np.array(start)).argmax()]))
     start = np.log(start)
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     if model.driven is not None and cause.log_evidence > max(enough, base.log_evidence + FOLLOWED):
-        cause = _followed(setting, cause, dict(zip(names, most.tolist(), strict=True)))
+        limits = dict(zip(names, most.tolist(), strict=True))
+        cause = _followed(setting, cause, limits)
+        if not cause.complete:
+            wider = [known | dict(zip(names, point, strict=True)) for point in points if min(point) > WIDER]
+            tried = [attempt(_at, setting, cause, each, base.path, 1) for each in wider]
+            if arrived := [each for each in tried if each is not None]:
+                best = max(arrived, key=lambda c: c.log_evidence)
+                best = attempt(_followed, setting, best, limits, base.path) or best
+                cause = max(cause, best, key=lambda c: c.log_evidence)
         start = np.log([cause.noise[name] for name in names])
     followed = cause
     path, some = cause.path, _telling(cause, levels)
@@ -97,20 +117,33 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
 
 
-def _followed(setting: Setting, cause: Refined, most: Mapping[str, float]) -> Refined:
-    """The cause with other values of parameters, up to ``most``, each refined from the last path while that gains."""
+def _followed(setting: Setting, cause: Refined, most: Mapping[str, float], begun: Tensor | None = None) -> Refined:
+    """The cause with other values of parameters, up to ``most``, each refined from the last path while that gains.
+
+    Or, where one is given, from the path that is led to them from ``begun``.
+    """
     for stride, name in product(STRIDES, most):
         for step in (stride, -stride):
             before = cause
             while True:
                 values = cause.values | {name: min(cause.noise[name] * float(np.exp(step)), most[name])}
-                there = refine(setting, cause.effects, values, cause.path, FIRM, noise_log=cause.noise_log, rounds=2)
+                there = _at(setting, cause, values, begun, 2)
                 if there.log_evidence < cause.log_evidence + ONWARD:
                     break
                 cause = there
             if cause is not before:
                 break
     return cause
+
+
+def _at(setting: Setting, cause: Refined, values: Mapping[str, float], begun: Tensor | None, rounds: int) -> Refined:
+    """The cause refined from other values, from its own path or from one that is led to them from ``begun``."""
+    path = cause.path
+    if begun is not None:
+        given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
+        model = cause.model.replace(**{name: v for name, v in given.items() if name in cause.model.parameters})
+        path = led(setting, model, lifted(model, begun), FIRM)
+    return refine(setting, cause.effects, values, path, FIRM, noise_log=cause.noise_log, rounds=rounds)
 
 
 def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from torch import Tensor
 
 from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.jumps import calm
-from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
+from invdyn.inference.initialise import Problem, arm_problem, jitter
+from invdyn.inference.substeps import sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
 from invdyn.models.torques import OrnsteinUhlenbeck
@@ -45,6 +46,9 @@ LEAST = 0.1
 
 RMS = 0.5
 """Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
+
+LOST = 1.0
+"""Nats that errors of integration may cost where torques are known: others, as play, would gain what they lose."""
 
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
@@ -174,7 +178,8 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    model.substeps = sufficient_substeps(model, usual)
+    # A limb's own torque takes errors of an acceleration along.
+    model.substeps = sufficient_substeps(model, usual, None if regime == "unknown_torque" else LOST)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 

@@ -10,7 +10,7 @@ from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 from scipy.stats import t as student_t
 
-from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, unchanged
+from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, spans, unchanged
 from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
@@ -191,7 +191,8 @@ def test_bursts_share_out_the_time():
     model = bound().model
     T, D, K = model.num_steps, model.state_dim, 2
     response = np.random.default_rng(0).normal(size=(T - 1, D, K))
-    windows, columns = bursts(model, response)
+    windows = spans(model)
+    columns = bursts(model, response, windows)
     time = model.time.numpy()
     g = columns.g.reshape(T - 1, D, len(windows), K)
     assert not columns.d.any()

@@ -4,18 +4,21 @@ from copy import copy
 
 import numpy as np
 import pytest
+import torch
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.candidates import WINDOW
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.screen import screen, screen_in_halves
+from invdyn.diagnosis.screen import screen, screen_in_halves, windows
 from invdyn.diagnosis.search import _aside
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.whiten import linear_of
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
 
 
 def test_screen_is_a_ranking_of_all_and_none():
@@ -84,6 +87,22 @@ def test_a_push_is_also_looked_for_at_another_time():
     assert abs(found.elsewhere["moment"] - found.values["moment"]) > WINDOW
     assert set(found.elsewhere) == set(found.values)
     assert screened["viscous_friction"].elsewhere is None
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.0])
+def test_a_push_that_is_soon_over_is_looked_for_in_a_stretch_as_short(strength):
+    """A tenth of a second hides what strikes within three rows: the arm goes elsewhere than a long push sends it."""
+    push = EFFECTS["external_push"]("tip").bound(PENDULUM)
+    arm = random_arm(PENDULUM, duration=1.5, fps=200, noise=0.0002, torque_scale=0.5, commanded=True, seed=0)
+    values = {"impulse_x": 0.06 * strength, "impulse_y": 0.04 * strength, "moment": 0.78, "duration": 0.015}
+    given = {f"effect.{push.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
+    path = data_path(here)[0]
+    found = windows(here, here.model, path, linear_of(here, here.model, path))
+    short = [(start, stop) for start, stop in found if stop - start < WINDOW / 2]
+    assert any(start < 0.78 < stop for start, stop in short) is (strength > 0)
+    assert bool(short) is (strength > 0)
+    assert len(found) > len(short)
 
 
 def test_halves_are_a_ranking_of_the_whole():

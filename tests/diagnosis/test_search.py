@@ -11,7 +11,7 @@ from pendulum import ARM, PENDULUM, recorded, recording_of
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import _extend, _loosened, search
+from invdyn.diagnosis.search import _extend, _overtaken, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -90,29 +90,32 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("single", "gain", "complete", "looked"),
+    ("gain", "complete", "known", "looked"),
     [
-        ("joint_limit.pivot.upper", 50.0, False, True),
-        ("coulomb_friction.pivot", 50.0, False, False),  # beside what sticks it takes minutes
-        ("joint_limit.pivot.upper", -50.0, False, False),  # it is the best, and the next to be extended
-        ("joint_limit.pivot.upper", 50.0, True, False),
+        (50.0, False, False, True),
+        (50.0, False, True, False),  # it was extended before
+        (-50.0, False, False, False),  # it is the best, and the next to be extended
+        (50.0, True, False, False),
     ],
 )
-def test_play_is_looked_for_beside_the_best_single_effect_that_several_overtook(
-    monkeypatch, single, gain, complete, looked
-):
-    tried = []
+def test_the_best_single_effect_that_several_overtook_is_extended_too(monkeypatch, gain, complete, known, looked):
+    """Two that imitate others whatever their sizes must not stand in the way of what is beside one of them."""
+    extended, key = [], "joint_limit.pivot.upper"
     bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
-    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[single],)))
+    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[key],)))
     spike = np.arange(len(none.by_size)) == 0
     none, one = replace(none, log_evidence=0.0), replace(one, log_evidence=100.0)
-    more = (effects["payload"], effects[single])
+    worse = replace(one, effects=(effects["payload"],), log_evidence=90.0)
+    more = (effects["payload"], effects[key])
     both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
-    monkeypatch.setattr(sys.modules[search.__module__], "refine_searched", lambda *given: tried.append(given[1:]))
-    _loosened(bound, Search(list(effects.values()), {c.key: c for c in (none, one, both)}, [], path, stray))
-    assert tried == ([(one, effects["backlash.pivot"], -np.inf)] if looked else [])
+    monkeypatch.setattr(sys.modules[search.__module__], "_extend", lambda *given: extended.append(given[2:]))
+    pool = Search(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
+    before = {"", key} if known else {""}
+    _overtaken(bound, pool, before)
+    assert extended == ([(one, 4)] if looked else [])
+    assert (key in before) is (known or looked)
 
 
 @pytest.mark.parametrize("kept", [True, False])

@@ -13,7 +13,7 @@ from invdyn.diagnosis.noise import is_noise, log_spread
 from invdyn.diagnosis.paths import FIRM, data_path
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.searched import _followed, refine_searched
+from invdyn.diagnosis.searched import _at, _followed, refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects import EFFECTS
@@ -68,6 +68,42 @@ def test_stray_detections_are_counted():
     assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
     assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
     assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+
+
+def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
+    """Where the arm does something else altogether, a path without a residual would leave every detection stray."""
+    spring = EFFECTS["joint_stiffness"]("pivot")
+    arm = random_arm(PENDULUM, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
+    given = {"effect.joint_stiffness.pivot.stiffness": 2.0, "effect.joint_stiffness.pivot.torque": 1.0}
+    given = {name: torch.tensor([value], dtype=torch.float64) for name, value in given.items()}
+    recording = record(arm.with_effects(spring).replace(**given), 0)[0]
+    rng = np.random.default_rng(3)
+    stray = rng.random(len(recording.time)) < 0.05
+    stray[:3] = False
+    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.3, size=recording.keypoints.shape)
+    here = setting(replace(recording, keypoints=points), PENDULUM)
+    path, far = data_path(here)
+    assert far
+    none = refine(here, (), {}, path, LOOSE)
+    cause = refine_searched(here, none.moved_to(none.model, path), EFFECTS["outliers"]().bound(PENDULUM))
+    assert cause.noise["outliers.rate"] == pytest.approx(stray.mean(), abs=0.03)
+    assert cause.noise["outliers.scale"] == pytest.approx(0.3, rel=0.3)
+    assert not cause.complete
+
+
+def test_wide_play_is_led_to():
+    """Beside what bends the base's path, none of the grid's widths shows what the true one explains."""
+    body = replace(PENDULUM, gravity=(0.0, 0.0))
+    play, name = EFFECTS["backlash"]("pivot"), "backlash.pivot.width"
+    arm = random_arm(body, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True, seed=1)
+    recording = record(arm.with_effects(play).replace(**{f"effect.{name}": torch.tensor([0.16]).double()}), 0)[0]
+    here, play = setting(recording, body), play.bound(body)
+    none = refine(here, (), {}, data_path(here)[0], LOOSE)
+    cause = refine_searched(here, none, play)
+    known = _at(here, cause, {name: 0.16}, none.path, 2)
+    assert known.complete
+    assert cause.noise[name] == pytest.approx(0.16, rel=0.05)
+    assert cause.log_evidence > known.log_evidence - 10
 
 
 def test_intervals_of_what_was_searched_stay_within_the_prior():
