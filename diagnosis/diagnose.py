@@ -23,6 +23,7 @@ from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, unseen
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.diagnosis.substeps import finely_stepped
 from invdyn.diagnosis.weigh import in_part_only, only, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
@@ -80,8 +81,9 @@ def diagnose(
         )
     report(1, "screen and refine")
     path, stray = data_path(bound)
-    bound = bound.shaped(path)
-    other = None if other is None else replace(other, shape=bound.shape)
+    bound = finely_stepped(bound.shaped(path), path)
+    if other is not None:
+        other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
     found = search(bound, path, stray, without, workers)
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()

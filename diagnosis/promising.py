@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import LOUD, Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import refine
@@ -102,6 +102,22 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
         for cause in causes:
             found.add(cause)
+
+
+def refine_every(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine all of the screened effects, added to ``base``, that were not, until one leaves nothing.
+
+    What is large moves what is seen on no straight line, and the screen may see none of it.
+    """
+    left = [s for s in screened if s.effect is not None and key_of((*base.effects, s.effect)) not in found.pool]
+    for first in range(0, len(left), PAIR):
+        limits = {"enough": found.top - HOPELESS}
+        parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]
+        for causes in side_by_side(parts, found.workers):
+            for cause in causes:
+                found.add(cause)
+        if found.explained:
+            return
 
 
 def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:

@@ -12,9 +12,11 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
-       other effect explains the gap, or a small one; and beside the best single one that sets of several overtook
+       other effect explains the gap, or a small one; the same for the best single effect where sets of several have
+       overtaken it and leave something
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
+    8  where the best set leaves something after all, refine every effect beside the best single one, and again from 6
 
 With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
 and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
@@ -38,7 +40,16 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, idle, refine_barred, refine_clearing, refine_promising
+from invdyn.diagnosis.promising import (
+    HOPELESS,
+    SHARE,
+    attempt,
+    idle,
+    refine_barred,
+    refine_clearing,
+    refine_every,
+    refine_promising,
+)
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.scan import scan
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
@@ -85,8 +96,21 @@ def search(
             reduce(setting, found)
             _overtaken(setting, found, extended)
         _without_older(setting, found, best)
+    _settled(setting, found)
+    singles = _singles(found)
+    if known and singles and not found.explained:
+        base = max(singles, key=found.score)
+        best = found.ranked[0]
+        refine_every(setting, found, base, _screened(setting, found, base, False)[0])
+        if found.ranked[0].key != best.key:
+            _settled(setting, found)
+    return found
+
+
+def _settled(setting: Setting, found: Search) -> None:
+    """Leave effects out and exchange them until the best set stays."""
     reduce(setting, found)
-    while known and found.ranked[0].effects:
+    while setting.regime != "unknown_torque" and found.ranked[0].effects:
         best = found.ranked[0]
         exchange(setting, found)
         if found.ranked[0].key == best.key:
@@ -94,7 +118,6 @@ def search(
         if not found.ranked[0].complete and len(found.ranked[0].effects) < MOST:
             _extend(setting, found, found.ranked[0], SWAPS)
         reduce(setting, found)
-    return found
 
 
 def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:
@@ -138,7 +161,7 @@ def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
 
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
     """
-    singles = [cause for cause in found.pool.values() if len(_others(cause)) == 1]
+    singles = _singles(found)
     if found.ranked[0].complete or len(_others(found.ranked[0])) < 2 or not singles:
         return
     base = max(singles, key=found.score)
@@ -244,6 +267,11 @@ def _sought(
 def _others(cause: Refined) -> list[Effect]:
     """A cause's effects but those that leave stray detections."""
     return [effect for effect in cause.effects if effect.name not in MISTAKES]
+
+
+def _singles(found: Search) -> list[Refined]:
+    """Causes of one effect, but for those that leave stray detections."""
+    return [cause for cause in found.pool.values() if len(_others(cause)) == 1]
 
 
 def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:

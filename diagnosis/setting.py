@@ -9,6 +9,7 @@ what a gap in the dynamics is measured by. Three regimes:
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,8 +20,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.jumps import calm
-from invdyn.inference.initialise import Problem, arm_problem, jitter
-from invdyn.inference.substeps import sufficient_substeps
+from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
 from invdyn.models.torques import OrnsteinUhlenbeck
@@ -46,9 +46,6 @@ LEAST = 0.1
 
 RMS = 0.5
 """Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
-
-LOST = 1.0
-"""Nats that errors of integration may cost where torques are known: others, as play, would gain what they lose."""
 
 FEWEST = 20
 """Rows with an observation, under which nothing is said."""
@@ -125,6 +122,12 @@ class Setting:
         model = self.model.turning(angle.amin(0), angle.amax(0))
         return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
 
+    def in_substeps(self, count: int) -> "Setting":
+        """The same setting in so many integrator sub-steps a row."""
+        model = copy(self.model)
+        model.substeps = count
+        return replace(self, problem=replace(self.problem, model=model))
+
     def observing(self, observations: Tensor) -> "Setting":
         """The same setting with other observations (T, O)."""
         return replace(self, problem=replace(self.problem, observations=observations))
@@ -178,8 +181,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    # A limb's own torque takes errors of an acceleration along.
-    model.substeps = sufficient_substeps(model, usual, None if regime == "unknown_torque" else LOST)
+    model.substeps = sufficient_substeps(model, usual)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 

@@ -3,24 +3,27 @@
 * first-frame angles at maximum likelihood (inverse kinematics), with a weak Gaussian around them;
 * link lengths from the median distance between joints, when they are to be learned;
 * the keypoints' noise from what a smooth motion cannot explain (third differences);
-* integrator sub-steps from the integrator's own error (:mod:`.substeps`).
+* integrator sub-steps from the integrator's own error, which must stay far below the noise, or it
+  would be taken for physics.
 
 All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
 """
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.substeps import sufficient_substeps
 from invdyn.models import ArmModel, Body, Emission, TorqueProcess, dynamics_for
+from invdyn.models.arm_start import link_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
+SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
 SURELY = 3.0
@@ -222,3 +225,35 @@ def differences(column: np.ndarray) -> np.ndarray:
             break
         found = higher
     return found
+
+
+def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:
+    """Smallest of ``SUBSTEPS`` whose error stays under ``share`` of what can be noticed; the last one, if none does.
+
+    The error is the difference to twice as many sub-steps, over one row, along the smoothed
+    inverse kinematics. What can be noticed: an angle of "noise.angle" plus a tenth of the observation
+    noise. "euler" keeps one step, as printed: its error is part of that model.
+    """
+    if model.integrator == "euler":
+        return 1
+    paths = model.initial_paths(observations)
+    path = paths[len(paths) // 2]
+    rows = torch.arange(1, model.num_steps)
+    joints = model.body.num_joints
+    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
+    tried, ends = copy(model), {}
+
+    def angles(count: int) -> Tensor:
+        """At the ends of all rows, in so many sub-steps."""
+        if count not in ends:
+            tried.substeps = count
+            ends[count] = tried.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
+        return ends[count]
+
+    with torch.no_grad():
+        for substeps in SUBSTEPS:
+            error = (angles(substeps) - angles(2 * substeps)).abs()
+            # A few frames of wild inverse kinematics must not decide.
+            if bool((torch.quantile(error, 0.99, dim=0) <= share * limit).all()):
+                break
+    return substeps

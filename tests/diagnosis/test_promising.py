@@ -9,7 +9,7 @@ from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import LOUD, Search, considered
-from invdyn.diagnosis.promising import HALF, refine_barred, refine_clearing, refine_promising
+from invdyn.diagnosis.promising import HALF, refine_barred, refine_clearing, refine_every, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -93,3 +93,33 @@ def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_re
     refine_clearing(bound, found, none, screened)
     assert tried == ["camera_roll"]
     assert "camera_roll" in found.pool
+
+
+@pytest.mark.parametrize("explaining", ["camera_latency", None])
+def test_every_effect_is_refined_whatever_the_screen_says_until_one_leaves_nothing(monkeypatch, explaining):
+    bound = setting(recording_of(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    spike = np.arange(len(none.by_size)) == 0
+    none = replace(none, by_size=np.where(spike, -1e4, 0.0))
+    names = ("coulomb_friction", "camera_roll", "camera_latency", "clock_rate", "payload")
+    some = [e for e in considered(bound) if e.name in names]
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, some, common, common.mean)
+    screened = [replace(s, log_evidence=-1e3 * names.index(s.effect.name) if s.effect else 0.0) for s in screened]
+    screened = sorted(screened, key=lambda s: -s.log_evidence)
+    tried = []
+
+    def refined_one(setting, effects, values, path, size, **given):
+        tried.append(effects[0].name)
+        done = effects[0].name == explaining
+        sizes = np.where(spike == done, 0.0, -1e4)
+        return replace(none, effects=effects, log_evidence=none.log_evidence + 1e3 * done, by_size=sizes)
+
+    monkeypatch.setattr(sys.modules[refine_every.__module__], "refine", refined_one)
+    friction = next(e for e in some if e.name == "coulomb_friction")
+    known = replace(none, effects=(friction,))
+    found = Search(considered(bound), {"": none, known.key: known}, [], path, stray)
+    refine_every(bound, found, none, screened)
+    # By twos; what was refined before is not again.
+    assert tried == ["camera_roll", "camera_latency"] + ([] if explaining else ["clock_rate", "payload"])

@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
-from invdyn.inference.initialise import ORDERS, jitter
+from invdyn.inference.initialise import ORDERS, SUBSTEPS, jitter, sufficient_substeps
+from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models.arm_start import link_angle_sd
 
 
 def test_noise_is_estimated_beside_a_fast_motion():
@@ -41,3 +44,36 @@ def test_noise_of_gaps_and_of_too_few():
     found = jitter(np.stack([column, few], -1))
     assert found[0] == pytest.approx(0.1, rel=0.1)
     assert found[1] == 0.0
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
+@pytest.mark.parametrize("speed", [2.0, 12.0, 18.0, 30.0])
+def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
+    """Their error, to twice as many, is a tenth of what can be noticed at most, and that of fewer ones is not."""
+    links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=0.3, mass=1.0) for k in range(2)]
+    body = Body("arm", links, gravity=(0.0, -9.81))
+    time = 0.02 * torch.arange(100, dtype=torch.float64)
+    parameters = {"emission.keypoint_scale": 0.002, "noise.angle": 1e-4}
+    model = ArmModel(body, time.numpy(), Emission([0, 1]), integrator=integrator, parameters=parameters)
+    angles = torch.stack([torch.sin(speed * time), 0.7 * torch.cos(0.9 * speed * time)], -1)
+    tips = model.dynamics.keypoints(angles, model.body_parameters()).flatten(-2)
+    chosen = sufficient_substeps(model, tips)
+    assert model.substeps == 1
+
+    path = model.initial_paths(tips)
+    path = path[len(path) // 2]
+    limit = 0.1 * (
+        model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
+    )
+
+    def suffices(count):
+        ends = []
+        for model.substeps in (count, 2 * count):
+            with torch.no_grad():
+                ends.append(model.transition_mean(path[:-1], torch.arange(1, 100))[:, -4:-2])
+        return bool((torch.quantile((ends[0] - ends[1]).abs(), 0.99, dim=0) <= limit).all())
+
+    assert suffices(chosen) or chosen == SUBSTEPS[-1]
+    assert not any(suffices(count) for count in SUBSTEPS[: SUBSTEPS.index(chosen)])
+    if integrator == "rk4":
+        assert chosen == {2.0: 1, 12.0: 2, 18.0: 3, 30.0: 4}[speed]

@@ -1,0 +1,51 @@
+"""Integrator sub-steps whose error costs no evidence.
+
+An error that no row shows adds up over a recording, and whatever takes shorter sub-steps for reasons of its own, as
+play does, gains what all others lose by it. The error e_t (D,) of row t is the difference to twice as many sub-steps
+along a path. As an input into the state it changes the whitened innovations by a column w (:mod:`.innovations`), and
+log evidence by ½ |w|² on average; with next to no residual, which would take the error along.
+"""
+
+from copy import copy
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.whiten import SPIKE, filter_of, whiten
+from invdyn.inference.initialise import SUBSTEPS
+
+LOST = 0.5
+"""Nats that errors of integration may cost."""
+MOST = 4
+"""Times as many sub-steps as errors in an angle ask for: where that is not enough, the path is wild."""
+
+
+def finely_stepped(setting: Setting, path: Tensor) -> Setting:
+    """The setting with as many sub-steps as its own, or the fewest whose error along ``path`` (T, D) costs little.
+
+    Under an unknown torque, which takes errors along, it stays as it is.
+    """
+    if setting.regime == "unknown_torque":
+        return setting
+    model, ends = copy(setting.model), {}
+    rows = torch.arange(1, len(path))
+    about = filter_of(setting, setting.model, path, np.array([SPIKE]))
+    nothing = np.zeros((*setting.observations.shape, 1))
+
+    def reached(count: int) -> Tensor:
+        """States (T − 1, D) at the ends of all rows, in so many sub-steps."""
+        if count not in ends:
+            model.substeps = count
+            with torch.no_grad():
+                ends[count] = model.transition_mean(path[:-1], rows)
+        return ends[count]
+
+    own = setting.model.substeps
+    for count in (n for n in SUBSTEPS if own <= n <= MOST * own):
+        error = (reached(count) - reached(2 * count)).unsqueeze(-1).numpy()
+        if 0.5 * whiten(setting, about, Columns(error, nothing)).gram[0, 1, 1] <= LOST:
+            break
+    return setting.in_substeps(count)
