@@ -98,7 +98,7 @@ def search(
         _without_older(setting, found, best)
     _settled(setting, found)
     singles = _singles(found)
-    if known and singles and not found.explained:
+    if known and singles and not found.ranked[0].complete:
         base = max(singles, key=found.score)
         best = found.ranked[0]
         refine_every(setting, found, base, _screened(setting, found, base, False)[0])
