@@ -105,11 +105,12 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
 
 
 def refine_every(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
-    """Refine all of the screened effects, added to ``base``, that were not, until one leaves nothing.
+    """Refine all of the screened effects on what is seen, added to ``base``, that were not, until one leaves nothing.
 
-    What is large moves what is seen on no straight line, and the screen may see none of it.
+    A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
     """
-    left = [s for s in screened if s.effect is not None and key_of((*base.effects, s.effect)) not in found.pool]
+    seen = [s for s in screened if s.effect is not None and s.effect.side == "observation"]
+    left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
         limits = {"enough": found.top - HOPELESS}
         parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]

@@ -16,7 +16,8 @@ set scored by its tempered evidence and its prior (:mod:`.prior`):
        overtaken it and leave something
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
-    8  where the best set leaves something after all, refine every effect beside the best single one, and again from 6
+    8  where the best set leaves something after all, refine every effect on what is seen beside the best single one,
+       and again from 6
 
 With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
 and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for

@@ -3,7 +3,7 @@
 Their evidence is looked at on a grid, with what the base has left free integrated out at each point; from the best
 point on it is climbed, and its curvature at the top is their integral's width (Laplace). That is along one path, and
 play's gap bends it: its width is followed, a step and a path at a time, before it is climbed. Where that leaves
-something, each of the wider ones gets a path that is led to it (:func:`.paths.led`), and the best is followed so, too.
+something, each of the widest gets a path that is led to it (:func:`.paths.led`); the best is followed so, if better.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ EARNED = 2.0
 FOLLOWED, STRIDES, ONWARD = 20.0, (0.15, 0.07, 0.035), 0.5
 """Nats that play must gain for its width to be followed; steps of its logarithm, one after the other, and nats that
 each must gain."""
-WIDER = 0.02
+WIDER = 0.1
 """rad, of play that bends a path by so much that it may need to be led there."""
 
 
@@ -95,10 +95,9 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
         if not cause.complete:
             wider = [known | dict(zip(names, point, strict=True)) for point in points if min(point) > WIDER]
             tried = [attempt(_at, setting, cause, each, base.path, 1) for each in wider]
-            if arrived := [each for each in tried if each is not None]:
-                best = max(arrived, key=lambda c: c.log_evidence)
-                best = attempt(_followed, setting, best, limits, base.path) or best
-                cause = max(cause, best, key=lambda c: c.log_evidence)
+            best = max([cause, *(c for c in tried if c is not None)], key=lambda c: c.log_evidence)
+            if best is not cause:
+                cause = attempt(_followed, setting, best, limits, base.path) or best
         start = np.log([cause.noise[name] for name in names])
     followed = cause
     path, some = cause.path, _telling(cause, levels)
