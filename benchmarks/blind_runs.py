@@ -22,6 +22,7 @@ KINDS = {
 }
 UNTOLD = {
     ("weak", "first answer right, by ambiguity set"),
+    ("two", "at least one named, or said to be a part"),
     ("unknown_torque", "dynamics effects blamed on something else"),
 }
 """Measures without a target that are shown all the same."""

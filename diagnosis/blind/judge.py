@@ -1,7 +1,7 @@
 """One case: what a diagnosis.json says, held against the answer. Plain JSON on both sides."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from invdyn.diagnosis.blind.alike import agreeing, alike, in_group, paired, place, same, together
@@ -24,6 +24,7 @@ class Verdict:
         fia: probability on the true cause.
         exact, by_set: the most probable answer is the truth; up to what cannot be told.
         some: at least one of several true effects is in the most probable answer.
+        at_work: at least one is more probably at work than not, whatever else is: named, or said to be a part.
         probability: of the most probable answer.
         set_size: how many are in the ambiguity set of the most probable cause.
         side, joint, keypoint, interval: whether the largest share is at the true one.
@@ -46,6 +47,7 @@ class Verdict:
     exact: bool = False
     by_set: bool = False
     some: bool = False
+    at_work: bool = False
     probability: float | None = None
     set_size: int | None = None
     side: bool | None = None
@@ -98,6 +100,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
         "exact": right,
         "by_set": like,
         "some": paired(truth, entries, lambda a, b: agreeing(a, b, answer, groups), 1) if truth and entries else False,
+        "at_work": any(shared(e, causes, lambda a, b: agreeing(a, b, answer, groups)) > 0.5 for e in truth),
         "probability": outside if says_outside else number(best["probability"], 0.0),
         "set_size": None if says_outside or not entries else set_size(entries, groups),
         "outside": outside > 0.5,
@@ -129,6 +132,12 @@ def fia(truth: Sequence[Mapping], causes: Sequence[Mapping], outside: float, unk
     if unknown:
         return outside
     return sum(number(c["probability"], 0.0) for c in causes if paired(truth, c["effects"], same))
+
+
+def shared(truth: Mapping, causes: Sequence[Mapping], agree: Callable[[Mapping, Mapping], bool]) -> float:
+    """Probability that one effect is at work: of all causes that have it, by themselves or as a part of what is."""
+    having = [c for c in causes if any(agree(truth, e) for e in c["effects"])]
+    return sum(number(c["probability"], 0.0) + number(c.get("probability_in_part"), 0.0) for c in having)
 
 
 def set_size(entries: Sequence[Mapping], groups: Sequence[Sequence[str]]) -> int:

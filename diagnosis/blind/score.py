@@ -161,6 +161,7 @@ def _two(verdicts: Sequence[Verdict]) -> list[Measure]:
         rate("a gap is detected", [v.detected for v in verdicts]),
         rate("both named", [v.by_set for v in verdicts], "≥ 0.70"),
         rate("at least one named", [v.some for v in verdicts], "≥ 0.95"),
+        rate("at least one named, or said to be a part", [v.at_work for v in verdicts]),
         mean("probability on the two together (FIA)", [v.fia for v in verdicts]),
         median("share of the gap closed", [v.closed for v in verdicts if v.closed is not None]),
     ]

@@ -123,6 +123,21 @@ def test_two_effects():
     assert not judge("a", both, diagnosis((1.0, said("armature", joint="elbow"), said("camera_roll")))).some
 
 
+def test_an_effect_may_be_at_work_beside_what_the_catalogue_lacks():
+    """One of two is said to be a part of what is at work: the first answer names none then, and still it is told."""
+    both = answer(FRICTION, true("payload"), kind="two")
+    found = diagnosis((0.0, FOUND), (0.0, FOUND, said("camera_roll")), (0.1, said("armature")), outside=0.9)
+    for cause, part in zip(found["causes"], (0.3, 0.25, 0.0), strict=True):
+        cause["probability_in_part"] = part
+    v = judge("a", both, found)
+    assert v.at_work
+    assert not v.some
+    assert v.answer == OUTSIDE
+    found["causes"][1]["probability_in_part"] = 0.15
+    assert not judge("a", both, found).at_work
+    assert judge("a", both, diagnosis((0.6, FOUND), (0.4, said("armature")))).at_work
+
+
 def test_where_and_when():
     push = true("external_push", keypoint="wrist", interval=[1.0, 1.1])
     at = {"start": 0.95, "end": 1.15, "share": 0.8}
