@@ -57,11 +57,11 @@ class Search:
     @property
     def temper(self) -> float:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
-        return tempered(self.top - self._cleaned)
+        return tempered(self.top - self.cleaned)
 
     def temper_within(self, effect: Effect) -> float:
         """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
-        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self._cleaned
+        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
         return tempered(self.top - beside, ALPHA_WITHIN)
 
     def score(self, cause: Refined) -> float:
@@ -70,7 +70,7 @@ class Search:
         Stray detections gain thousands of nats: what is more likely than they alone is measured from there. A cause
         that surely leaves something has another effect beside it, which has its prior.
         """
-        none, cleaned, temper = self.pool[""].log_evidence, self._cleaned, self.temper
+        none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
         stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
         rest = log(another(len(cause.effects))) if self.leaves(cause) else 0.0
@@ -81,7 +81,7 @@ class Search:
         return leaves(cause, self.pool[""])
 
     @property
-    def _cleaned(self) -> float:
+    def cleaned(self) -> float:
         """The highest evidence of causes that leave stray detections and nothing else; of none, if there are none."""
         return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
 

@@ -246,8 +246,11 @@ def _searchable(
     setting: Setting, found: Search, base: Refined, free: Sequence[Effect]
 ) -> tuple[list[Effect], list[Effect]]:
     """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
-    # Where joints stick, too, play takes minutes.
-    slips = len(_others(base)) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
+    others = _others(base)
+    # Where joints stick, too, play takes minutes; and beside what explains less than stray detections do, they come
+    # first.
+    slips = len(others) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
+    slips = slips and (not others or base.log_evidence > found.cleaned - HOPELESS)
     searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
     gears = [e for e in searched if isinstance(e, HiddenHinge)]
     return gears if slips else [], [e for e in searched if e not in gears]

@@ -8,8 +8,8 @@ imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" am
 
 A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion;
 if keypoints stray in the same rows, as no stray detections do (swapped ones are a cause of their own); if errors are
-larger than the noise at rest; if its parameters are such that its effects would not be what they are called
-(:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
+larger than the noise that the recording shows; if its parameters are such that its effects would not be what they are
+called (:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
 log p(spike), more than a hundredth of what it gains where there is no cause (:meth:`.pool.Search.leaves`): it is small
 then, but surely there. Of a held-out recording the most probable cause is asked the same (:mod:`.elsewhere`).
 
@@ -36,7 +36,7 @@ from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
-from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, prediction_errors
+from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, loudness, prediction_errors
 from invdyn.models.effects.joint_limit import have_room
 
 NEAR = 3.0
@@ -89,7 +89,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
-    if cause.kappa > LOUD or not credible(bound, cause):
+    if loudness(bound, cause) > LOUD or not credible(bound, cause):
         return 0.0
     errors = prediction_errors(bound, cause)
     alike, chance = correlation(errors)

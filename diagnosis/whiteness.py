@@ -1,4 +1,4 @@
-"""What is left in a cause's errors of prediction: alike from row to row, along the motion, or astray together.
+"""What is left in a cause's errors of prediction: alike from row to row, along the motion, loud, or astray together.
 
 Whitened one-step prediction errors w_t of a right simulation are independent, and alike in all directions (whiteness
 tests: Mehra 1970, "On the identification of variances and adaptive Kalman filtering"):
@@ -7,6 +7,10 @@ tests: Mehra 1970, "On the identification of variances and adaptive Kalman filte
     along motion    the share of |w · v| > |w × v|, v a velocity    ½ ± 1/(2√n); towards 1 where rows are mistimed
 
 v is not whitened, which costs power where predictions are uncertain. Noise of unlike width in x and y shows, too.
+
+How much louder errors are than the noise at rest, κ says; but that noise is hardly known where a cause has it grow with
+speed. There the cause's own noise, drawn about its path, is held against the recording's, both as neighbouring rows
+show them (:func:`.initialise.jitter`).
 
 And stray detections of a tracker that errs now and then come upon each keypoint by itself. With r_t the probability
 that one strays in row t and s_t that another does, of all pairs together,
@@ -24,10 +28,15 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.setting import Setting
+from invdyn.inference.initialise import jitter
+from invdyn.models.effects.base import Effect
 from invdyn.models.mixture import MistakenRows
 
+DRAWS = 8
+"""Recordings that are drawn for their noise."""
 AMPLE = 3.0
 """Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
 
@@ -43,6 +52,25 @@ def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
     errors[np.isnan(setting.observations.numpy())] = np.nan
     return errors
+
+
+def loudness(setting: Setting, cause: Refined) -> float:
+    """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
+    grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
+    points = 2 * len(cause.model.emission_model.tips)
+    if not grows or cause.model.emission_model.num_encoders:
+        return cause.kappa
+    rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
+    rows = rows if isinstance(rows, MistakenRows) else rows.base_dist
+    draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
+    drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * setting.observations
+
+    def shown(observations: torch.Tensor) -> np.ndarray:
+        return jitter(calm(setting.model.time, observations, setting.starts).numpy()[:, :points])
+
+    own, theirs = np.mean([shown(each) for each in drawn], 0), shown(setting.observations)
+    known = (own > 0) & (theirs > 0)
+    return float(np.exp(np.log(own[known] / theirs[known]).mean())) if known.any() else cause.kappa
 
 
 def correlation(errors: np.ndarray) -> tuple[float, float]:

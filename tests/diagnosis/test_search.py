@@ -74,9 +74,15 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     assert ("backlash" in tried) is looked
 
 
-@pytest.mark.parametrize(("other", "looked"), [("viscous_friction", True), ("coulomb_friction", False)])
-def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, looked):
-    """Where that one leaves something: a spring, which is not in it; however little a grid along its path shows."""
+@pytest.mark.parametrize(
+    ("other", "strays", "looked"),
+    [("viscous_friction", -1.0, True), ("coulomb_friction", -1.0, False), ("viscous_friction", 100.0, False)],
+)
+def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, strays, looked):
+    """Where that one leaves something: a spring, which is not in it; however little a grid along its path shows.
+
+    Not where stray detections alone explain more than that one does.
+    """
     tried, module = [], sys.modules[search.__module__]
     spring = EFFECTS["joint_stiffness"]("pivot")
     bound = setting(recording_of(spring, stiffness=1.0, torque=0.5), PENDULUM)
@@ -85,7 +91,8 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     assert not base.complete
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append((given[2].name, given[3])))
     monkeypatch.setattr(module, "refine_promising", lambda *_: None)
-    found = Search(considered(bound), {"": none, base.key: base}, [], path, stray)
+    astray = replace(base, effects=(EFFECTS["outliers"]().bound(PENDULUM),), log_evidence=base.log_evidence + strays)
+    found = Search(considered(bound), {c.key: c for c in (none, astray, base)}, [], path, stray)
     _extend(bound, found, base, 1)
     assert (("backlash", -np.inf) in tried) is looked
 

@@ -8,10 +8,12 @@ import torch
 from pendulum import ARM, PENDULUM, causes, recording_of
 
 from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import LOUD
 from invdyn.diagnosis.predict import seen_tips
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import setting
-from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, prediction_errors
+from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, loudness, prediction_errors
+from invdyn.inference.initialise import MEDIAN
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -80,3 +82,20 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     none = refine(here, (), {}, data_path(here)[0], here.loose)
     alike, sd = correlation(prediction_errors(here, none))
     assert abs(alike) < 3 * sd
+
+
+def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
+    """However far off the noise at rest is, which only κ knows; of other causes κ says it."""
+    here, _, friction = causes()
+    assert loudness(here, friction) == friction.kappa
+    growing = EFFECTS["varying_noise"]().bound(PENDULUM)
+    here = setting(recording_of(growing, rows=400, slope=5.0), PENDULUM)
+    rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
+    here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
+    cause = refine(here, (), {}, data_path(here)[0], here.loose)
+    assert loudness(here, cause) == cause.kappa > LOUD
+    slope = {"effect.varying_noise.slope": torch.tensor([5.0]).double()}
+    cause = replace(cause, effects=(growing,), model=cause.model.with_effects(growing).replace(**slope), kappa=4.0)
+    # A median of n = 400 values, whose logarithm has a variance of 2 MEDIAN/n.
+    assert loudness(here, cause) == pytest.approx(1.0, abs=3 * np.sqrt(2 * MEDIAN / 400))
+    assert loudness(here, replace(cause, kappa=8.0)) == pytest.approx(2 * loudness(here, cause), rel=0.1)
