@@ -170,7 +170,8 @@ def _accelerations(M: list[list[Tensor]], force: list[Tensor], own_inertia: Tens
 
 
 def _stack(columns: Sequence[Tensor]) -> Tensor:
-    return torch.stack(torch.broadcast_tensors(*columns), -1)
+    same = len({column.shape for column in columns}) == 1
+    return torch.stack(columns if same else torch.broadcast_tensors(*columns), -1)
 
 
 def _solve(M: list[list[Tensor]], y: list[Tensor]) -> list[Tensor]:
