@@ -20,7 +20,7 @@ MISTAKES = ("outliers", "label_swap")
 LITTLE = 0.1
 """Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
 LOUD = 1.5
-"""κ, of errors of prediction to the noise at rest, from which on something is left in them."""
+"""Errors of prediction to the noise that there is (:func:`.whiteness.loudness`), from which on something is left."""
 FEW = 5.0
 """Nats that a residual may gain by chance."""
 
