@@ -22,6 +22,7 @@ from invdyn.inference.gauss_newton import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.models.settled import settled
 from invdyn.models.state_space import gaussian_mean
 
 WINDOW = 0.1
@@ -220,7 +221,7 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
     many = among.set_in(model, sets)
     with torch.no_grad():
         if model.driven is not None:
-            path = many.settled(path.expand(2 * p, -1, -1))
+            path = settled(many, path.expand(2 * p, -1, -1))
         f = gaussian_mean(many.transition(path[..., :-1, :], rows[1:])).expand(2 * p, len(rows) - 1, -1)
         if model.driven is not None:
             f = f.clone()

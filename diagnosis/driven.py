@@ -4,7 +4,7 @@ A hinge on a spring follows to first order: ψ_{t+1} = A_t ψ_t + b_t, with A an
 deflection that the first row would hold. A changes only as the arm turns: where rows are evenly spaced it is worked out
 for some of them, in straight lines between.
 
-A gap forgets what was before as soon as there is contact: :meth:`.StateSpaceModel.settled`.
+A gap forgets what was before as soon as there is contact: :mod:`invdyn.models.settled`.
 
 Shapes: T rows, D states without the hinge, S parameter sets.
 """
@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models import ArmModel
+from invdyn.models.settled import settled
 from invdyn.models.state_space import gaussian_mean
 
 TURN, EVEN = 0.2, 1e-3
@@ -33,7 +34,7 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
         return gaussian_mean(model.transition(path[:, rows - 1], rows))
 
     if model.driven is not None:
-        path = model.settled(path)
+        path = settled(model, path)
         return path, moved(path, rows)
 
     nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3

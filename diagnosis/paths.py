@@ -14,6 +14,7 @@ from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
+from invdyn.models.settled import settled
 
 STRAY = 5.0
 """Standard deviations beyond which a detection counts as stray when the first path is judged."""
@@ -86,7 +87,7 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
     """A path (T, D) in the states of ``model``: a hinge that it does not know yet is at rest, a gap as it is driven."""
     missing = model.state_dim - path.shape[-1]
     if not missing:
-        return model.settled(path)
+        return settled(model, path)
     torque = model.torque_size
     if missing > 0 and model.driven is not None:
         return driven(model, path, 1)[0].squeeze(0)

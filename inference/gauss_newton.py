@@ -28,6 +28,7 @@ from torch import Tensor
 from invdyn.inference.banded import Singular, chain_mean
 from invdyn.inference.square_root import BackwardFactors, backward, forward_covariance, forward_mean, log_abs_det
 from invdyn.models.missing import explained, gaussian_rows, times
+from invdyn.models.settled import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
 
@@ -258,7 +259,7 @@ def _ascend(
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
     scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
-    path = model.settled(path)
+    path = settled(model, path)
     here, linear = deviations(model, path, observations), None
     merit = log_joint(here)
     if not np.isfinite(merit).any():
@@ -268,7 +269,7 @@ def _ascend(
         linear = linear or linearise(model, path, observations, here, slopes)
         with np.errstate(over="ignore", invalid="ignore"):  # a step that is not finite reaches nothing, and is refused
             step = torch.as_tensor(mean_step(linear, damping, scale))
-        candidate = model.settled(path + step)
+        candidate = settled(model, path + step)
         there = deviations(model, candidate, observations)
         reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
         gain = reached - merit

@@ -23,9 +23,6 @@ from torch.distributions import constraints
 
 from invdyn.models.missing import observe, observed_log_prob
 
-SETTLING = 40
-"""Rows, at most, after which driven states have forgotten where they were."""
-
 
 class StateSpaceModel(ABC):
     """A hidden Markov model with a Gaussian-noise or general transition.
@@ -73,27 +70,7 @@ class StateSpaceModel(ABC):
         return self
 
     driven: slice | None = None
-    """States that the others drive by jumps, which no slope foretells: Gauss–Newton leaves them as they are settled."""
-
-    @torch.no_grad()
-    def settled(self, path: Tensor) -> Tensor:
-        """The path (..., T, D) with its ``driven`` states as the others make them; itself where there are none.
-
-        All rows at once are sent one row on, then those again that come after one that was changed, until nothing is:
-        what is driven forgets what was ``SETTLING`` rows before.
-        """
-        if self.driven is None:
-            return path
-        path, rows = path.clone(), torch.arange(1, path.shape[-2])
-        for _ in range(SETTLING):
-            moved = gaussian_mean(self.transition(path[..., rows - 1, :], rows))[..., self.driven]
-            off = (moved - path[..., rows, self.driven]).abs().movedim(-2, 0).flatten(1).amax(1)
-            path[..., rows, self.driven] = moved
-            rows = rows[~(off <= 1e-12)] + 1  # NaN, too, is a change
-            rows = rows[rows < path.shape[-2]]
-            if not len(rows):
-                break
-        return path
+    """States that the others drive by jumps, which no slope foretells; Gauss–Newton takes them :mod:`.settled`."""
 
     # -- parameters ----------------------------------------------------------------------------
     @property

@@ -208,29 +208,3 @@ def test_the_rotor_comes_out_of_the_link(arm, states):
         gap = torch.full((8, 1), 0.01, dtype=F64)
         tips = effect.tips({}, x[:, 2:4], torch.cat([gap, none], -1), body)
         torch.testing.assert_close(tips, ideal.dynamics.keypoints(x[:, 2:4], body))  # the link's angle is what is seen
-
-
-def swinging_rod(rows=300):
-    """A rod on a motor that turns around again and again: the load reverses."""
-    time = 0.01 * torch.arange(rows, dtype=F64)
-    return rod(rows, 0.01, command=(0.4 * torch.sin(8.0 * time) + 0.2 * torch.sin(5.0 * time)).unsqueeze(-1))
-
-
-def test_a_gap_is_where_the_motion_drives_it(having):
-    """Forgotten and settled again, ψ and ψ̇ are what they were, but for the rows before the first contact."""
-    model = having(swinging_rod(), Backlash("hinge"), width=0.02)
-    path = torch.as_tensor(np.c_[np.zeros(300), rolled(model, [0.01, 0.0], [0.0], [0.0])])
-    assert (path[:, 1] > 0.009).sum() > 30 < (path[:, 1] < -0.009).sum()
-    unknown = path.clone()
-    unknown[1:, model.driven] = 0.0
-    torch.testing.assert_close(model.settled(unknown), path, rtol=1e-9, atol=1e-12)
-    assert torch.equal(unknown[1:, model.driven], torch.zeros(299, 2, dtype=F64))
-    many = model.settled(unknown.expand(2, -1, -1))
-    torch.testing.assert_close(many[1], path, rtol=1e-9, atol=1e-12)
-
-
-def test_only_a_gap_is_driven(having):
-    springy = having(rod(20, STEP), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
-    path = torch.randn(20, springy.state_dim, dtype=F64)
-    assert springy.driven is None
-    assert springy.settled(path) is path
