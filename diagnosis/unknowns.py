@@ -17,7 +17,7 @@ from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
 FAR = 4.0
-FARTHER = {"HalfNormal": 8.0, "StudentT": 10.0}
+FARTHER = {"HalfNormal": 8.0, "Beta": 8.0, "StudentT": 10.0}
 """Prior standard deviations beyond which no parameter goes, and those of priors with more in their tails or one side
 alone. Where nothing fits, evidence would else pay any price: arms without mass under motors without torque explain
 whatever there is."""

@@ -15,6 +15,7 @@ from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import _at, _followed, refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
+from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -68,6 +69,15 @@ def test_stray_detections_are_counted():
     assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
     assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
     assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+
+
+@pytest.mark.parametrize("effect", [EFFECTS["outliers"](), EFFECTS["label_swap"]("elbow", "wrist")], ids=str)
+def test_a_tracker_may_be_wrong_one_time_in_three(effect):
+    """A bad one, but no wonder: larger shares are what is as large as anything may be."""
+    scale = random_arm(ARM, duration=1.0, fps=50).scale
+    (rate,) = (p for p in effect.parameters(scale) if p.name == "rate")
+    assert not at_far_end(rate, 0.3)
+    assert at_far_end(rate, 0.6)
 
 
 def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
