@@ -15,7 +15,7 @@ from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
-from invdyn.diagnosis.unknowns import FAR, FARTHER, centre, lower_bound, spread, unknowns, upper_bound
+from invdyn.diagnosis.unknowns import FARTHER, centre, lower_bound, spread, unknowns, upper_bound
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -238,7 +238,7 @@ def test_the_gaussian_of_a_prior():
     assert upper_bound(damping) == FARTHER["HalfNormal"] * spread(damping)
     assert spread(damping) == pytest.approx(float(damping.prior.scale))
     rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
-    assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FAR * spread(rate)))
+    assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FARTHER["Beta"] * spread(rate)))
     assert isinstance(scale.prior, LogNormal)
     assert spread(scale) == pytest.approx(float(scale.prior.stddev))
 
