@@ -22,7 +22,6 @@ from invdyn.inference.gauss_newton import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.hidden import HiddenHinge
-from invdyn.models.settled import settled
 from invdyn.models.state_space import gaussian_mean
 
 WINDOW = 0.1
@@ -172,8 +171,6 @@ def hypotheses(
         return (values[here] - before) / step
 
     g = torch.stack([column(f, f0, which) for which in pieces], -1)
-    if model.driven is not None:
-        g[:, model.driven] = 0.0
     d = torch.stack([column(h, h0, which) for which in pieces], -1)
     return found, Columns(g.numpy(), d.numpy())
 
@@ -220,12 +217,7 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
         return Columns(np.zeros((len(path) - 1, model.state_dim, 0)), np.zeros((len(path), model.observation_dim, 0)))
     many = among.set_in(model, sets)
     with torch.no_grad():
-        if model.driven is not None:
-            path = settled(many, path.expand(2 * p, -1, -1))
         f = gaussian_mean(many.transition(path[..., :-1, :], rows[1:])).expand(2 * p, len(rows) - 1, -1)
-        if model.driven is not None:
-            f = f.clone()
-            f[..., model.driven] = 0.0
         h = emission_mean(many, path, rows).expand(2 * p, len(rows), -1)
     width = torch.as_tensor(up - down).reshape(-1, 1, 1)
 

@@ -3,9 +3,7 @@
 Stray detections, exchanged labels, mistimed frames and noise that grows with speed change what an observation may
 be, not where it is expected. Their evidence is that of the data under the changed emission (:func:`.whiten.whiten`
 without any column), on a grid of their parameters first, and then by a simplex search of the logarithms from the
-best one on. The posterior's spread comes from the curvature there.
-
-What play changes hangs on when the gap is crossed, and no slope tells that: each width gets the path that it drives.
+best one on. The posterior's spread comes from the curvature there. Play is searched too (:mod:`.play`).
 """
 
 from collections.abc import Callable, Sequence

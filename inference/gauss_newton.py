@@ -31,6 +31,9 @@ from invdyn.models.missing import explained, gaussian_rows, times
 from invdyn.models.settled import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
+NUDGE = 1e-6
+"""Of every state, for slopes of a model with jumps."""
+
 
 @dataclass
 class Linearisation:
@@ -139,13 +142,20 @@ Slopes = tuple[Tensor, Tensor]
 
 
 def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
-    """Tangents of ``model`` along ``path`` (…, T, D)."""
+    """Slopes of ``model`` along ``path`` (…, T, D): tangents, or differences where it has ``driven`` states."""
     rows, dim = torch.arange(path.shape[-2]), path.shape[-1]
-    _, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
     _, H = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
     if model.driven is not None:
-        F[..., model.driven, :] = 0.0
+        return _differences(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :]), H
+    _, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
     return F, H
+
+
+@torch.no_grad()
+def _differences(function, x: Tensor) -> Tensor:
+    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by differences, which see what lies at a stop."""
+    nudges = NUDGE * torch.eye(x.shape[-1], dtype=x.dtype).reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
+    return ((function(x + nudges) - function(x)) / NUDGE).movedim(0, -1)
 
 
 def linearise(

@@ -41,18 +41,18 @@ class ArmRow:
             mean, slope = (row.to(state) for row in self.motors.row(t))
             start, change = start + mean - slope / 2, change + slope
 
-        def smooth(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None, Situation | None]:
-            return self._smooth(q, qd, start + s * change if s else start, body, clock, s * interval, dt / parts)
+        def smooth(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None, Situation | None]:
+            return self._smooth(q, qd, start + s * change, body, clock, s * interval, dt / parts)
 
         if self.effects.hinge:
             p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
 
             links, whole = hinge.chain(p, body), dynamics_for(joints + 1)
 
-            def net(q: Tensor, qd: Tensor, s: float) -> tuple[Tensor, Tensor | None]:
+            def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
                 return self._rubbed(*smooth(q, qd, s))
 
-            def pull(angles: Tensor, rates: Tensor, s: float) -> Tensor | float:
+            def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
                 if not self.effects.pulls:
                     return 0.0
                 here = self._now(

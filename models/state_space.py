@@ -70,7 +70,8 @@ class StateSpaceModel(ABC):
         return self
 
     driven: slice | None = None
-    """States that the others drive by jumps, which no slope foretells; Gauss–Newton takes them :mod:`.settled`."""
+    """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.settled`,
+    and all slopes by differences."""
 
     # -- parameters ----------------------------------------------------------------------------
     @property

@@ -24,9 +24,9 @@ from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join
 
-Net = Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor | None]]
+Net = Callable[[Tensor, Tensor, float | Tensor], tuple[Tensor, Tensor | None]]
 """(q, q̇, fraction of the step) → the torques on the joints and the joints' own inertias (or None), (..., K)."""
-Pull = Callable[[Tensor, Tensor, float], Tensor | float]
+Pull = Callable[[Tensor, Tensor, float | Tensor], Tensor | float]
 """(angles, rates, fraction of the step) → what forces on points of the arm do to the K + 1 hinges beyond those torques.
 
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""

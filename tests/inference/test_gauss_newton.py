@@ -13,6 +13,7 @@ from invdyn.inference import gauss_newton
 from invdyn.inference.gauss_newton import gauss_newton_path, jacobian, linearise, log_joint, slopes_along
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
+from invdyn.models.effects import EFFECTS
 
 F64 = torch.float64
 LENGTHS = (0.35, 0.3)
@@ -94,6 +95,31 @@ def test_jacobian():
     torch.testing.assert_close(value, function(x))
     expected = torch.cos(matrix @ x.unsqueeze(-1)) * matrix
     torch.testing.assert_close(slope, expected)
+
+
+def test_slopes_follow_what_is_driven_through_contacts():
+    """Play at the elbow: what a hair's difference in the first row becomes is the product of all rows' slopes."""
+    model = arm(60, 0.003, parameters={"torque.scale": 0.0}).with_effects(EFFECTS["backlash"]("joint1"))
+    model = model.replace(**{"effect.backlash.joint1.width": torch.tensor([0.05], dtype=F64)})
+
+    def rolled(first):
+        rows = [first]
+        for t in range(1, model.num_steps):
+            rows.append(model.transition_mean(rows[-1], t))
+        return torch.stack(rows, -2)
+
+    begun = torch.tensor([0.0, 0.0, -0.025, 0.0, 0.5, 1.2, 0.0, -2.0], dtype=F64)
+    hairs = 1e-7 * torch.eye(8, dtype=F64)[4:]
+    path = rolled(begun)
+    contacts = ((path[1:, 2].abs() == 0.025) != (path[:-1, 2].abs() == 0.025)).sum()
+    assert contacts > 6
+    F, _ = slopes_along(model, path)
+    moved = (rolled(begun + hairs) - path) / 1e-7
+    expected = hairs / 1e-7
+    for t in range(1, len(path)):
+        expected = expected @ F[t - 1].mT
+        off = (moved[:, t] - expected).abs().max()
+        assert off < 2e-3 * moved[:, t].abs().max(), t
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2, 0.1, 0.5])
