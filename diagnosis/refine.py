@@ -36,7 +36,7 @@ ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
 SHORTER = 25
-"""Steps, ever shorter ones, where none of those was a gain; half of it where each takes long, as with play."""
+"""Steps, ever shorter ones, where none of those was a gain."""
 
 LOST = 2.0
 """κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
@@ -85,10 +85,9 @@ def refine(
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
-        if (first or model.driven is not None) and torch.equal(path, before):
+        if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
-            tries = SHORTER if model.driven is None else SHORTER // 2
-            path = gauss_newton_path(quiet, setting.observations, path, tries, CLOSE)
+            path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
