@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.driven import driven
-from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
@@ -40,7 +39,7 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
     if not bool(far.any()):
         return path, False
     # What jumps has led the first path to where it is: it must not be what the second one starts from.
-    start = gauss_newton(loose, calm(setting.model.time, setting.observations, setting.starts)).path
+    start = gauss_newton(loose, setting.usual).path
     return gauss_newton(_heavy_tailed(loose), setting.observations, start=start).path, True
 
 

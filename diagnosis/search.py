@@ -35,7 +35,6 @@ from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, without
-from invdyn.diagnosis.jumps import calm
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led
@@ -125,7 +124,7 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
     def along_its_own() -> tuple[Tensor, Refined | None]:
-        usual = setting.observing(calm(setting.model.time, setting.observations, setting.starts)) if stray else setting
+        usual = setting.observing(setting.usual) if stray else setting
         aside = led(usual, setting.model, path, FIRM)
         return aside, attempt(refine, setting, (), {}, aside, FIRM)
 

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.at_rest import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.jumps import calm
+from invdyn.diagnosis.labels import relabelled
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.scalars import QUANTITIES
@@ -98,6 +99,11 @@ class Setting:
         """(T, O), NaN where missing."""
         return self.problem.observations
 
+    @cached_property
+    def usual(self) -> Tensor:
+        """(T, O) without what jumps, and with exchanged labels put right: where a first path begins."""
+        return _usual(self.model, self.observations, self.starts)
+
     @property
     def loose(self) -> float:
         """Size of the residual under which the data's own path is found."""
@@ -172,7 +178,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
-    usual = calm(problem.model.time, problem.observations, starts)
+    usual = _usual(problem.model, problem.observations, starts)
     model = _as_seen(problem, usual, regime)
     if regime == "commanded":
         model = model.driven_by(whole.model.time, whole.model.command)
@@ -183,6 +189,11 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model.substeps = sufficient_substeps(model, usual)
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
+
+
+def _usual(model: ArmModel, observations: Tensor, starts: Sequence[int]) -> Tensor:
+    """Observations (T, O) of the arm's own course: what else there is of them is NaN."""
+    return calm(model.time, relabelled(model, observations), starts)
 
 
 def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
