@@ -36,6 +36,8 @@ WIDER = 0.1
 """rad, of play that bends a path by so much that a narrower one may not lead to it."""
 STRIDE, NARROW, EVALUATIONS = 0.4, 4.0, 24
 """First step of the logarithm; nats that a step from the top may cost for a parabola to hold; evaluations at most."""
+ROUNDS = 4
+"""Of path and unknowns; where a stop of the joint moves with the width, two leave forty nats."""
 NEAR = 0.15
 """Of a logarithm: so near to the best width its path is where to begin; what leads to it may find another one."""
 LOST = -1e9
@@ -43,8 +45,14 @@ LOST = -1e9
 
 
 @dataclass
-class _Play:
-    """Play of a joint beside a base, at any width; and what has been found."""
+class Play:
+    """Play of a joint beside a base, at any width.
+
+    Attributes:
+        setting, base, effect: what is diagnosed, the cause that play joins, and play of one joint, bound.
+        parameter: its width, rad.
+        tried: cause by width; None where the simulation does not run.
+    """
 
     setting: Setting
     base: Refined
@@ -54,6 +62,7 @@ class _Play:
 
     @property
     def name(self) -> str:
+        """The width's, "backlash.elbow.width"."""
         return f"{self.effect.key}.{self.parameter.name}"
 
     @property
@@ -62,6 +71,7 @@ class _Play:
         return max((c for c in self.tried.values() if c is not None), key=lambda c: c.log_evidence, default=None)
 
     def model(self, width: float) -> ArmModel:
+        """The base's with play of a width, rad."""
         model = self.base.model.with_effects(self.effect)
         return model.replace(**{f"effect.{self.name}": torch.tensor([width], dtype=torch.float64)})
 
@@ -90,7 +100,7 @@ class _Play:
         else:
             path = led(self.setting, model, lifted(model, self.base.path), FIRM)
         values = nearest.values | {self.name: width}
-        return refine(self.setting, effects, values, path, FIRM, **self.base.searched, rounds=2)
+        return refine(self.setting, effects, values, path, FIRM, **self.base.searched, rounds=ROUNDS)
 
     def score(self, log_width: float) -> float:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
@@ -104,7 +114,7 @@ class _Play:
 def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
     """``base`` and play; None if nothing is gained, or if what was looked at first stays under ``enough`` nats."""
     (parameter,), points = grid(effect, setting.model.scale)
-    play, widths = _Play(setting, base, effect, parameter), [width for (width,) in points]
+    play, widths = Play(setting, base, effect, parameter), [width for (width,) in points]
     least = max(base.log_evidence + EARNED, enough)
     # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
     if base.complete and max(play.along_base(widths[1:4:2])) < least:

@@ -9,7 +9,7 @@ import torch
 from pendulum import PENDULUM, path_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.play import _Play, refine_play, summit
+from invdyn.diagnosis.play import Play, refine_play, summit
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
@@ -29,7 +29,7 @@ def loose_joint():
 
 
 def widths(here, none, play):
-    return _Play(here, none, play, play.parameters(here.model.scale)[0])
+    return Play(here, none, play, play.parameters(here.model.scale)[0])
 
 
 @cache
@@ -78,7 +78,7 @@ def test_wide_play_is_led_to():
     here, play = setting(recording, body), play.bound(body)
     none = refine(here, (), {}, data_path(here)[0], LOOSE)
     cause = refine_play(here, none, play)
-    known = _Play(here, none, play, play.parameters(here.model.scale)[0]).refined(0.16)
+    known = Play(here, none, play, play.parameters(here.model.scale)[0]).refined(0.16)
     assert known.complete
     assert cause.noise[name] == pytest.approx(0.16, rel=0.05)
     assert cause.log_evidence > known.log_evidence - 10
