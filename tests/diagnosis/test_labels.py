@@ -62,6 +62,8 @@ def test_what_is_right_stays_as_it_is(noise):
         right[30] = torch.nan
         right[40, :2] += 0.5  # astray, and no other keypoint's
         torch.testing.assert_close(relabelled(model, right), right, rtol=0, atol=0, equal_nan=True)
+    model, angles = seen(ARM, (), encoders=2)
+    torch.testing.assert_close(relabelled(model, angles), angles, rtol=0, atol=0)
 
 
 def test_a_picture_of_another_size_tells_nothing():
