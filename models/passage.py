@@ -29,7 +29,7 @@ class Passage(NamedTuple):
     h: Tensor
 
     def at(self, share: Tensor) -> tuple[Tensor, Tensor]:
-        """X and h ẋ at ``share`` = τ."""
+        """The motion x and its h ẋ at ``share`` = τ."""
         v0, a0, v1 = self.h * self.v0, self.h**2 * self.a0, self.h * self.v1
         off, turned = self.x1 - self.x0 - v0 - a0 / 2, v1 - v0 - a0
         third, fourth = 4 * off - turned, turned - 3 * off
@@ -37,7 +37,7 @@ class Passage(NamedTuple):
         return x, v0 + share * (a0 + share * (3 * third + 4 * share * fourth))
 
     def until(self, share: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
-        """X and ẋ at ``share`` = τ, but for ``where`` not: there at the end."""
+        """The motion x and its ẋ at ``share`` = τ, ``where`` asked for; at the end elsewhere."""
         x, moved = self.at(share)
         return torch.where(where, x, self.x1), torch.where(where, moved / torch.where(where, self.h, 1.0), self.v1)
 

@@ -69,8 +69,8 @@ def test_its_width_is_as_certain_as_its_evidence_is_sharp():
     assert top - (low + high) / 2 == pytest.approx(1.5**2 / 2, rel=0.3)
 
 
-def test_wide_play_is_led_to():
-    """Beside what bends the base's path, none of the grid's widths shows what the true one explains."""
+def test_wide_play_is_found_from_a_base_that_it_bends():
+    """Along the base's path none of the grid's widths shows what the true one explains."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
     play, name = EFFECTS["backlash"]("pivot"), "backlash.pivot.width"
     arm = random_arm(body, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True, seed=1)

@@ -99,7 +99,7 @@ def off(step):
 
 
 def test_contacts_within_rows_are_followed():
-    """Seven impacts and as many releases in 1.2 s, in one or two sub-steps a row: 1 mrad, .02 rad/s of 30."""
+    """Seven impacts in 1.2 s, and the stops let go between them, in two or three sub-steps a row."""
     _, rows, impacts = exact()
     assert len(impacts) >= 6
     assert np.abs(rows[:, 5]).max() > 20
