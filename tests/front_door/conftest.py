@@ -1,5 +1,8 @@
 """A posterior of the documented layout, made without inference, and a folder to call commands in."""
 
+import signal
+import subprocess
+
 import arviz as az
 import numpy as np
 import pytest
@@ -132,6 +135,24 @@ def run():
         return CliRunner().invoke(app, [str(argument) for argument in arguments], prog_name="invdyn")
 
     return run
+
+
+@pytest.fixture
+def started():
+    """Function of a command -> its process; it hears Ctrl-C, and what is left of it after the test is killed."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background may ignore it
+    processes = []
+
+    def started(*command, **options):
+        process = subprocess.Popen([str(word) for word in command], text=True, **options)
+        processes.append(process)
+        return process
+
+    yield started
+    signal.signal(signal.SIGINT, before)
+    for process in processes:
+        with process:
+            process.kill()
 
 
 @pytest.fixture(scope="session")

@@ -168,7 +168,7 @@ def test_interrupt_during_writing_leaves_no_half_file(folder, quick_inference, m
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
-def test_control_c_ends_the_program(folder, contents):
+def test_control_c_ends_the_program(folder, contents, started):
     script = (
         "import sys, time\n"
         "import invdyn.inference\n"
@@ -179,11 +179,10 @@ def test_control_c_ends_the_program(folder, contents):
         "app()\n"
     )
     before = contents(folder)
-    command = [sys.executable, "-c", script, *INFER]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "running\n"
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
+    process = started(sys.executable, "-c", script, *INFER, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout.readline() == "running\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
     assert errors.splitlines() == ["interrupted: what was not finished was not written"]
     assert contents(folder) == before

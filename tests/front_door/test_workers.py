@@ -79,14 +79,14 @@ def test_mpi_gives_the_same(simulated, run):
     assert torque("mpi.nc") == torque("alone.nc")
 
 
-def test_killed_and_resumed_is_the_same(simulated, run):
+def test_killed_and_resumed_is_the_same(simulated, run, started):
     pytest.importorskip("safetensors")
-    call = words(*INFER, "--filters", 12, "--checkpoint", "kept", "--out", "p.nc")
+    call = (*INFER, "--filters", 12, "--checkpoint", "kept", "--out", "p.nc")
     tasks = [Path(f"kept/smc/part-{k}/manifest.json") for k in range(6)]
-    with subprocess.Popen([*PROGRAM, *call], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        wait_until(lambda: tasks[0].exists() or process.poll() is not None)
-        process.kill()
-    assert process.returncode == -signal.SIGKILL
+    process = started(*PROGRAM, *call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_until(lambda: tasks[0].exists() or process.poll() is not None)
+    process.kill()
+    assert process.wait(30) == -signal.SIGKILL
     assert tasks[0].exists()
     assert not tasks[5].exists()
     assert not Path("p.nc").exists()
@@ -104,18 +104,17 @@ def test_killed_and_resumed_is_the_same(simulated, run):
     "stop",
     [pytest.param(signal.SIGINT, id="Ctrl-C"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.slow)],
 )
-def test_no_worker_is_left_behind(simulated, stop):
-    call = words(*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
-    with subprocess.Popen(
-        [*PROGRAM, *call], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        wait_until(lambda: any(Path("kept").glob("smc/part-*/manifest.json")) or process.poll() is not None)
-        assert len(session(process.pid)) >= 3
-        if stop == signal.SIGINT:
-            os.killpg(process.pid, stop)  # as a terminal sends it: to the workers too
-        else:
-            process.send_signal(stop)
-        _, errors = process.communicate(timeout=30)
+def test_no_worker_is_left_behind(simulated, started, stop):
+    call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = started(*PROGRAM, *call, start_new_session=True, **pipes)
+    wait_until(lambda: any(Path("kept").glob("smc/part-*/manifest.json")) or process.poll() is not None)
+    assert len(session(process.pid)) >= 3
+    if stop == signal.SIGINT:
+        os.killpg(process.pid, stop)  # as a terminal sends it: to the workers too
+    else:
+        process.send_signal(stop)
+    _, errors = process.communicate(timeout=30)
     wait_until(lambda: not session(process.pid), 20)
     if stop == signal.SIGINT:
         assert process.returncode == 130

@@ -3,7 +3,8 @@
 import os
 import signal
 import sys
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+import time
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -55,7 +56,14 @@ def pool():
     """Function of a number of workers -> a pool; their imports are shared, for speed."""
     context = get_context("forkserver")
     context.set_forkserver_preload(["invdyn.inference", "parts"])
-    return lambda workers: ProcessPoolExecutor(workers, context)
+
+    def pool(workers):
+        executor = ProcessPoolExecutor(workers, context)
+        # All workers before any work: Python's pool waits for ever for one that it starts while another dies.
+        wait([executor.submit(time.sleep, 0.2) for _ in range(workers)])
+        return executor
+
+    return pool
 
 
 @pytest.fixture(scope="module")
