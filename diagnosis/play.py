@@ -34,8 +34,9 @@ EARNED = 2.0
 """Nats that play must gain over its base to be looked at further."""
 WIDER = 0.1
 """rad, of play that bends a path by so much that a narrower one may not lead to it."""
-STRIDE, NARROW, EVALUATIONS = 0.4, 4.0, 24
-"""First step of the logarithm; nats that a step from the top may cost for a parabola to hold; evaluations at most."""
+STRIDE, FINEST, NARROW, EVALUATIONS = 0.4, 0.012, 4.0, 24
+"""First step of the logarithm, and the last: a path that stands alone among its neighbours leaves a spike at any step.
+Nats that a step from the top may cost for a parabola to hold; evaluations at most."""
 ROUNDS = 4
 """Of path and unknowns; where a stop of the joint moves with the width, two leave forty nats."""
 NEAR = 0.15
@@ -162,8 +163,8 @@ def summit(score: Callable[[float], float], start: float) -> tuple[float, float]
             continue
         curvature = max(2 * here - left - right, 1e-9)
         top, variance = x + np.clip(h * (right - left) / (2 * curvature), -h, h), h**2 / curvature
-        if curvature < 2 * NARROW or not spare:
+        if curvature < 2 * NARROW or h < FINEST or not spare:
             return float(top), float(min(variance, 1.0))
-        if at(top) > here:
+        if abs(top - x) > h / 10 and at(top) > here:
             x = top
         h = float(np.clip(1.5 * np.sqrt(variance), h / 5, h / 2))

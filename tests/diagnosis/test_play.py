@@ -107,6 +107,19 @@ def test_the_summit_of_what_falls_off_faster_on_one_side():
     assert summit(lambda x: -1e-3 * x**2, 0.0)[1] == 1.0
 
 
+def test_no_time_is_spent_on_a_path_that_stands_alone():
+    asked = []
+
+    def score(x):
+        asked.append(x)
+        return 7.0 if x == 0.0 else -0.5 * (x / 0.3) ** 2
+
+    top, variance = summit(score, 0.0)
+    assert abs(top) < 1e-6
+    assert variance < 0.005**2
+    assert len(set(asked)) < 15
+
+
 def test_where_a_simulation_does_not_run_there_is_no_summit():
     top, _ = summit(lambda x: -0.5 * (x / 0.05) ** 2 if x < 0.03 else -1e9, -0.6)
     assert -0.03 < top < 0.03
