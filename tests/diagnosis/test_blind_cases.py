@@ -65,7 +65,7 @@ def hasty(monkeypatch):
 
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
 def test_a_case_is_whole(kind, effect, tmp_path, hasty):
-    check(make_case(5, kind, effect), kind, tmp_path)
+    check(make_case(7, kind, effect), kind, tmp_path)
 
 
 @pytest.mark.slow
