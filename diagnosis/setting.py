@@ -78,7 +78,8 @@ class Setting:
     Attributes:
         problem: model with the residual torque at size one typical torque, and observations.
         regime: one of ``REGIMES``.
-        uncertain: the body's numbers that its file states an uncertainty or a prior of.
+        uncertain: the body's numbers that its file states an uncertainty or a prior of; where the torque is unknown,
+            lengths alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
     """
@@ -160,10 +161,12 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
+    # Where the torque is unknown, only its rough prior would tell of masses: it pulls them down as far as they may go.
+    told = ("length",) if regime == "unknown_torque" else QUANTITIES
     uncertain = tuple(
         Uncertain(quantity, k, prior.mean.item(), prior.stddev.item())
         for k, link in enumerate(body.with_uncertainty().links)
-        for quantity in QUANTITIES
+        for quantity in told
         if isinstance(prior := getattr(link, quantity), Distribution)
     )
     whole = arm_problem(recording, body, passive=passive, substeps=1)
