@@ -112,12 +112,12 @@ def test_no_time_is_spent_on_a_path_that_stands_alone():
 
     def score(x):
         asked.append(x)
-        return 7.0 if x == 0.0 else -0.5 * (x / 0.3) ** 2
+        return 7.0 if x == 0.0 else -0.5 * ((x - 0.1) / 0.3) ** 2
 
     top, variance = summit(score, 0.0)
-    assert abs(top) < 1e-6
+    assert abs(top) < 1e-4
     assert variance < 0.005**2
-    assert len(set(asked)) < 15
+    assert len(set(asked)) < 12
 
 
 def test_where_a_simulation_does_not_run_there_is_no_summit():
