@@ -12,15 +12,19 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import torch
+
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
-from invdyn.diagnosis.setting import NotEnoughData, setting
+from invdyn.diagnosis.setting import NotEnoughData, Setting, cannot_follow, setting
 from invdyn.diagnosis.shrinkage import Closed, closed, unseen
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.substeps import finely_stepped
@@ -58,7 +62,8 @@ def diagnose(
         workers: processes that may work side by side; this one is one of them.
         progress: called with (done, total, what).
 
-    Raises InputError when the recording does not fit the body, or the held-out one the recording. Too few frames are
+    Raises InputError when the recording does not fit the body, or the held-out one the recording, or when the
+    simulation runs away from the recording whatever torque is added. Too few frames are
     no error but an answer: :attr:`.Diagnosis.not_enough_data`.
     """
 
@@ -80,11 +85,9 @@ def diagnose(
             f"has, got {other.regime.replace('_', ' ')}: give both with torques, or hide those of both: --hide-torque"
         )
     report(1, "screen and refine")
-    path, stray = data_path(bound)
-    bound = finely_stepped(bound.shaped(path), path)
+    bound, found = _searched(bound, without, workers)
     if other is not None:
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
-    found = search(bound, path, stray, without, workers)
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
@@ -113,6 +116,19 @@ def diagnose(
     result = assembled(bound, found, weighed, shares, formula, seed, rows)
     report(5, "done")
     return result
+
+
+def _searched(bound: Setting, without: Sequence[str], workers: int) -> tuple[Setting, Search]:
+    """The setting in sub-steps short enough along the data's path, and the search from there."""
+    begun = attempt(data_path, bound)
+    if begun is None:
+        raise cannot_follow(bound)
+    path, stray = begun
+    try:
+        bound = finely_stepped(bound.shaped(path), path)
+        return bound, search(bound, path, stray, without, workers)
+    except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
+        raise cannot_follow(bound) from error
 
 
 def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:

@@ -1,4 +1,4 @@
-"""Relatives of what was found: effects that stand in for it exactly, those that contain it, and those it contains.
+"""Relatives of what was found: effects that stand in for it exactly, contain it or are part of it; its softer form.
 
 A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
 shift; and of effects that change a period alone (:mod:`.period`) it sees what a little of them does, not that much more
@@ -12,7 +12,7 @@ from torch import Tensor
 from invdyn.diagnosis import period
 from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import Search, imitable
-from invdyn.diagnosis.promising import HOPELESS, attempt
+from invdyn.diagnosis.promising import HOPELESS, attempt, softer
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
@@ -41,6 +41,7 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
                 _refine_twins(setting, found, cause, mine)
                 _refine_wider(setting, found, cause, mine)
                 _refine_narrower(setting, found, cause, mine)
+                _refine_softer(setting, found, cause, mine)
 
 
 def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -109,14 +110,23 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         _refine(setting, found, cause, mine, narrow, values, [cause.path])
 
 
+def _refine_softer(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine a cause that leaves something with the softer form of one of its effects; the better one stays."""
+    if cause.complete or mine.softened() is None or _followed(found, cause, mine, mine, " softer"):
+        return
+    refined = softer(setting, cause, mine)
+    if refined is not None:
+        found.add(refined)
+
+
 def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:
     """Key of a cause with another effect in place of one."""
     return key_of((*(e for e in cause.effects if e is not mine), other))
 
 
-def _followed(found: Search, cause: Refined, mine: Effect, other: Effect) -> bool:
-    """Whether the relative was refined from as good a cause before; from now on it was."""
-    key = _in_place(cause, mine, other)
+def _followed(found: Search, cause: Refined, mine: Effect, other: Effect, form: str = "") -> bool:
+    """Whether the relative, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
+    key = _in_place(cause, mine, other) + form
     if found.relatives.get(key, -np.inf) > cause.log_evidence - ALIKE:
         return True
     found.relatives[key] = cause.log_evidence

@@ -6,6 +6,9 @@ screen says, which errs, and if it gains a fair share of what the best one gains
 Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
 it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
 
+An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
+stand for what the ideal form lacks. So is, in :mod:`.kin`, one that leaves something.
+
 With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
 stay larger than the noise whatever it does.
 """
@@ -25,6 +28,8 @@ from invdyn.diagnosis.relocate import relocated
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.diagnosis.whiten import sizes
+from invdyn.models.effects.base import Effect
 
 T = TypeVar("T")
 
@@ -38,6 +43,9 @@ PAIR = 2
 
 DOUBT, SURE = 5.0, 2.0
 """Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
+
+SOFTENED = 0.01
+"""Size of the residual, at least, that a softer form is refined with first: it begins on the ideal one's path."""
 
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
@@ -146,6 +154,8 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
         values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
         effects = (*base.effects, each.effect)
         cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+        if cause is not None and not cause.plausible:
+            cause = softer(setting, cause, each.effect) or cause
         if cause is not None:
             refined.append(cause)
             if cause.complete:
@@ -159,6 +169,18 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
         )
         refined += [moved] if moved is not None else []
     return refined
+
+
+def softer(setting: Setting, cause: Refined, mine: Effect) -> Refined | None:
+    """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
+    form = mine.softened()
+    if form is None:
+        return None
+    effects = (*(e for e in cause.effects if e.key != mine.key), form)
+    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+    values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
+    size = max(float(sizes(setting.regime)[int(cause.by_size.argmax())]), SOFTENED)
+    return attempt(refine, setting, effects, values, cause.path, size, **cause.searched)
 
 
 def idle(screened: Sequence[Screened]) -> float:

@@ -54,13 +54,12 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.scan import scan
 from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
 from invdyn.diagnosis.searched import refine_searched
-from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.setting import Setting, cannot_follow
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
-from invdyn.recordings import InputError
 
 WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
@@ -133,10 +132,7 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
         starts.append(partial(attempt, along_its_own))
     none, *rest = side_by_side(starts, workers)
     if none is None or None in rest:
-        raise InputError(
-            f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque "
-            "of its own at each joint: check units, lengths and masses, or give a calmer stretch: --frames 0:500"
-        )
+        raise cannot_follow(setting)
     found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
     for found.aside, alone in rest:
         if alone is not None:

@@ -120,6 +120,8 @@ class Effect(ABC):
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""
+    soft: bool = False
+    """Whether it is the softer form of itself; see :meth:`softened`."""
 
     def __init__(self, *where: str):
         expected = {"arm": 0, "pair": 2, "keypoints": 2}.get(self.site, 1)
@@ -194,6 +196,17 @@ class Effect(ABC):
         """
         return True
 
+    def softened(self) -> Self | None:
+        """The same effect, at the same place and under the same key, without some idealisation; None if it has none.
+
+        With more parameters, it is looked for where the ideal form leaves something.
+        """
+        return None
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """Parameters with which the softer form is much like the ``ideal`` one with its, by name."""
+        return dict(ideal)
+
     # -- hooks ---------------------------------------------------------------------------------
     def body(self, p: Values, body: BodyParameters) -> BodyParameters:
         """The links' numbers, (..., K)."""
@@ -216,6 +229,10 @@ class Effect(ABC):
 
     def friction(self, p: Values, now: Situation) -> Tensor | None:
         """Largest dry friction at the effect's joint, (..., 1) N·m, or None; see :mod:`.dry_friction`."""
+        return None
+
+    def settling(self, p: Values) -> Tensor | None:
+        """Time constant with which dry friction brings its joint to rest, (..., 1) s; None for at once."""
         return None
 
     def inertia(self, p: Values, joints: int) -> Tensor | None:

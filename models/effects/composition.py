@@ -116,8 +116,14 @@ class Composition:
         def levels_at(q: Tensor, qd: Tensor) -> dict[int, Tensor]:
             return levels(replace(now, q=q, qd=qd))
 
+        settling: dict[int, Tensor] = {}
+        for effect, p in self._each(parameters):
+            time = effect.settling(p)
+            if time is not None:
+                joint = effect.place[0]
+                settling[joint] = torch.maximum(settling[joint], time) if joint in settling else time
         changing = held and self.has_changing_friction
-        return dry_friction(levels(now), now, torque, own, levels_at if changing else None)
+        return dry_friction(levels(now), now, torque, own, levels_at if changing else None, settling)
 
     def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
         """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""

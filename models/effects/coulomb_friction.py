@@ -5,21 +5,21 @@ from typing import ClassVar
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
+from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.rubbing import Rubbing
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 
-class CoulombFriction(Effect):
+class CoulombFriction(Rubbing):
     """Torque −τ_c sgn θ̇ at a joint, whatever its speed; a joint at rest sticks.
 
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
 
-    longest: ClassVar[float] = ABRUPT
     steady: ClassVar[bool] = True
 
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction torque τ_c, N·m."""
         return (Parameter("torque", "N·m", HalfNormal(0.2 * scale.torque[self.place[0]])),)
 

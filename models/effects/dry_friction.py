@@ -14,6 +14,10 @@ to the right speed, but not to the right place: that is off by
 
     A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
+Where friction is soft and settles a joint with a time constant T (:mod:`.rubbing`), it is −L above a speed
+hi = T (A L − a), +L below lo = −T (A L + a), and θ̇ falls as exp(−t/T) between them: at constant a all of a sub-step in
+closed form, its mean and where it leads; between two joints h / (1 − exp(−h/T)) takes the place of h.
+
 Levels that change with speed or load are those half a sub-step later, where the friction of the beginning leads
 (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of second order in h, not of first.
 """
@@ -26,6 +30,8 @@ from torch import Tensor
 from invdyn.models.effects.situation import Situation
 
 SWEEPS = 3
+AT_ONCE = 1e-6
+"""s: a shorter time constant is none."""
 
 
 def dry_friction(
@@ -34,14 +40,21 @@ def dry_friction(
     torque: Tensor,
     own: Tensor | None,
     levels_at: Callable[[Tensor, Tensor], Mapping[int, Tensor]] | None = None,
+    settling: Mapping[int, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Friction's mean over a sub-step (..., K), N·m; by how much q, rad, is off at its end under the mean; θ̈ under it.
 
     ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
-    change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None).
+    change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None); ``settling``
+    maps joints to T (..., 1), s, where friction is soft.
     """
     q, still = now.q, torch.zeros_like(now.q)
-    wanted = now.dynamics.forward(q, now.qd, torque, now.body, own) + now.qd / now.step
+    settling = {j: time.clamp_min(AT_ONCE) for j, time in (settling or {}).items()}
+    braking = now.qd / now.step
+    for j, time in settling.items():
+        v = now.qd[..., j : j + 1]
+        braking = braking + now.at(j, v / now.step * torch.expm1(-now.step / time).neg() - v / now.step)
+    wanted = now.dynamics.forward(q, now.qd, torque, now.body, own) + braking
     columns = {j: now.dynamics.response(q, now.at(j, still[..., :1] + 1), now.body, own) for j in levels}
     friction = _stopping(levels, wanted, columns) if len(levels) > 1 else dict.fromkeys(levels, still[..., :1])
     for j, f in friction.items():
@@ -49,15 +62,20 @@ def dry_friction(
     wanted = _swept(friction, levels, wanted, columns)
     if levels_at is not None:
         half = now.step / 2
-        levels = levels_at(q + half * now.qd, now.qd + half * (wanted - now.qd / now.step))
+        levels = levels_at(q + half * now.qd, now.qd + half * (wanted - braking))
         wanted = _swept(friction, levels, wanted, columns)
     moved = still
     under = wanted
     for j, level in levels.items():
-        mean, off = _through_stops(friction[j], level, wanted[..., j : j + 1], columns[j][..., j : j + 1], now, j)
+        mobility, v = columns[j][..., j : j + 1], now.qd[..., j : j + 1]
+        pushed = (wanted - braking)[..., j : j + 1] - mobility * friction[j]
+        if j in settling:
+            mean, off = _settled(level, pushed, mobility, settling[j], v, now.step)
+        else:
+            mean, off = _through_stops(friction[j], level, pushed, mobility, v, now.step)
         moved, under = moved + columns[j] * off, under + columns[j] * (mean - friction[j])
         friction[j] = mean
-    return sum((now.at(j, f) for j, f in friction.items()), start=still), moved, under - now.qd / now.step
+    return sum((now.at(j, f) for j, f in friction.items()), start=still), moved, under - braking
 
 
 def _swept(
@@ -74,11 +92,9 @@ def _swept(
 
 
 def _through_stops(
-    f: Tensor, level: Tensor, wanted: Tensor, mobility: Tensor, now: Situation, j: int
+    f: Tensor, level: Tensor, pushed: Tensor, mobility: Tensor, v: Tensor, step: Tensor
 ) -> tuple[Tensor, Tensor]:
     """A joint's mean friction (..., 1), and ∫ (h − t) (f − f̄) dt, N·m·s², where it comes to a stop within the step."""
-    v, step = now.qd[..., j : j + 1], now.step
-    pushed = wanted - v / step - mobility * f
     pace = mobility * level - pushed * v.sign()
     stops = (pace > 0) & (v.abs() < step * pace)
     turns = stops & (pushed * v < 0) & (pushed.abs() > mobility * level)
@@ -87,6 +103,36 @@ def _through_stops(
     f = torch.where(turns, v.sign() * level * (1 - 2 * time / step), f)
     late = torch.where(turns, -v.sign() * level * time, -v / (2 * mobility)) * (step - time)
     return f, torch.where(stops, late, torch.zeros_like(late))
+
+
+def _settled(
+    level: Tensor, pushed: Tensor, mobility: Tensor, time: Tensor, v: Tensor, step: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The same of a joint that friction settles with the time constant ``time``, pushed by a constant acceleration."""
+    most = mobility * level
+    hi, lo = time * (most - pushed), -time * (most + pushed)
+    # It slides, until it is as slow as friction can settle it;
+    side = (v > hi).to(v) - (v < lo).to(v)
+    rate = pushed - side * most
+    edge = torch.where(side > 0, hi, lo)
+    closing = (side != 0) & (-side * rate > 0)
+    slid = torch.where(closing, (edge - v) / torch.where(closing, rate, 1.0), torch.where(side == 0, 0.0, step))
+    slid = torch.minimum(slid, step + torch.zeros_like(slid))
+    v1 = v + slid * rate
+    # settles, until what pushes it takes it on;
+    leaves = (hi < 0) | (lo > 0)
+    out = torch.where(hi < 0, hi, lo)
+    ratio = torch.where(leaves & (slid < step), v1 / torch.where(leaves, out, 1.0), 1.0).clamp_min(1.0)
+    left = step - slid
+    soft = torch.where(leaves, torch.minimum(time * ratio.log(), left), left)
+    v2 = v1 * torch.exp(-soft / time)
+    # and slides on.
+    left = left - soft
+    onward = pushed - torch.where(hi < 0, most, -most)
+    v3 = v2 + left * torch.where(leaves, onward, 0.0)
+    mean = ((v3 - v) / step - pushed) / mobility
+    there = slid * (v + v1) / 2 + time * (v1 - v2) + left * (v2 + v3) / 2
+    return mean, (there - step * (v + v3) / 2) / mobility
 
 
 def _stopping(levels: Mapping[int, Tensor], wanted: Tensor, columns: Mapping[int, Tensor]) -> dict[int, Tensor]:

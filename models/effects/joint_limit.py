@@ -1,10 +1,12 @@
 """A stop of a joint: a spring and damper past an angle, which push and never pull."""
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
+import torch
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
@@ -20,6 +22,8 @@ TINY = 1e-12  # rad, of a joint at rest
 OVERDAMPED = 3.0
 """Damping ratio d / 2√(k I) from which on a stop would not push a joint back, but only slow it down on one side;
 stops that were found where there were some had .48 at most."""
+SOFTNESS = 0.3
+"""From which the search of a softer stop begins."""
 FREE, ROOM = 0.5, 0.1
 """Of the range that a joint has been seen in: what a stop leaves free at least, and what two leave between them. One
 that mostly presses is a spring, as two are that meet; stops that were found where there were some left .79 or more."""
@@ -28,7 +32,14 @@ that mostly presses is a spring, as two are that meet; stops that were found whe
 class JointLimit(Effect):
     """A stop at an angle, ``JointLimit("elbow", "upper")`` against larger angles, "lower" against smaller ones.
 
-    With the depth e = ±(θ − θ_lim) > 0 the torque is ∓max(0, k e ± d θ̇). As ``range`` in MuJoCo.
+    With the depth e = ±(θ − θ_lim) > 0 the torque is ∓max(0, k e ± d θ̇). As ``range`` in MuJoCo, whose solver of
+    contacts softens a stop that would take whatever presses the joint into it (Todorov 2014, "Convex and analytically
+    invertible dynamics with contacts and constraints"). With a the joint's acceleration but for the stop, A its
+    mobility and A_0 that of the arm stretched out, 1/(kg·m²), the softer form's torque is, with a ``softness`` R,
+
+        ∓max(0, (±a + A_0 (k e ± d θ̇)) / (A + A_0 R))
+
+    MuJoCo has, unless told otherwise, R = .05 to .11.
     """
 
     located = ("angle",)
@@ -58,7 +69,20 @@ class JointLimit(Effect):
             Parameter("angle", "rad", angle, None, self._angles(scale) or quantiles(angle, POINTS)),
             Parameter("stiffness", "N·m/rad", HalfNormal(12.0 * scale.torque[j])),
             Parameter("damping", "N·m·s/rad", HalfNormal(3.0 * scale.torque[j] / scale.speed[j])),
+            *((Parameter("softness", "1", HalfNormal(0.2), math.inf),) if self.soft else ()),
         )
+
+    def softened(self) -> Self | None:
+        """A stop that takes what presses the joint into it, with an unknown softness; None where it does already."""
+        if self.soft:
+            return None
+        other = copy.copy(self)
+        other.soft = True
+        return other
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """A steady torque τ presses it as deep: e = τ / k of the ideal form, τ R / k of the softer one."""
+        return {**ideal, "stiffness": ideal["stiffness"] * SOFTNESS, "softness": SOFTNESS}
 
     def _angles(self, scale: Scale) -> tuple[float, ...]:
         """Angles short of the farthest that has been seen, the closer to it the denser: a stop gives way a little."""
@@ -72,6 +96,8 @@ class JointLimit(Effect):
     def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
         """The parameters, and the side: 1 above the angle, −1 below it."""
         units = {"angle": "rad", "stiffness": "N·m/rad", "damping": "N·m·s/rad"}
+        if self.soft:
+            units["softness"] = "1"
         side = values["angle"].new_full(values["angle"].shape, self.sign)
         return {**{name: (values[name], unit) for name, unit in units.items()}, "side": (side, "1")}
 
@@ -94,6 +120,13 @@ class JointLimit(Effect):
         # At constant speed its sum over Runge–Kutta's stages is exact wherever within a sub-step the joint arrives.
         entered = (0.5 + depth / (speed.abs() * now.step + TINY)).clamp(0.0, 1.0)
         push = p["stiffness"] * depth.clamp_min(0.0) + p["damping"] * speed * entered
+        if self.soft:
+            free = self.sign * now.dynamics.forward(now.q, now.qd, now.motor, now.body)[..., j : j + 1]
+            unit = now.at(j, torch.ones_like(depth))
+            mobility, usual = (
+                now.dynamics.response(q, unit, now.body)[..., j : j + 1] for q in (now.q, torch.zeros_like(now.q))
+            )
+            push = (free * entered + usual * push) / (mobility + usual * p["softness"])
         return now.at(j, -self.sign * push.clamp_min(0.0))
 
 

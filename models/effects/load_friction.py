@@ -5,12 +5,13 @@ from typing import ClassVar
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
+from invdyn.models.effects.base import ABRUPT, Parameter, Values
+from invdyn.models.effects.rubbing import Rubbing
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 
-class LoadFriction(Effect):
+class LoadFriction(Rubbing):
     """Friction in proportion to what the gear carries: the motor on one side, the arm on the other.
 
     The arm exerts −(h + c), its gravity, Coriolis and centrifugal torques; a motor that holds it up, u = c, loads the
@@ -21,7 +22,7 @@ class LoadFriction(Effect):
     """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""
     scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
 
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction per load k, a pure number."""
         return (Parameter("coefficient", "1", HalfNormal(0.2)),)
 

@@ -7,21 +7,21 @@ import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import MARGIN, Parameter, Values, quantiles
+from invdyn.models.effects.rubbing import Rubbing
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(Rubbing):
     """Coulomb friction τ_c in motion, more of it, τ_s, when slow: below about ω_s.
 
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
 
-    longest: ClassVar[float] = ABRUPT
     contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction in motion τ_c and near rest τ_s, N·m; speed ω_s of the change, rad/s."""
         j = self.place[0]
         velocity = LogNormal(torch.tensor(0.35 * scale.speed[j]).log().item(), 0.6)

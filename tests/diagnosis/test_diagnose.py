@@ -3,10 +3,13 @@
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from pendulum import PENDULUM, recording_of
+import torch
+from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.setting import setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
@@ -47,6 +50,26 @@ def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
     times = 3
     with pytest.raises(InputError, match="cannot follow it"):
         diagnose(recording, PENDULUM)
+
+
+@pytest.mark.parametrize(("body", "times"), [(PENDULUM, 1e3), (ARM, 1e4)])
+def test_torques_in_other_units_are_told_before_anything_is_looked_for(body, times):
+    """The arm moves so fast that it could do with a thousand; ten times as many N·m are no other unit yet."""
+    recording = recording_of(body=body, rows=100)
+    with pytest.raises(InputError, match=r"expected torques in N·m.*check their unit"):
+        diagnose(replace(recording, torques=times * recording.torques), body)
+    assert setting(replace(recording, torques=10 * recording.torques), body).regime == "commanded"
+
+
+@pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError, torch.linalg.LinAlgError])
+def test_a_simulation_that_runs_away_is_told_in_one_line(monkeypatch, part, error):
+    def singular(*_, **__):
+        raise error("Singular matrix")
+
+    monkeypatch.setattr(sys.modules[diagnose.__module__], part, singular)
+    with pytest.raises(InputError, match=r"cannot follow it.*check units of torques"):
+        diagnose(recording_of(), PENDULUM)
 
 
 def test_what_is_named_is_not_said_to_be_hidden():

@@ -1,4 +1,4 @@
-"""Relatives of what was found: exact twins, wider effects from where they are the narrower one, and back."""
+"""Relatives of what was found: twins, wider effects from where they are the narrower one, and back; softer forms."""
 
 import sys
 from dataclasses import replace
@@ -44,8 +44,9 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     assert len(started) == 3 * tried
 
 
-def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one():
+def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
     truth = EFFECTS["stribeck_friction"]("pivot")
     bound = setting(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
     path, stray = data_path(bound)
@@ -59,10 +60,10 @@ def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one():
     cause = found.pool[truth.key]
     assert cause.complete
     assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
-    assert found.relatives == {truth.key: narrow.log_evidence}
+    assert found.relatives[truth.key] == narrow.log_evidence
     there = Search(considered(bound), {**pool, truth.key: cause}, [], path, stray)
     refine_kin(bound, there, 1)
-    assert not there.relatives
+    assert truth.key not in there.relatives
 
 
 def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
@@ -82,3 +83,29 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     arrived = Search(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
     refine_kin(bound, arrived, 1)
     assert not arrived.relatives
+
+
+def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
+    """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
+    ideal = EFFECTS["coulomb_friction"]("pivot")
+    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.03}
+    bound = setting(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
+    path, stray = data_path(bound)
+    none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
+    assert not hard.complete
+    found = Search(considered(bound), {"": none, hard.key: hard}, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.pool[ideal.key]
+    assert cause.complete
+    assert cause.effects[0].soft
+    assert cause.names == (f"{soft.key}.torque", f"{soft.key}.settling")
+    assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
+    assert cause.log_evidence > hard.log_evidence + 10
+    assert found.relatives[f"{ideal.key} softer"] == hard.log_evidence
+    # Followed once, and never from what is soft already or leaves nothing.
+    started = []
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
+    refine_kin(bound, Search([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
+    for other in (replace(cause, by_size=hard.by_size), replace(hard, by_size=cause.by_size)):
+        refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
+    assert not started

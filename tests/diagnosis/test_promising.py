@@ -9,7 +9,7 @@ from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import LOUD, Search, considered
-from invdyn.diagnosis.promising import HALF, refine_barred, refine_clearing, refine_every, refine_promising
+from invdyn.diagnosis.promising import HALF, SOFTENED, refine_barred, refine_clearing, refine_every, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -124,3 +124,44 @@ def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_
     refine_every(bound, found, none, screened)
     # By twos; what was refined before is not again, and what changes the motion the screen sees.
     assert tried == ["camera_roll", "camera_latency"] + ([] if explaining else ["clock_rate", "camera_scale"])
+
+
+@pytest.mark.parametrize("plausible", [True, False])
+def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch, plausible):
+    """A stop from values as deep, a friction from a short settling time; the others have no such form."""
+    bound = setting(recording_of(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    names = {"joint_limit": ["softness"], "coulomb_friction": ["settling"], "viscous_friction": []}
+    some = [e for e in considered(bound) if e.name in names and "lower" not in e.where]
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, some, common, common.mean)
+    screened = [replace(s, log_evidence=1e3 if s.effect else 0.0) for s in screened]
+    tried = {e.name: [] for e in some}
+
+    def refined_one(setting, effects, values, path, size, **given):
+        (effect,) = effects
+        tried[effect.name].append((effect.soft, values, size))
+        mine = {f"{effect.key}.{p.name}": 0.3 for p in effect.parameters(bound.model.scale)}
+        return replace(
+            none,
+            effects=effects,
+            names=tuple(mine),
+            mean=np.array(list(mine.values())),
+            plausible=plausible or effect.soft,
+        )
+
+    monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
+    found = Search(some, {"": none}, [], path, stray)
+    refine_promising(bound, found, none, screened, 9)
+    for effect in some:
+        softer = names[effect.name] if not plausible else []
+        assert [soft for soft, _, _ in tried[effect.name]] == [False] + [True] * len(softer)
+        if softer:
+            _, values, size = tried[effect.name][1]
+            ideal = {p.name: 0.3 for p in effect.parameters(bound.model.scale)}
+            expected = effect.softened().as_soft(ideal)
+            assert values == {f"{effect.key}.{name}": value for name, value in expected.items()}
+            assert list(expected) == [*ideal, *softer]
+            assert size >= SOFTENED
+        assert (effect.key in found.pool) == (plausible or bool(softer))

@@ -14,13 +14,18 @@ from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
-EVERY = pytest.mark.parametrize("name", EFFECTS)
+SOFTER = ("coulomb_friction", "stribeck_friction", "load_friction", "joint_limit")
+FORMS = (*EFFECTS, *(f"softer {name}" for name in SOFTER))
+EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
 UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m"}
 
 
 def at_all_places(name, model):
-    found = EFFECTS[name].everywhere(model.body, model.body.keypoint_names)
+    plain = name.removeprefix("softer ")
+    found = EFFECTS[plain].everywhere(model.body, model.body.keypoint_names)
+    if plain != name:
+        found = [effect.softened() for effect in found]
     several = name in ("joint_coupling", "label_swap")
     assert found or (several and model.body.num_joints == 1)
     return found
@@ -42,9 +47,8 @@ def drawn(model, seed=0, count=None):
 # -- what it says of itself ------------------------------------------------------------------------
 @EVERY
 def test_names_units_and_priors(name, arm):
-    kind = EFFECTS[name]
-    assert effect_name(kind) == name
-    assert kind.__module__.rpartition(".")[2] == name
+    kind = EFFECTS[name.removeprefix("softer ")]
+    assert effect_name(kind) == kind.__module__.rpartition(".")[2] == name.removeprefix("softer ")
     assert kind.side in ("dynamics", "observation")
     for joints in (1, 2, 3):
         for size, weight in ((1.0, 1.0), (0.05, 1e-3), (4.0, 40.0)):
@@ -103,7 +107,7 @@ def test_reports_have_units(name, arm):
 def test_places_are_checked(name, arm):
     model = arm(3)
     effect = one(name, model)
-    assert effect.key == ".".join([name, *effect.where])
+    assert effect.key == ".".join([effect.name, *effect.where])
     with pytest.raises(ValueError, match="twice"):
         model.with_effects(effect, effect)
     kind = type(effect)

@@ -1,0 +1,62 @@
+"""Dry friction whose joint does not come to rest at once: the ideal law, and its softer form.
+
+Ideal dry friction takes what speed there is in no time. Solvers of contact soften it, and so do gears: a joint is
+brought to rest with a time constant T, as far as friction's level L allows (Todorov 2014, "Convex and analytically
+invertible dynamics with contacts and constraints", regularised friction), with a its acceleration but for the friction
+and A its mobility, 1/(kg·m²),
+
+    f = −clip((a + θ̇/T) / A, ±L)
+
+so that friction changes sign a T before the motion does. T → 0 is the ideal law. MuJoCo's ``frictionloss``, unless told
+otherwise, has T = ½ · .95 · .02 s ≈ 10 ms.
+"""
+
+import copy
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+from pyro.distributions import HalfNormal
+from torch import Tensor
+
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation
+
+SETTLING = 0.01
+"""s, typical T of a friction that is soft."""
+
+
+class Rubbing(Effect):
+    """Base of dry frictions: a level, and in their softer form the time constant ``settling``."""
+
+    longest: ClassVar[float] = ABRUPT
+
+    def softened(self) -> Self | None:
+        """The same with T unknown; None where it is already."""
+        if self.soft:
+            return None
+        other = copy.copy(self)
+        other.soft = True
+        return other
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """A short T, which leads on to longer ones."""
+        return {**ideal, "settling": SETTLING / 2}
+
+    @abstractmethod
+    def levels(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Parameters of the ideal law."""
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Those of the ideal law; T, s, if it is soft."""
+        settling = Parameter("settling", "s", HalfNormal(SETTLING), None, (SETTLING / 2,))
+        return (*self.levels(scale), *((settling,) if self.soft else ()))
+
+    def settling(self, p: Values) -> Tensor | None:
+        """T, s."""
+        return p["settling"] if self.soft else None
+
+    @abstractmethod
+    def friction(self, p: Values, now: Situation) -> Tensor:
+        """The level L, N·m."""

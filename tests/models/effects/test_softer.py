@@ -1,0 +1,156 @@
+"""Softer dry friction and stops against fine integration, and against MuJoCo's own with its default options."""
+
+import numpy as np
+import pytest
+import torch
+from rod import F64, INERTIA, rod, rolled
+from scipy.integrate import solve_ivp
+
+from invdyn.models.effects import EFFECTS, CoulombFriction, JointLimit, ViscousFriction
+
+RATE = 1 / (0.95 * 0.02)  # 1/s, of MuJoCo's default reference: time constant 20 ms, impedance .95, damping ratio 1
+SETTLING = RATE**-1 / 2
+
+
+def in_mujoco(joint, q, qd, rows=100, step=0.01, gravity=-9.81):
+    """Angles (rows,) of the rod under gravity along y, in steps of 0.1 ms."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="radian"/><option gravity="0 {gravity} 0" timestep="1e-4"/><worldbody><body>'
+        f'<joint type="hinge" axis="0 0 1" {joint}/>'
+        '<inertial pos="0.15 0 0" mass="1.5" diaginertia="0.01125 0.01125 0.01125"/></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = q, qd
+    angles = []
+    for _ in range(rows):
+        angles.append(data.qpos[0])
+        for _ in range(round(step / 1e-4)):
+            mujoco.mj_step(model, data)
+    return np.array(angles)
+
+
+@pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])
+@pytest.mark.parametrize("settling", [0.0, 0.002, 0.01, 0.05])
+def test_a_rod_settles_and_turns_around_within_a_step(settling, step, having):
+    """Friction changes sign a settling time before the motion does: exact at a constant torque, whatever the step."""
+    level, push = 0.3, -1.1
+    command = torch.full((int(0.8 / step) + 2, 1), push, dtype=F64)
+    model = rod(rows=len(command), step=step, command=command)
+    values = {"torque": level, "settling": settling}
+    q, qd = rolled(having(model, CoulombFriction("hinge").softened(), **values), [0.0], [6.0])
+    if settling == 0.0:  # at once, as the ideal law has it
+        exact = rolled(having(model, CoulombFriction("hinge"), torque=level), [0.0], [6.0])
+    else:
+        time = step * np.arange(len(command))
+
+        def rate(_, x):
+            return [x[1], (push - np.clip(push + x[1] * INERTIA / settling, -level, level)) / INERTIA]
+
+        fine = {"rtol": 1e-10, "atol": 1e-12, "max_step": 1e-3, "method": "LSODA"}
+        exact = solve_ivp(rate, (0, time[-1]), [0.0, 6.0], t_eval=time, **fine).y[..., None]
+    near = 2e-5 if settling == 0.0 else 1e-9  # rad/s: a microsecond, the shortest time, at 20 rad/s²
+    assert qd == pytest.approx(exact[1], abs=near)
+    assert q == pytest.approx(exact[0], abs=near)
+
+
+def test_a_rod_at_rest_decays_to_where_friction_holds_it(having):
+    """Pushed by less than the friction, with the time constant alone."""
+    time, command = 0.01 * np.arange(30), torch.full((30, 1), 0.1, dtype=F64)
+    model = rod(rows=30, step=0.01, command=command)
+    _, qd = rolled(having(model, CoulombFriction("hinge").softened(), torque=2.0, settling=0.02), [0.0], [0.5])
+    assert qd[:, 0] == pytest.approx(0.5 * np.exp(-time / 0.02), abs=1e-12)
+
+
+def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
+    ends, kinds = {}, [CoulombFriction(f"joint{k}").softened() for k in range(2)]
+    command = np.tile([0.5, -0.2], (41, 1))
+    model = arm(2, rows=41, command=command).with_effects(*kinds)
+    values = {"torque": 0.4, "settling": 0.01}
+    model = model.replace(
+        **{f"effect.{e.key}.{n}": torch.tensor([v], dtype=F64) for e in kinds for n, v in values.items()}
+    )
+    for steps in (2, 4, 64):
+        model._abrupt = steps
+        ends[steps] = np.stack(rolled(model, [-1.4, 0.1], [1.0, -1.0]))
+    coarse, fine = (np.abs(ends[steps] - ends[64]).max() for steps in (2, 4))
+    assert coarse < 0.02
+    assert fine < 0.6 * coarse
+
+
+@pytest.mark.parametrize("level", [0.3, 0.8])
+def test_mujocos_default_friction_is_the_softer_one(level, having):
+    """A rod swings and comes to rest: ten times as near to it as under the ideal law, and nearer than 3 mrad."""
+    theirs = in_mujoco(f'frictionloss="{level}"', 0.5, 0.0, rows=150)
+    ideal = rod(rows=150, step=0.01, gravity=(0.0, -9.81))
+    mine, _ = rolled(having(ideal, CoulombFriction("hinge"), torque=level), [0.5], [0.0])
+    softer = having(ideal, CoulombFriction("hinge").softened(), torque=level, settling=SETTLING)
+    soft, _ = rolled(softer, [0.5], [0.0])
+    far, near = (np.abs(q[:, 0] - theirs).max() for q in (mine, soft))
+    assert near < 0.003
+    assert near < far / 10
+
+
+def test_mujocos_default_stop_is_the_softer_one(having):
+    """A rod falls onto it: within 1.5 mrad, which no spring and damper come to."""
+    theirs = in_mujoco('range="-9 0.1" limited="true"', -0.6, 2.0, gravity=9.81)
+    base = rod(rows=100, step=0.01, gravity=(0.0, 9.81))
+    soft = {"angle": 0.1, "stiffness": 0.95 * INERTIA * RATE**2, "damping": 2 * INERTIA * RATE, "softness": 0.05 / 0.95}
+    q, _ = rolled(having(base, JointLimit("hinge").softened(), **soft), [-0.6], [2.0])
+    assert theirs.max() > 0.15
+    assert q[:, 0] == pytest.approx(theirs, abs=1.5e-3)
+    for stiffness in (50.0, 100.0, 200.0, 400.0, 1600.0):
+        for damping in (1.0, 3.0, 5.0, 10.0):
+            ideal = having(base, JointLimit("hinge"), angle=0.1, stiffness=stiffness, damping=damping)
+            q, _ = rolled(ideal, [-0.6], [2.0])
+            assert np.abs(q[:, 0] - theirs).max() > 0.005
+
+
+@pytest.mark.parametrize(("side", "sign"), [("upper", 1.0), ("lower", -1.0)])
+def test_a_steady_torque_presses_a_softer_stop_in_by_its_softness(side, sign, having):
+    """e = R τ / k; that from which its search begins is as deep as the ideal one, τ / k."""
+    command = torch.full((301, 1), sign * 2.0, dtype=F64)
+    model, stop = rod(rows=301, command=command), JointLimit("hinge", side)
+    given = {"angle": sign * 0.5, "stiffness": 40.0, "damping": 2.0}
+    for effect, values, depth in (
+        (stop.softened(), {**given, "softness": 0.1}, 0.1 * 2.0 / 40.0),
+        (stop.softened(), stop.as_soft(given), 2.0 / 40.0),
+        (stop, given, 2.0 / 40.0),
+    ):
+        q, _ = rolled(having(model, effect, **values), [0.0], [0.0])
+        assert q[-1, 0] == pytest.approx(sign * (0.5 + depth), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_softer_form_is_the_same_effect_with_more_parameters(name, arm):
+    model = arm(2)
+    ideal = EFFECTS[name].everywhere(model.body, model.body.keypoint_names)[-1].bound(model.body)
+    soft = ideal.softened()
+    assert (soft is not None) == (name in ("coulomb_friction", "stribeck_friction", "load_friction", "joint_limit"))
+    if soft is None:
+        return
+    assert soft.soft
+    assert not ideal.soft
+    assert (soft.key, soft.place, soft.softened()) == (ideal.key, ideal.place, None)
+    mine, more = (e.parameters(model.scale) for e in (ideal, soft))
+    assert [p.name for p in more[: len(mine)]] == [p.name for p in mine]
+    assert len(more) == len(mine) + 1
+    start = soft.as_soft({p.name: 1.0 for p in mine})
+    assert list(start) == [p.name for p in more]
+
+
+def test_one_joint_settles_with_the_longer_of_two_times(arm, states):
+    """Two soft frictions at one joint are one, of the sum of their levels."""
+    kinds = [EFFECTS[name]("joint1").softened() for name in ("coulomb_friction", "stribeck_friction")]
+    model = arm(2).with_effects(ViscousFriction("joint0"), *kinds)
+    one = arm(2).with_effects(kinds[0])
+    given = {"coulomb": 0.2, "static": 0.2, "velocity": 1.0}
+    values = {f"{kinds[1].key}.{name}": value for name, value in given.items()}
+    values |= {f"{kinds[0].key}.torque": 0.1, f"{kinds[0].key}.settling": 0.02, f"{kinds[1].key}.settling": 0.005}
+    model = model.replace(**{f"effect.{key}": torch.tensor([v], dtype=F64) for key, v in values.items()})
+    together = {f"effect.{kinds[0].key}.torque": 0.1 + 0.2, f"effect.{kinds[0].key}.settling": 0.02}
+    one = one.replace(**{key: torch.tensor([v], dtype=F64) for key, v in together.items()})
+    x, rows = states(one, 12), torch.arange(1, 12)
+    x[..., -1] *= 0.05
+    one._abrupt = model._abrupt
+    torch.testing.assert_close(model.transition_mean(x[:-1], rows), one.transition_mean(x[:-1], rows))
