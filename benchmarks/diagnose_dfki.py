@@ -99,8 +99,10 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
         if kind.side == "observation" or issubclass(kind, HiddenHinge):
             continue
         part = kind(*(each[k] for k in ("joint", "link", "partner") if each.get(k)))
-        parts.append(part)
         means = {name: p["mean"] for name, p in each["parameters"].items()}
+        if {"settling", "softness"} & means.keys():
+            part = part.softened()
+        parts.append(part)
         if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
             size, phase = means.pop("amplitude"), means.pop("phase")
             means |= {"sine": size * np.cos(phase), "cosine": size * np.sin(phase)}

@@ -120,11 +120,8 @@ def diagnose(
 
 def _searched(bound: Setting, without: Sequence[str], workers: int) -> tuple[Setting, Search]:
     """The setting in sub-steps short enough along the data's path, and the search from there."""
-    begun = attempt(data_path, bound)
-    if begun is None:
-        raise cannot_follow(bound)
-    path, stray = begun
     try:
+        path, stray = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
         return bound, search(bound, path, stray, without, workers)
     except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:

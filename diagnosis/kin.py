@@ -112,7 +112,7 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
 
 def _refine_softer(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
     """Refine a cause that leaves something with the softer form of one of its effects; the better one stays."""
-    if cause.complete or mine.softened() is None or _followed(found, cause, mine, mine, " softer"):
+    if cause.complete or mine.softened() is None or _followed(found, cause, mine, mine, f" softer {mine.key}"):
         return
     refined = softer(setting, cause, mine)
     if refined is not None:

@@ -45,7 +45,7 @@ DOUBT, SURE = 5.0, 2.0
 """Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
 
 SOFTENED = 0.01
-"""Size of the residual, at least, that a softer form is refined with first: it begins on the ideal one's path."""
+"""Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
 
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
@@ -154,8 +154,8 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
         values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
         effects = (*base.effects, each.effect)
         cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
-        if cause is not None and not cause.plausible:
-            cause = softer(setting, cause, each.effect) or cause
+        if cause is not None and not cause.plausible and cause.log_evidence > limits.get("enough", -np.inf):
+            cause = softer(setting, cause, each.effect, **limits) or cause
         if cause is not None:
             refined.append(cause)
             if cause.complete:
@@ -171,7 +171,7 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
     return refined
 
 
-def softer(setting: Setting, cause: Refined, mine: Effect) -> Refined | None:
+def softer(setting: Setting, cause: Refined, mine: Effect, **limits: float) -> Refined | None:
     """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
     form = mine.softened()
     if form is None:
@@ -180,7 +180,7 @@ def softer(setting: Setting, cause: Refined, mine: Effect) -> Refined | None:
     ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
     values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
     size = max(float(sizes(setting.regime)[int(cause.by_size.argmax())]), SOFTENED)
-    return attempt(refine, setting, effects, values, cause.path, size, **cause.searched)
+    return attempt(refine, setting, effects, values, cause.path, size, **cause.searched, **limits)
 
 
 def idle(screened: Sequence[Screened]) -> float:

@@ -231,8 +231,10 @@ class Effect(ABC):
         """Largest dry friction at the effect's joint, (..., 1) N·m, or None; see :mod:`.dry_friction`."""
         return None
 
-    def settling(self, p: Values) -> Tensor | None:
-        """Time constant with which dry friction brings its joint to rest, (..., 1) s; None for at once."""
+    def settling(self, p: Values) -> tuple[Tensor, Tensor] | None:
+        """Time constant with which dry friction brings its joint to rest, and times what pushes it, the speed that it
+        creeps with, (..., 1) s each; None for at once, and for good.
+        """
         return None
 
     def inertia(self, p: Values, joints: int) -> Tensor | None:

@@ -32,6 +32,7 @@ class Composition:
             raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
+        self.soft = any(effect.soft for effect in effects)
         self.pulls = any(effect.pulls for effect in effects)
         self.longest = min((effect.longest for effect in effects), default=math.inf)
         self.abrupt = self.longest < math.inf
@@ -81,9 +82,13 @@ class Composition:
         return reduce(torch.maximum, shares)
 
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
-        """Sum of the generalised forces, (..., K) N·m."""
-        forces = [effect.force(p, now) for effect, p in self._each(parameters)]
-        return sum((force for force in forces if force is not None), start=torch.zeros_like(now.q))
+        """Sum of the generalised forces, (..., K) N·m; softer stops take what all other forces press into them."""
+        total = torch.zeros_like(now.q)
+        for soft in (False, True) if self.soft else (False,):
+            pressed = replace(now, motor=now.motor + total) if soft else now
+            forces = [effect.force(p, pressed) for effect, p in self._each(parameters) if effect.soft == soft]
+            total = sum((force for force in forces if force is not None), start=total)
+        return total
 
     def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Of these forces those on points of the links."""
@@ -116,14 +121,15 @@ class Composition:
         def levels_at(q: Tensor, qd: Tensor) -> dict[int, Tensor]:
             return levels(replace(now, q=q, qd=qd))
 
-        settling: dict[int, Tensor] = {}
+        settling: dict[int, tuple[Tensor, Tensor]] = {}
         for effect, p in self._each(parameters):
-            time = effect.settling(p)
-            if time is not None:
+            times = effect.settling(p)
+            if times is not None:
                 joint = effect.place[0]
-                settling[joint] = torch.maximum(settling[joint], time) if joint in settling else time
+                pairs = zip(settling.get(joint, times), times, strict=True)
+                settling[joint] = tuple(torch.maximum(one, other) for one, other in pairs)
         changing = held and self.has_changing_friction
-        return dry_friction(levels(now), now, torque, own, levels_at if changing else None, settling)
+        return dry_friction(levels(now), now, torque, own, levels_at if changing else None, settling, held)
 
     def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
         """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""

@@ -14,12 +14,14 @@ to the right speed, but not to the right place: that is off by
 
     A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
-Where friction is soft and settles a joint with a time constant T (:mod:`.rubbing`), it is −L above a speed
-hi = T (A L − a), +L below lo = −T (A L + a), and θ̇ falls as exp(−t/T) between them: at constant a all of a sub-step in
-closed form, its mean and where it leads; between two joints h / (1 − exp(−h/T)) takes the place of h.
+Where friction is soft and settles a joint with a time constant T, but lets it creep with a speed a ρ (:mod:`.rubbing`:
+its T (1 + R) and R T), w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a), above which it is −L and
+below +L: at constant a all of a sub-step in closed form, its mean and where it leads. Between two joints w and
+h / (1 − exp(−h/T)) take the places of θ̇ and h.
 
-Levels that change with speed or load are those half a sub-step later, where the friction of the beginning leads
-(midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of second order in h, not of first.
+Levels that change with speed or load, and what soft friction settles against, are those half a sub-step later, where
+the friction of the beginning leads (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of
+second order in h, not of first.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,37 +42,44 @@ def dry_friction(
     torque: Tensor,
     own: Tensor | None,
     levels_at: Callable[[Tensor, Tensor], Mapping[int, Tensor]] | None = None,
-    settling: Mapping[int, Tensor] | None = None,
+    settling: Mapping[int, tuple[Tensor, Tensor]] | None = None,
+    held: bool = False,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Friction's mean over a sub-step (..., K), N·m; by how much q, rad, is off at its end under the mean; θ̈ under it.
 
     ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
     change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None); ``settling``
-    maps joints to T (..., 1), s, where friction is soft.
+    maps joints to T and ρ (..., 1), s, where friction is soft; ``held``: over the sub-step, not at its beginning alone.
     """
     q, still = now.q, torch.zeros_like(now.q)
-    settling = {j: time.clamp_min(AT_ONCE) for j, time in (settling or {}).items()}
+    free = now.dynamics.forward(q, now.qd, torque, now.body, own)
     braking = now.qd / now.step
-    for j, time in settling.items():
+    settling = {j: (time.clamp_min(AT_ONCE), creep) for j, (time, creep) in (settling or {}).items()}
+    for j, (time, creep) in settling.items():
         v = now.qd[..., j : j + 1]
-        braking = braking + now.at(j, v / now.step * torch.expm1(-now.step / time).neg() - v / now.step)
-    wanted = now.dynamics.forward(q, now.qd, torque, now.body, own) + braking
+        settled = (v - free[..., j : j + 1] * creep) * torch.expm1(-now.step / time).neg()
+        braking = braking + now.at(j, (settled - v) / now.step)
+    wanted = free + braking
     columns = {j: now.dynamics.response(q, now.at(j, still[..., :1] + 1), now.body, own) for j in levels}
     friction = _stopping(levels, wanted, columns) if len(levels) > 1 else dict.fromkeys(levels, still[..., :1])
     for j, f in friction.items():
         wanted = wanted + columns[j] * f
     wanted = _swept(friction, levels, wanted, columns)
+    half = now.step / 2
+    there = q + half * now.qd, now.qd + half * (wanted - braking)
     if levels_at is not None:
-        half = now.step / 2
-        levels = levels_at(q + half * now.qd, now.qd + half * (wanted - braking))
+        levels = levels_at(*there)
         wanted = _swept(friction, levels, wanted, columns)
+    gained = now.dynamics.forward(*there, torque, now.body, own) - free if held and settling else still
     moved = still
     under = wanted
     for j, level in levels.items():
         mobility, v = columns[j][..., j : j + 1], now.qd[..., j : j + 1]
         pushed = (wanted - braking)[..., j : j + 1] - mobility * friction[j]
         if j in settling:
-            mean, off = _settled(level, pushed, mobility, settling[j], v, now.step)
+            time, creep = settling[j]
+            pushed = pushed + gained[..., j : j + 1]
+            mean, off = _settled(level, pushed, mobility, time, v - pushed * creep, now.step)
         else:
             mean, off = _through_stops(friction[j], level, pushed, mobility, v, now.step)
         moved, under = moved + columns[j] * off, under + columns[j] * (mean - friction[j])
@@ -108,7 +117,7 @@ def _through_stops(
 def _settled(
     level: Tensor, pushed: Tensor, mobility: Tensor, time: Tensor, v: Tensor, step: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The same of a joint that friction settles with the time constant ``time``, pushed by a constant acceleration."""
+    """The same of a joint that is ``v`` faster than it creeps, pushed by a constant acceleration."""
     most = mobility * level
     hi, lo = time * (most - pushed), -time * (most + pushed)
     # It slides, until it is as slow as friction can settle it;

@@ -24,6 +24,8 @@ OVERDAMPED = 3.0
 stops that were found where there were some had .48 at most."""
 SOFTNESS = 0.3
 """From which the search of a softer stop begins."""
+RIGID = 1500.0
+"""1/s², typical stiffness of a softer stop over the joint's inertia, critically damped; MuJoCo's default has 2,630."""
 FREE, ROOM = 0.5, 0.1
 """Of the range that a joint has been seen in: what a stop leaves free at least, and what two leave between them. One
 that mostly presses is a spring, as two are that meet; stops that were found where there were some left .79 or more."""
@@ -34,12 +36,13 @@ class JointLimit(Effect):
 
     With the depth e = ±(θ − θ_lim) > 0 the torque is ∓max(0, k e ± d θ̇). As ``range`` in MuJoCo, whose solver of
     contacts softens a stop that would take whatever presses the joint into it (Todorov 2014, "Convex and analytically
-    invertible dynamics with contacts and constraints"). With a the joint's acceleration but for the stop, A its
-    mobility and A_0 that of the arm stretched out, 1/(kg·m²), the softer form's torque is, with a ``softness`` R,
+    invertible dynamics with contacts and constraints"). With a the joint's acceleration but for stops and dry
+    friction, A its mobility and A_0 that of the arm stretched out, 1/(kg·m²), the softer form's torque is, with a
+    ``softness`` R,
 
         ∓max(0, (±a + A_0 (k e ± d θ̇)) / (A + A_0 R))
 
-    MuJoCo has, unless told otherwise, R = .05 to .11.
+    so that a steady torque τ presses it in by R τ / k. MuJoCo has, unless told otherwise, R = .05 to .11.
     """
 
     located = ("angle",)
@@ -65,10 +68,14 @@ class JointLimit(Effect):
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""
         j = self.place[0]
         angle = Normal(0.0, 1.8)
+        stiffness, damping = 12.0 * scale.torque[j], 3.0 * scale.torque[j] / scale.speed[j]
+        if self.soft:  # those that solvers choose follow the inertia alone
+            stiffness = max(stiffness, RIGID * scale.inertia[j])
+            damping = max(damping, 2 * RIGID**0.5 * scale.inertia[j])
         return (
             Parameter("angle", "rad", angle, None, self._angles(scale) or quantiles(angle, POINTS)),
-            Parameter("stiffness", "N·m/rad", HalfNormal(12.0 * scale.torque[j])),
-            Parameter("damping", "N·m·s/rad", HalfNormal(3.0 * scale.torque[j] / scale.speed[j])),
+            Parameter("stiffness", "N·m/rad", HalfNormal(stiffness)),
+            Parameter("damping", "N·m·s/rad", HalfNormal(damping)),
             *((Parameter("softness", "1", HalfNormal(0.2), math.inf),) if self.soft else ()),
         )
 

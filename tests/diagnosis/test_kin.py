@@ -88,7 +88,7 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
-    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.03}
+    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.03, "creep": 0.1}
     bound = setting(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
@@ -98,10 +98,10 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     cause = found.pool[ideal.key]
     assert cause.complete
     assert cause.effects[0].soft
-    assert cause.names == (f"{soft.key}.torque", f"{soft.key}.settling")
+    assert cause.names == tuple(f"{soft.key}.{name}" for name in given)
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
     assert cause.log_evidence > hard.log_evidence + 10
-    assert found.relatives[f"{ideal.key} softer"] == hard.log_evidence
+    assert found.relatives[f"{ideal.key} softer {ideal.key}"] == hard.log_evidence
     # Followed once, and never from what is soft already or leaves nothing.
     started = []
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
@@ -109,3 +109,21 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     for other in (replace(cause, by_size=hard.by_size), replace(hard, by_size=cause.by_size)):
         refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
+
+
+def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
+    bound = setting(recording_of(body=ARM), ARM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    both = tuple(e for e in considered(bound) if e.name == "coulomb_friction")
+    names = tuple(f"{effect.key}.torque" for effect in both)
+    left = np.where(np.arange(len(none.by_size)) == 1, 0.0, -1e3)
+    cause = replace(none, effects=both, names=names, mean=np.array([0.1, 0.2]), by_size=left)
+    room, tried = sys.modules[refine_kin.__module__], []
+    monkeypatch.setattr(room, "refine", lambda *_, **__: None)
+    monkeypatch.setattr(room, "softer", lambda _, cause, mine: tried.append(mine.key))
+    found = Search(considered(bound), {"": none, cause.key: cause}, [], path, stray)
+    for _ in range(2):
+        refine_kin(bound, found, 2)
+    assert tried == [effect.key for effect in both]
+    assert len(both) == 2

@@ -132,7 +132,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
     bound = setting(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
-    names = {"joint_limit": ["softness"], "coulomb_friction": ["settling"], "viscous_friction": []}
+    names = {"joint_limit": ["softness"], "coulomb_friction": ["settling", "creep"], "viscous_friction": []}
     some = [e for e in considered(bound) if e.name in names and "lower" not in e.where]
     common = unknowns(bound, ())
     screened = screen(bound, bound.model, path, some, common, common.mean)
@@ -156,7 +156,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
     refine_promising(bound, found, none, screened, 9)
     for effect in some:
         softer = names[effect.name] if not plausible else []
-        assert [soft for soft, _, _ in tried[effect.name]] == [False] + [True] * len(softer)
+        assert [soft for soft, _, _ in tried[effect.name]] == [False] + [True] * bool(softer)
         if softer:
             _, values, size = tried[effect.name][1]
             ideal = {p.name: 0.3 for p in effect.parameters(bound.model.scale)}
