@@ -116,7 +116,7 @@ def _cause(cause: Cause, best: float) -> dict:
         "words": cause_words(cause),
         "probability": cause.probability if known(cause.probability) else 0.0,
         "percent": percent(cause.probability),
-        "meanings": [m for f in cause.effects if (m := meaning(f.effect))],
+        "meanings": [m for f in cause.effects if (m := meaning(f))],
         "spread": "90 % interval",
         "parameters": [
             {

@@ -45,6 +45,12 @@ EFFECTS = {
 }
 """Name → in a sentence, and what it is."""
 
+SOFTER = {
+    "settling": "softer than the ideal law, it takes a moment to bring the joint to rest and lets it creep",
+    "softness": "softer than a spring, it gives way to whatever presses the joint into it",
+}
+"""A parameter of an effect's softer form → what that is."""
+
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
 SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "camera’s view"}
 
@@ -60,9 +66,12 @@ def effect_words(effect: str) -> str:
     return EFFECTS[effect][0] if effect in EFFECTS else effect.replace("_", " ")
 
 
-def meaning(effect: str) -> str | None:
-    """What an effect is; None for one of the user's own."""
-    return EFFECTS[effect][1] if effect in EFFECTS else None
+def meaning(finding: Finding) -> str | None:
+    """What an effect is, in its softer form too; None for one of the user's own."""
+    if finding.effect not in EFFECTS:
+        return None
+    softer = [text for name, text in SOFTER.items() if name in finding.parameters]
+    return "; ".join([EFFECTS[finding.effect][1], *softer])
 
 
 def place_words(kind: str, name: str) -> str:

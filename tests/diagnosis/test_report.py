@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from reported import (
     HOSTILE,
     KINDS,
@@ -34,10 +35,13 @@ from invdyn.diagnosis.report.sentences import kind, verdict
 from invdyn.diagnosis.result import (
     Cause,
     Estimate,
+    Finding,
     Interval,
     Shrinkage,
 )
+from invdyn.models import Body, Link
 from invdyn.models.effects.catalogue import EFFECTS
+from invdyn.models.effects.scale import Scale
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -176,6 +180,20 @@ def test_lines_break_where_nothing_is_known_and_keep_their_spikes():
 
 def test_every_effect_of_the_catalogue_has_words():
     assert set(words.EFFECTS) == set(EFFECTS)
+
+
+def test_a_softer_form_is_said_to_be_one():
+    """By a parameter that the ideal form lacks."""
+    arm = Body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
+    scale = Scale(arm.parameters(), torch.arange(9.0))
+    for each in EFFECTS.values():
+        ideal = each.everywhere(arm, arm.keypoint_names)[0].bound(arm)
+        for effect in (ideal, ideal.softened()):
+            if effect is not None:
+                named = {p.name: Estimate(1.0, 0.1, (0.9, 1.1), p.unit) for p in effect.parameters(scale)}
+                told = words.meaning(Finding(effect.name, effect.side, {}, named))
+                assert ("softer than" in told) == effect.soft
+    assert words.meaning(Finding("my_own", "dynamics", {}, {})) is None
 
 
 @pytest.mark.parametrize(
