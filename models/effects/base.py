@@ -108,6 +108,8 @@ class Effect(ABC):
 
     longest: ClassVar[float] = math.inf
     """s, longest sub-step, where its force jumps within a motion, as dry friction's where a joint turns around."""
+    softens: ClassVar[bool] = False
+    """Whether it has a softer form, with more parameters."""
     steady: ClassVar[bool] = False
     """Whether its dry friction, where it has any, is the same at all speeds and loads."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}
@@ -201,7 +203,11 @@ class Effect(ABC):
 
         With more parameters, it is looked for where the ideal form leaves something.
         """
-        return None
+        if self.soft or not self.softens:
+            return None
+        other = copy.copy(self)
+        other.soft = True
+        return other
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """Parameters with which the softer form is much like the ``ideal`` one with its, by name."""

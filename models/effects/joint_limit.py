@@ -1,6 +1,5 @@
 """A stop of a joint: a spring and damper past an angle, which push and never pull."""
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
@@ -63,6 +62,7 @@ class JointLimit(Effect):
         return [cls(joint, side) for joint in body.joint_names for side in SIDES]
 
     longest: ClassVar[float] = ABRUPT
+    softens: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""
@@ -78,14 +78,6 @@ class JointLimit(Effect):
             Parameter("damping", "N·m·s/rad", HalfNormal(damping)),
             *((Parameter("softness", "1", HalfNormal(0.2), math.inf),) if self.soft else ()),
         )
-
-    def softened(self) -> Self | None:
-        """A stop that takes what presses the joint into it, with an unknown softness; None where it does already."""
-        if self.soft:
-            return None
-        other = copy.copy(self)
-        other.soft = True
-        return other
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """A steady torque τ presses it as deep: e = τ / k of the ideal form, τ R / k of the softer one."""

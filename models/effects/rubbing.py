@@ -11,10 +11,9 @@ so that friction changes sign about a T before the motion does, and a joint that
 the ideal law. MuJoCo's ``frictionloss``, unless told otherwise, has T = ½ · .95 · .02 s ≈ 10 ms and R = .1/.9.
 """
 
-import copy
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from pyro.distributions import HalfNormal
 from torch import Tensor
@@ -33,14 +32,7 @@ class Rubbing(Effect):
     """Base of dry frictions: a level, and in their softer form the time constant ``settling`` and ``creep``."""
 
     longest: ClassVar[float] = ABRUPT
-
-    def softened(self) -> Self | None:
-        """The same with T and R unknown; None where they are already."""
-        if self.soft:
-            return None
-        other = copy.copy(self)
-        other.soft = True
-        return other
+    softens: ClassVar[bool] = True
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """A short T, which leads on to longer ones."""
