@@ -65,12 +65,15 @@ def dry_friction(
     for j, f in friction.items():
         wanted = wanted + columns[j] * f
     wanted = _swept(friction, levels, wanted, columns)
-    half = now.step / 2
-    there = q + half * now.qd, now.qd + half * (wanted - braking)
-    if levels_at is not None:
-        levels = levels_at(*there)
-        wanted = _swept(friction, levels, wanted, columns)
-    gained = now.dynamics.forward(*there, torque, now.body, own) - free if held and settling else still
+    gained = still
+    if levels_at is not None or (held and settling):
+        half = now.step / 2
+        there = q + half * now.qd, now.qd + half * (wanted - braking)
+        if levels_at is not None:
+            levels = levels_at(*there)
+            wanted = _swept(friction, levels, wanted, columns)
+        if settling:
+            gained = now.dynamics.forward(*there, torque, now.body, own) - free
     moved = still
     under = wanted
     for j, level in levels.items():

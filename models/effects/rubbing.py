@@ -1,6 +1,6 @@
 """Dry friction whose joint does not come to rest at once: the ideal law, and its softer form.
 
-Ideal dry friction takes what speed there is in no time. Solvers of contact soften it, and so do gears: a joint is
+Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it: a joint is
 brought to rest with a time constant T, as far as friction's level L allows, and creeps under what friction holds
 (Todorov 2014, "Convex and analytically invertible dynamics with contacts and constraints", regularised friction), with
 a its acceleration but for the friction and A its mobility, 1/(kg·m²),
