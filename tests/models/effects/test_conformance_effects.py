@@ -14,8 +14,7 @@ from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
-SOFTER = ("coulomb_friction", "stribeck_friction", "load_friction", "joint_limit")
-FORMS = (*EFFECTS, *(f"softer {name}" for name in SOFTER))
+FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
 UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m"}
