@@ -1,4 +1,4 @@
-"""All methods on simulated, robot and human arms, side by side: the table of the README.
+"""All methods on simulated, robot and human arms, side by side: the table of docs/methods.md.
 
     simulated   the paper's planar arm (200 rows, .03 s, keypoints to .22 m), its own parameters known
     short       its first 25 rows, which NUTS can be waited for
@@ -40,7 +40,7 @@ METHODS = (
 BODIES = files("invdyn.models") / "bodies"
 CALM = 132  # frames of the film before the chatter
 POINT = "differentiate"  # states one path, so that it has no intervals to cover anything
-IN_SHORT = ("simulated", "film", "human")  # recordings of the short table, which README.md has
+IN_SHORT = ("simulated", "film", "human")  # recordings of the short table, which docs/methods.md has
 TABLE = Path(__file__).with_name("ranking.md")
 HEAD = """Written by `python benchmarks/ranking.py`; what the recordings are is at the top of that file. N·m, shoulder /
 elbow; CRPS, the smaller the better; log score in nats a held-out row, the larger the better. Seconds are wall time on

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn.diagnosis.cause import Refined, key_of
-from invdyn.diagnosis.kin import refine_kin
+from invdyn.diagnosis.kin import refine_kin, refine_softer
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
 from invdyn.diagnosis.pool import Search
@@ -31,7 +31,8 @@ cause leaves nothing, of what the best effect does."""
 def reduce(setting: Setting, found: Search) -> None:
     """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
 
-    A set may be what it took to get near the parameters of one of its members.
+    A set may be what it took to get near the parameters of one of its members; and what stands beside an ideal friction
+    or stop may stand for the softer form of that.
     """
     best = found.ranked[0]
     tried = set()
@@ -42,6 +43,8 @@ def reduce(setting: Setting, found: Search) -> None:
             if cause is not None:
                 found.add(cause)
             tried.add(key_of(rest))
+            if key_of(rest) in found.pool:
+                refine_softer(setting, found, found.pool[key_of(rest)])
         if found.ranked[0] is best:
             return
         best = found.ranked[0]

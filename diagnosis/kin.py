@@ -41,7 +41,8 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
                 _refine_twins(setting, found, cause, mine)
                 _refine_wider(setting, found, cause, mine)
                 _refine_narrower(setting, found, cause, mine)
-                _refine_softer(setting, found, cause, mine)
+            if not cause.complete:
+                refine_softer(setting, found, cause)
 
 
 def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -110,13 +111,14 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         _refine(setting, found, cause, mine, narrow, values, [cause.path])
 
 
-def _refine_softer(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
-    """Refine a cause that leaves something with the softer form of one of its effects; the better one stays."""
-    if cause.complete or mine.softened() is None or _followed(found, cause, mine, mine, f" softer {mine.key}"):
-        return
-    refined = softer(setting, cause, mine)
-    if refined is not None:
-        found.add(refined)
+def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:
+    """Refine a cause with the softer form of each of its effects that has one; the better one stays."""
+    for mine in cause.effects:
+        if mine.softened() is None or _followed(found, cause, mine, mine, f" softer {mine.key}"):
+            continue
+        refined = softer(setting, cause, mine)
+        if refined is not None:
+            found.add(refined)
 
 
 def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:

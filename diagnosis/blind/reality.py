@@ -125,6 +125,7 @@ class World:
             change(spec)
         self.model = spec.compile()
         self.data = mj.MjData(self.model)
+        self._rollout = mj.rollout.Rollout(nthread=0)
 
     def run(
         self,
@@ -142,42 +143,60 @@ class World:
         """
         if self.model is None:
             self.compile()
-        mj, model, data = self.mujoco, self.model, self.data
+        model, data = self.model, self.data
         interval = (command_time[-1] - command_time[0]) / (len(command_time) - 1)
         per_row = int(np.ceil(interval / LONGEST_STEP - 1e-9))
         model.opt.timestep = step = interval / per_row
         total = (len(command_time) - 1) * per_row
         time = command_time[0] + step * np.arange(total + 1)
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
-        mj.mj_resetData(model, data)
+        self.mujoco.mj_resetData(model, data)
         joint_of = np.array([[s.joint == k for s in self.segments] for k in range(self.num_joints)], dtype=float)
         driven = [s for s, segment in enumerate(self.segments) if segment.driven]
         data.qpos[driven], data.qvel[driven] = q, qd
         qpos, qvel = np.empty((total + 1, len(self.segments))), np.empty((total + 1, len(self.segments)))
         rows = np.empty((len(command_time), self.num_joints))
-        for i in range(total + 1):
+        stops = sorted({*range(0, total + 1, per_row), *range(0, total + 1, window)})
+        for i, end in zip(stops, [*stops[1:], total], strict=True):
             if i and i % window == 0:
                 self._restart(restart[0], time[i])
             qpos[i], qvel[i] = data.qpos, data.qvel
-            if not np.abs(qvel[i]).max() < FASTEST:
-                qpos[i:], qvel[i:], rows[-(-i // per_row) :] = np.nan, np.nan, np.nan
-                break
             if i % per_row == 0:
                 rows[i // per_row] = policy(i // per_row, time[i], joint_of @ qpos[i], joint_of @ qvel[i])
-            if i == total:
+            after = slice(i + 1, end + 1)
+            qpos[after], qvel[after] = self._advance(i, time[i:end], rows[i // per_row])
+            lost = np.flatnonzero(~(np.abs(qvel[i : end + 1]).max(1) < FASTEST))
+            if len(lost):
+                first = i + lost[0]
+                qpos[first:], qvel[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
                 break
-            u = rows[i // per_row]
-            for change in self._command_hooks:
-                u = change(i, step, u)
-            data.ctrl[:] = u
-            if i == 0 and model.na:
-                data.act[:] = data.ctrl[model.actuator_dyntype != mj.mjtDyn.mjDYN_NONE]
-            if self._step_hooks:
-                data.qfrc_applied[:] = 0.0
-                for act in self._step_hooks:
-                    act(time[i], model, data)
-            mj.mj_step(model, data)
         return self._trajectory(time, qpos, qvel, joint_of, command_time, rows)
+
+    def _advance(self, first: int, time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,)."""
+        model, data, count = self.model, self.data, len(time)
+        ctrl = np.tile(command, (count, 1))
+        for s in range(count if self._command_hooks else 0):
+            for change in self._command_hooks:
+                ctrl[s] = change(first + s, model.opt.timestep, ctrl[s])
+        if first == 0 and model.na:
+            data.act[:] = ctrl[0][model.actuator_dyntype != self.mujoco.mjtDyn.mjDYN_NONE]
+        qpos, qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
+        if not self._step_hooks:
+            # All at once, without Python between the steps; from where the constraints' solver was.
+            physics = self.mujoco.mjtState.mjSTATE_FULLPHYSICS
+            start, warm = np.empty((1, self.mujoco.mj_stateSize(model, physics))), data.qacc_warmstart[None].copy()
+            self.mujoco.mj_getState(model, data, start[0], physics)
+            states, _ = self._rollout.rollout(model, data, start, ctrl[None], initial_warmstart=warm)
+            return np.split(states[0, :, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
+        for s in range(count):
+            data.ctrl[:] = ctrl[s]
+            data.qfrc_applied[:] = 0.0
+            for act in self._step_hooks:
+                act(time[s], model, data)
+            self.mujoco.mj_step(model, data)
+            qpos[s], qvel[s] = data.qpos, data.qvel
+        return qpos, qvel
 
     def _restart(self, true: Trajectory, t: float) -> None:
         for s, segment in enumerate(self.segments):
@@ -221,6 +240,7 @@ class World:
 def _mujoco():
     try:
         import mujoco
+        import mujoco.rollout
     except ImportError as error:
         raise ImportError("the blind check needs MuJoCo to play reality: pip install 'invdyn[robots]'") from error
     return mujoco

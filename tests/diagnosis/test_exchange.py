@@ -8,6 +8,7 @@ import pytest
 import torch
 from pendulum import PENDULUM
 
+from invdyn.diagnosis.cause import key_of
 from invdyn.diagnosis.exchange import exchange, reduce, without
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path
@@ -42,6 +43,35 @@ def test_a_set_loses_what_it_does_not_need():
     assert found.ranked[0].key == both.key
     reduce(bound, found)
     assert found.ranked[0].key == "viscous_friction.pivot"
+
+
+def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
+    """What stands beside ideal friction stands for what that lacks, though by itself it leaves nothing either."""
+    bound = setting(recorded(), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    friction, other = (e for e in considered(bound) if e.name in ("coulomb_friction", "armature"))
+    soft = friction.softened()
+    gains = {(friction,): 90.0, (friction, other): 100.0, (other,): 0.0, (soft,): 95.0}
+    causes = {
+        effects: replace(none, effects=effects, log_evidence=none.log_evidence + gain)
+        for effects, gain in gains.items()
+    }
+    tried = []
+
+    def softer(setting, cause, mine):
+        tried.append((cause.key, mine.key))
+        return causes[soft,] if mine is friction and len(cause.effects) == 1 else None
+
+    monkeypatch.setattr(sys.modules[reduce.__module__], "without", lambda _, whole, effect, size: None)
+    monkeypatch.setattr(sys.modules["invdyn.diagnosis.kin"], "softer", softer)
+    pool = {causes[effects].key: causes[effects] for effects in ((friction,), (friction, other), (other,))}
+    found = Search(considered(bound), {"": none, **pool}, [], path, stray)
+    assert found.ranked[0].key == key_of((friction, other))
+    assert found.pool[friction.key].complete
+    reduce(bound, found)
+    assert tried == [(friction.key, friction.key)]
+    assert found.ranked[0] is causes[soft,]
 
 
 def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
