@@ -23,7 +23,7 @@ DRAWS = 4000
 
 def place(effect: Effect) -> dict[str, str]:
     """Where an effect acts, "joint", "link" or "keypoint" → name, "partner" for pairs, "stop" for limits."""
-    names = list(effect.where)
+    names, form = (list(effect.where), {}) if effect.form is None else (list(effect.where[:-1]), {"form": effect.form})
     if isinstance(effect, JointLimit):
         return {"joint": names[0], "stop": names[1]}
     if effect.site == "pair":  # the torque acts on the outer one
@@ -31,8 +31,8 @@ def place(effect: Effect) -> dict[str, str]:
     if effect.site == "keypoints":
         return {"keypoint": names[0], "partner": names[1]}
     if not names:
-        return {}
-    return {"joint" if effect.site == "arm" else effect.site: names[0]}
+        return form
+    return {"joint" if effect.site == "arm" else effect.site: names[0], **form}
 
 
 def key(effect: Effect) -> str:

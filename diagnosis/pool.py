@@ -126,14 +126,19 @@ def leaves(cause: Refined, none: Refined) -> bool:
 def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
     """Every effect of the catalogue at every place at which it can act in this regime, bound."""
     body = setting.model.body
-    tracked = [body.keypoint_names[tip] for tip in setting.model.emission_model.tips]
+    emission, commanded = setting.model.emission_model, setting.regime == "commanded"
+    tracked = [body.keypoint_names[tip] for tip in emission.tips]
     found = []
     for name, kind in EFFECTS.items():
-        if name in without or (kind.needs_command and setting.regime != "commanded"):
+        if name in without:
             continue
         if kind.side == "observation" and not tracked and name != "clock_rate":
             continue
-        found += [effect.bound(body) for effect in kind.everywhere(body, tracked)]
+        found += [
+            effect.bound(body)
+            for effect in kind.everywhere(body, tracked)
+            if effect.tellable(commanded, emission.doubt is not None)
+        ]
     return found
 
 

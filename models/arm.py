@@ -242,7 +242,8 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         def ahead(seconds: Tensor) -> Tensor:
             return self.dynamics.keypoints(turned(seconds), body) - self.dynamics.keypoints(q, body)
 
-        view = View(q, qd, lambda: self.acceleration(state, t, body), turned, ahead, body, elapsed, tips)
+        doubt = self.emission_model.doubted(t, q)
+        view = View(q, qd, lambda: self.acceleration(state, t, body), turned, ahead, body, elapsed, tips, doubt)
         angles = effects.angles(p, view) if self.emission_model.num_encoders else q
         view = effects.points(p, view)
         noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None

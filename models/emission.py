@@ -56,6 +56,7 @@ class Emission:
         self.num_encoders = num_encoders
         self.family = family
         self.doubt = None if confidence is None else torch.as_tensor(1 - _rank(confidence))
+        self.doubt_itself = None if confidence is None else torch.as_tensor(1 - np.nan_to_num(confidence, nan=1.0))
 
     @property
     def size(self) -> int:
@@ -67,8 +68,21 @@ class Emission:
         if self.doubt is None:
             return self
         other = copy.copy(self)
-        other.doubt = self.doubt.to(device)
+        other.doubt, other.doubt_itself = self.doubt.to(device), self.doubt_itself.to(device)
         return other
+
+    def doubted(self, t: int | Tensor, q: Tensor) -> Tensor | None:
+        """1 − c of the confidence c at row ``t``, (..., K) as the angles q are, 0 where untracked or not said.
+
+        None where no confidence is known.
+        """
+        if self.doubt_itself is None:
+            return None
+        doubt = self.doubt_itself[t].to(q)
+        every = [doubt.new_zeros(doubt.shape[:-1])] * q.shape[-1]
+        for k, own in zip(self.tips, doubt.unbind(-1), strict=True):
+            every[k] = own
+        return torch.stack(every, -1)
 
     def defaults(self, keypoint_scale: float, angle_scale: float = 1e-3) -> dict[str, Tensor]:
         """Starting parameters: the noise sd of a keypoint (length unit) and of an encoder (rad)."""

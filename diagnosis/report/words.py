@@ -47,9 +47,17 @@ EFFECTS = {
 
 SOFTER = {
     "settling": "softer than the ideal law, it takes a moment to bring the joint to rest and lets it creep",
+    "position": "softer than in its middle alone, at this share of its length",
     "softness": "softer than a spring, it gives way to whatever presses the joint into it",
 }
 """A parameter of an effect's softer form → what that is."""
+
+FORMS = {
+    "frames": "of the camera alone, while commands keep true time",
+    "confidence": "as the tracker’s confidence falls",
+    "sliding": "that slides as the joint turns",
+}
+"""An effect's other reading → what that is."""
 
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
 SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "camera’s view"}
@@ -106,6 +114,9 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
     if not place:
         return effect_words(effect)
     site = CATALOGUE[effect].site if effect in CATALOGUE else ""
+    first, _, form = place.rpartition(".")
+    if effect in CATALOGUE and form in CATALOGUE[effect].forms:
+        return f"{key_words(f'{effect}.{first}'.rstrip('.'), diagnosis)} {FORMS[form]}"
     kind = {"pair": "joint", "keypoints": "keypoint"}.get(site, site)
     names = {
         "joint": diagnosis.joint_names,
@@ -121,7 +132,9 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
 
 
 def _placed(effect: str, where: dict[str, str]) -> str:
-    words, partner = effect_words(effect), where.pop("partner", None)
+    words, partner, form = effect_words(effect), where.pop("partner", None), where.pop("form", None)
+    if form is not None:
+        return f"{_placed(effect, where)} {FORMS.get(form, form)}"
     if not where:
         return words
     ((kind, name),) = list(where.items())[:1]

@@ -28,6 +28,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import ClassVar, Self
 
 import torch
@@ -116,6 +117,10 @@ class Effect(ABC):
     """Values of parameters that a search starts from, one after the other: where joints stick, the change near its
     absence does not tell how large an effect is."""
 
+    forms: ClassVar[tuple[str, ...]] = ()
+    """Other readings of the effect, a word each, which comes after the place, as in ``ClockRate("frames")``: under the
+    same name, and with a key of their own."""
+
     contains: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     """Effects, by name, that are a special case of it at the same place: with these of its parameters, by name, at the
     values of theirs. A search follows them from there."""
@@ -127,7 +132,10 @@ class Effect(ABC):
 
     def __init__(self, *where: str):
         expected = {"arm": 0, "pair": 2, "keypoints": 2}.get(self.site, 1)
-        if len(where) != expected:
+        self.form = where[expected] if self.forms and len(where) == expected + 1 else None
+        if self.form not in (None, *self.forms):
+            raise ValueError(f"{self.name}: expected a form among {', '.join(self.forms)}, got {self.form!r}")
+        if len(where) != expected + (self.form is not None):
             raise ValueError(f"{self.name}: expected {expected} name(s) of where it acts ({self.site}), got {where!r}")
         self.where = where
 
@@ -151,7 +159,7 @@ class Effect(ABC):
 
     def bound(self, body: Body) -> Self:
         """Return the effect with its places looked up in ``body``; raises ValueError for names that it lacks."""
-        return self._bound(body, self.where)
+        return self._bound(body, self.where if self.form is None else self.where[:-1])
 
     def _bound(self, body: Body, where: Sequence[str]) -> Self:
         names = {
@@ -173,14 +181,16 @@ class Effect(ABC):
 
     @classmethod
     def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
-        """One instance for every place of ``body`` at which the effect can act; ``keypoints`` are those tracked."""
-        if cls.site == "arm":
-            return [cls()]
-        if cls.site == "pair":
-            return [cls(a, b) for a, b in zip(body.joint_names[:-1], body.joint_names[1:], strict=True)]
-        if cls.site == "keypoint":
-            return [cls(name) for name in keypoints]
-        return [cls(link.joint if cls.site == "joint" else link.name) for link in body.links]
+        """One instance for every place of ``body`` at which the effect can act, in every form; ``keypoints`` are those
+        tracked.
+        """
+        places = {
+            "arm": [()],
+            "pair": list(pairwise(body.joint_names)),
+            "keypoint": [(name,) for name in keypoints],
+            "link": [(link.name,) for link in body.links],
+        }.get(cls.site, [(name,) for name in body.joint_names])
+        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
 
     @abstractmethod
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -197,6 +207,10 @@ class Effect(ABC):
         The effect is bound.
         """
         return True
+
+    def tellable(self, commanded: bool, confident: bool) -> bool:
+        """Whether a recording could show it: one with known commands, one with the tracker's confidences."""
+        return commanded or not self.needs_command
 
     def softened(self) -> Self | None:
         """The same effect, at the same place and under the same key, without some idealisation; None if it has none.

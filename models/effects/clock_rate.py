@@ -1,23 +1,39 @@
 """Frames taken at another rate than stated."""
 
+from typing import ClassVar
+
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.command import Command
 from invdyn.models.effects.scale import Scale
 
 
 class ClockRate(Effect):
     """The frame clock runs at s times the stated rate: true time = stated time / s.
 
-    Commands keep to the rows that they were recorded in. Passive, it cannot be told from another strength of gravity.
+    One clock stamps all rows, commands keep to those that they were recorded in. Passive, it cannot be told from
+    another strength of gravity. ``ClockRate("frames")`` is a camera with a clock of its own, while commands keep true
+    time; both agree at the first row. Encoders go by the camera's clock then.
     """
 
     side, site, order = "observation", "arm", 1
+    forms: ClassVar[tuple[str, ...]] = ("frames",)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Rate s, a pure number."""
-        return (Parameter("rate", "1", LogNormal(0.0, 0.15), 1.0),)
+        prior = LogNormal(0.0, 0.15)
+        # By the end of a recording even a little of it is late by as much as commands take to change.
+        return (Parameter("rate", "1", prior, 1.0, quantiles(prior, 24) if self.form else ()),)
+
+    def tellable(self, commanded: bool, confident: bool) -> bool:
+        """See :meth:`Effect.tellable`: without commands there is one clock."""
+        return commanded or self.form is None
+
+    def command(self, p: Values, command: Command) -> Command:
+        """The command at the true time, t_0 + (t − t_0) / s."""
+        return command.paced(p["rate"]) if self.form else command
 
     def interval(self, p: Values, dt: Tensor) -> Tensor:
         """δ / s."""

@@ -64,6 +64,12 @@ class Command:
         edges = self._edges
         return self._over(self.time, edges[:-1, None] - delay, edges[1:, None] - delay)
 
+    def paced(self, rate: Tensor) -> "Command":
+        """The command as rows have it whose clock is right at the first one and runs ``rate`` times too fast."""
+        edges = self._edges.unsqueeze(-1)
+        true = edges[:1] + (edges - edges[:1]) / rate
+        return self._over(self.time, true[..., :-1, :], true[..., 1:, :])
+
     def onto(self, time: Tensor) -> "Command":
         """The command on other rows (R,), whose lines have the impulse and first moment that it has over each."""
         step = time.diff()

@@ -1,7 +1,8 @@
 """A link that bends: a hidden hinge with a spring and a damper at half its length.
 
-The halves have half the mass each, their centres a apart from the link's on either side, and the inertias that leave
-the whole as it was when straight: I/2 − m a²/2 with a = length/4, or less for a link that has not so much inertia.
+The parts, shares π and 1 − π of length and mass, have their centres s apart, and inertias that leave the whole as it
+was when straight: those of a uniform rod, s = length/2 and I − π (1 − π) m s² as π³ to (1 − π)³; s is less for a link
+that has not so much inertia. π = ½, but in the softer form, which bends wherever it does.
 
     torque on the hinge = −k ψ − d ψ̇
 
@@ -9,9 +10,11 @@ A spring stiffer than the sub-steps can follow acts as the stiffest that they ca
 """
 
 import math
+from collections.abc import Mapping
+from typing import ClassVar
 
 import torch
-from pyro.distributions import LogNormal
+from pyro.distributions import LogNormal, Uniform
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
@@ -26,6 +29,8 @@ FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
 """Hz, of the outer half and what it carries, swinging on the spring with the inner half held."""
 FASTEST = 60.0
 """Hz, of the modes that the sub-steps are made for; with the inner half free they are about twice as fast."""
+HALF, EDGE = 0.5, 0.05
+"""Share of the link before the hinge, and the least there is on either side of it."""
 
 
 class LinkFlexibility(HiddenHinge):
@@ -35,9 +40,10 @@ class LinkFlexibility(HiddenHinge):
     """
 
     site = "link"
+    softens: ClassVar[bool] = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Stiffness k, N·m/rad, and damping d, N·m·s/rad."""
+        """Stiffness k, N·m/rad, and damping d, N·m·s/rad; in the softer form the hinge's position π, a pure number."""
         inertia = self._carried(scale)
         grid = tuple(inertia * (2 * math.pi * f) ** 2 for f in FREQUENCIES)
         middle = inertia * (2 * math.pi * 10.0) ** 2
@@ -45,7 +51,12 @@ class LinkFlexibility(HiddenHinge):
         return (
             Parameter("stiffness", "N·m/rad", LogNormal(math.log(middle), 1.1), math.inf, grid),
             Parameter("damping", "N·m·s/rad", LogNormal(math.log(0.6 * damping), 1.0), None, (0.3 * damping, damping)),
+            *((Parameter("position", "1", Uniform(EDGE, 1 - EDGE), None, (0.25, HALF, 0.75)),) if self.soft else ()),
         )
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """The hinge at half the length."""
+        return {**ideal, "position": HALF}
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
         """Twice as far as the typical torque bends a link of 10 Hz, and as fast as it then swings."""
@@ -61,16 +72,18 @@ class LinkFlexibility(HiddenHinge):
         return (links.inertia[k + 1 :] + links.mass[k + 1 :] * reach**2).sum().item()
 
     def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
-        """The two halves in place of the link."""
+        """The two parts in place of the link."""
         k = self.place[0]
         length, mass, com, inertia = (value[..., k : k + 1] for value in body[:4])
-        apart = torch.minimum(length / 4, (0.8 * inertia / mass).sqrt())
-        rest = (inertia - mass * apart**2) / 2
+        inner = p.get("position", torch.full_like(length, HALF))
+        outer, both = 1 - inner, inner * (1 - inner)
+        apart = torch.minimum(length / 2, (0.8 * inertia / mass / both).sqrt())
+        rest = (inertia - mass * both * apart**2) / (inner**3 + outer**3)
         return body._replace(
-            length=split_link(body.length, k, length / 2, length / 2),
-            mass=split_link(body.mass, k, mass / 2, mass / 2),
-            com=split_link(body.com, k, com - apart, com + apart - length / 2),
-            inertia=split_link(body.inertia, k, rest, rest),
+            length=split_link(body.length, k, inner * length, outer * length),
+            mass=split_link(body.mass, k, inner * mass, outer * mass),
+            com=split_link(body.com, k, com - outer * apart, com + inner * (apart - length)),
+            inertia=split_link(body.inertia, k, inner**3 * rest, outer**3 * rest),
         )
 
     def spread(self, q: Tensor, hinge: Tensor) -> Tensor:

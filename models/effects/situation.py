@@ -73,6 +73,7 @@ class View:
         body: the links.
         elapsed: (..., 1) s, since the first row.
         points: (..., K, 2) m, the tips, as the effects called before leave them.
+        doubt: (..., K) 1 − c of the tracker's confidence c, 0 at tips that are not tracked; None where it has none.
     """
 
     q: Tensor
@@ -83,6 +84,7 @@ class View:
     body: BodyParameters
     elapsed: Tensor
     points: Tensor
+    doubt: Tensor | None = None
 
     def seen_at(self, points: Tensor) -> "View":
         """The same view, with other points."""

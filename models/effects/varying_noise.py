@@ -1,4 +1,6 @@
-"""Detections that get worse with motion blur: σ (1 + slope |ṗ|)."""
+"""Detections that get worse with motion blur, σ (1 + slope |ṗ|), or as the tracker says, σ (1 + slope (1 − c))."""
+
+from typing import ClassVar
 
 from pyro.distributions import Exponential
 from torch import Tensor
@@ -9,19 +11,31 @@ from invdyn.models.effects.situation import View
 
 
 class VaryingNoise(Effect):
-    """A keypoint's noise grows with its speed, in all directions alike.
+    """A keypoint's noise grows with its speed, in all directions alike; ``VaryingNoise("confidence")``: as c falls.
 
     Only the variance changes: told apart from process noise by frames at rest.
     """
 
     side, site = "observation", "arm"
+    forms: ClassVar[tuple[str, ...]] = ("confidence",)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Slope, s/m; at the speed of the outstretched arm the noise is tenfold, give or take as much."""
+        """Slope, s/m; at the speed of the outstretched arm the noise is tenfold, give or take as much.
+
+        Of confidence, a pure number: where there is none the noise is tenfold.
+        """
+        if self.form:
+            return (Parameter("slope", "1", Exponential(0.1)),)
         return (Parameter("slope", "s/m", Exponential(scale.speed[0] * scale.reach / 10.0)),)
 
+    def tellable(self, commanded: bool, confident: bool) -> bool:
+        """See :meth:`Effect.tellable`."""
+        return confident or self.form is None
+
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
-        """σ (1 + slope |ṗ|)."""
+        """σ (1 + slope |ṗ|), or σ (1 + slope (1 − c)); σ where nobody says how sure the tracker was."""
+        if self.form:
+            return sd if view.doubt is None else sd * (1 + p["slope"].unsqueeze(-1) * view.doubt.unsqueeze(-1))
         # a floor on the root keeps the gradient at rest finite
         speed = (view.tip_velocity.square().sum(-1, keepdim=True) + 1e-12 * view.body.length.sum() ** 2).sqrt()
         return sd * (1 + p["slope"].unsqueeze(-1) * speed)

@@ -14,6 +14,7 @@ from invdyn.models.effects import (
     ActuatorGain,
     ActuatorLag,
     ActuatorSaturation,
+    ClockRate,
     Command,
 )
 from invdyn.models.torques import OrnsteinUhlenbeck
@@ -59,6 +60,16 @@ def test_a_delay_is_the_command_later(delay, motors):
     alike = motors(ActuatorDelay(), delay=delay)
     torch.testing.assert_close(alike.mean[:, 1], found.mean[:, 1])
     assert (alike.mean[:, 0] != found.mean[:, 0]).any() == (delay > 0)
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.25, 0.9])
+def test_another_clock_than_the_frames_has_the_command_at_true_time(rate, motors):
+    """Rows last 1 / rate as long as they say, and begin as much earlier or later as they have come from the first."""
+    found = motors(ClockRate("frames"), rate=rate)
+    mean, slope = moments(lambda t: held(TIME[0] + (t - TIME[0]) / rate))
+    assert found.mean[:-1].numpy() == pytest.approx(mean, abs=5e-3)
+    assert found.slope[:-1].numpy() == pytest.approx(slope, abs=2e-2)
+    torch.testing.assert_close(motors(ClockRate(), rate=rate).mean, torch.as_tensor(GIVEN))
 
 
 @pytest.mark.parametrize("constant", [1e-5, 0.004, 0.03])

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
+from invdyn.models import Emission
 from invdyn.models.effects import (
     CameraLatency,
     CameraRoll,
@@ -117,6 +118,18 @@ def test_soft_tissue_lags_the_acceleration(seen):
     assert found[:, 0] == pytest.approx(true[:, 0])
 
 
+def test_skin_slides_as_the_joint_at_the_tip_turns(seen):
+    values = {"along_per_rad": 0.02, "across_per_rad": -0.01, "along": 0.003, "across": 0.001}
+    for tip, joint in ((0, 1), (1, 1)):
+        found, _, true, x, ideal = seen(SoftTissue(f"tip{tip}", "sliding"), **values)
+        q = ideal.split(x)[1].numpy()
+        heading, angle = q[:, : tip + 1].sum(-1), q[:, joint]
+        u = np.stack([np.cos(heading), np.sin(heading)], -1)
+        shift = (0.003 + 0.02 * angle)[:, None] * u + (0.001 - 0.01 * angle)[:, None] * u[:, ::-1] * [-1, 1]
+        true[:, tip] += shift
+        assert found == pytest.approx(true)
+
+
 @pytest.mark.parametrize(("readout", "rest"), [(0.02, 2e-4), (0.06, 2e-2)])
 def test_a_rolling_shutter_sees_a_point_when_its_row_is_read(seen, readout, rest):
     """p' = p(t + ρ y'), checked by reading the motion at that very moment."""
@@ -169,6 +182,24 @@ def test_blur_widens_the_noise(seen):
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     assert found == pytest.approx(true)
     assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.7 * speed), sd.shape), rel=1e-5)
+
+
+def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
+    """Of tips that are tracked; where nobody says how sure it was, nothing changes."""
+    confidence = np.full((12, 2), 0.9)
+    confidence[5] = 0.4, np.nan
+    ideal = arm(2, emission=Emission([1, 0], confidence=confidence))
+    x = states(ideal, 6)
+    (points, sd), (same, own) = (
+        tips(model, x) for model in (having(ideal, VaryingNoise("confidence"), slope=3.0), ideal)
+    )
+    assert points == pytest.approx(same)
+    assert sd / own == pytest.approx(np.broadcast_to([[1 + 3.0 * 0.6], [1.0]], sd.shape))
+    assert tips(having(ideal, VaryingNoise("confidence"), slope=3.0), x, 4)[1] / tips(ideal, x, 4)[1] == pytest.approx(
+        1.3
+    )
+    plain = arm(2, emission=Emission([0, 1]))
+    assert tips(having(plain, VaryingNoise("confidence"), slope=3.0), x)[1] == pytest.approx(tips(plain, x)[1])
 
 
 def test_a_fast_clock_shortens_the_steps(arm, having, states):

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pyro.distributions as dist
 import pytest
 import torch
@@ -15,15 +16,29 @@ from invdyn.models.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
+FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
-UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m"}
+UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m", "m/rad"}
+
+
+@pytest.fixture
+def arm(arm):
+    """Arms seen by a tracker that says how sure it is."""
+
+    def make(joints=2, rows=12, **options):
+        sure = np.random.default_rng(1).uniform(0.2, 1.0, size=(rows, joints))
+        return arm(joints, rows, **{"emission": Emission(range(joints), joints, confidence=sure), **options})
+
+    return make
 
 
 def at_all_places(name, model):
-    plain = name.removeprefix("softer ")
+    form, _, plain = name.rpartition(" ")
     found = EFFECTS[plain].everywhere(model.body, model.body.keypoint_names)
-    if plain != name:
+    if EFFECTS[plain].forms:
+        found = [effect for effect in found if effect.form == (form.rstrip(":") or None)]
+    if form == "softer":
         found = [effect.softened() for effect in found]
     several = name in ("joint_coupling", "label_swap")
     assert found or (several and model.body.num_joints == 1)
@@ -46,8 +61,8 @@ def drawn(model, seed=0, count=None):
 # -- what it says of itself ------------------------------------------------------------------------
 @EVERY
 def test_names_units_and_priors(name, arm):
-    kind = EFFECTS[name.removeprefix("softer ")]
-    assert effect_name(kind) == kind.__module__.rpartition(".")[2] == name.removeprefix("softer ")
+    kind = EFFECTS[name.rpartition(" ")[2]]
+    assert effect_name(kind) == kind.__module__.rpartition(".")[2] == name.rpartition(" ")[2]
     assert kind.side in ("dynamics", "observation")
     for joints in (1, 2, 3):
         for size, weight in ((1.0, 1.0), (0.05, 1e-3), (4.0, 40.0)):
@@ -113,13 +128,12 @@ def test_places_are_checked(name, arm):
     with pytest.raises((ValueError, TypeError)):
         kind("a", "b", "c")
     if effect.where:
-        wrong = kind(*["nowhere", *effect.where[1:]])
         with pytest.raises(ValueError, match="nowhere"):
-            model.with_effects(wrong)
+            model.with_effects(kind(*["nowhere", *effect.where[1:]]))
     if kind.site in ("pair", "keypoints"):
         with pytest.raises(ValueError, match="two different"):
             model.with_effects(kind(effect.where[0], effect.where[0]))
-    if kind.side == "observation" and effect.where:
+    if kind.site in ("keypoint", "keypoints") and kind.side == "observation":
         blind = arm(3, emission=Emission([], 3))
         with pytest.raises(ValueError, match="tracked"):
             blind.with_effects(effect)

@@ -21,25 +21,35 @@ def rolled(model, hidden, q, qd):
     return torch.stack(path)[:, K:].numpy()  # ψ, ψ̇, q, q̇
 
 
+@pytest.mark.parametrize("position", [None, 0.1, 0.3, 0.8])
 @pytest.mark.parametrize("link", [0, 1])
-def test_the_halves_are_the_link(link, arm, having, states):
+def test_the_parts_are_the_link(link, position, arm, having, states):
     """Straight, they have its mass, centre, inertia and tips: the same energies and keypoints at any posture."""
     ideal = arm(2)
     effect = LinkFlexibility(f"link{link}").bound(ideal.body)
     body = ideal.body_parameters()
-    links, whole = effect.chain({}, body), dynamics_for(3)
+    p = {} if position is None else {"position": torch.tensor([position], dtype=F64)}
+    links, whole = effect.chain(p, body), dynamics_for(3)
     x = states(ideal, 8)
     q, qd = x[:, 2:4], x[:, 4:]
     none = torch.zeros(8, 1, dtype=F64)
     wide, rates = effect.spread(q, none), effect.spread(qd, none)
     torch.testing.assert_close(whole.kinetic_energy(wide, rates, links), ideal.dynamics.kinetic_energy(q, qd, body))
     torch.testing.assert_close(whole.potential_energy(wide, links), ideal.dynamics.potential_energy(q, body))
-    torch.testing.assert_close(
-        effect.tips({}, q, torch.zeros(8, 2, dtype=F64), body), ideal.dynamics.keypoints(q, body)
-    )
+    torch.testing.assert_close(effect.tips(p, q, torch.zeros(8, 2, dtype=F64), body), ideal.dynamics.keypoints(q, body))
     assert bool((links.inertia > 0).all())
     back, hinge = effect.gathered(wide + 0.1)
     torch.testing.assert_close(effect.spread(back, hinge), wide + 0.1)
+
+
+def test_a_rod_that_bends_anywhere_is_two_rods():
+    body = rod(2, STEP).body_parameters()
+    parts = LinkFlexibility("link").softened().bound(rod(2, STEP).body).chain({"position": torch.tensor([0.3])}, body)
+    length, mass = body.length.item() * np.array([0.3, 0.7]), body.mass.item() * np.array([0.3, 0.7])
+    assert parts.length.numpy() == pytest.approx(length)
+    assert parts.mass.numpy() == pytest.approx(mass)
+    assert parts.com.numpy() == pytest.approx(length / 2)
+    assert parts.inertia.numpy() == pytest.approx(mass * length**2 / 12)
 
 
 def test_a_flexible_rod_swings_at_its_mode(having):
