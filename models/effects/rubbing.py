@@ -1,14 +1,16 @@
 """Dry friction whose joint does not come to rest at once: the ideal law, and its softer form.
 
-Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it: a joint is
-brought to rest with a time constant T, as far as friction's level L allows, and creeps under what friction holds
-(Todorov 2014, "Convex and analytically invertible dynamics with contacts and constraints", regularised friction), with
-a its acceleration but for the friction and A its mobility, 1/(kg·m²),
+Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it: a joint is brought with a time
+constant T, as far as friction's level L allows, to the speed at which it creeps under what friction holds (Todorov
+2014, "Convex and analytically invertible dynamics with contacts and constraints", regularised friction), with a its
+acceleration but for the friction, A its mobility, 1/(kg·m²), and a time ρ
 
-    f = −clip((a + θ̇/T) / (A (1 + R)), ±L)
+    f = −clip((a + (θ̇ − a ρ)/T) / A, ±L)
 
-so that friction changes sign about a T before the motion does, and a joint that is held moves on with a R T. T → 0 is
-the ideal law. MuJoCo's ``frictionloss``, unless told otherwise, has T = ½ · .95 · .02 s ≈ 10 ms and R = .1/.9.
+so that friction changes sign about a T before the motion does, and a joint that is held moves on with a ρ. T → 0 and
+ρ → 0 are the ideal law. In the solvers' own terms T = T' (1 + R) and ρ = T' R: of T' and R a recording tells the
+product and not each. MuJoCo's ``frictionloss``, unless told otherwise, has T' = ½ · .95 · .02 s and R = .1/.9: T ≈ 11
+and ρ ≈ 1 ms.
 """
 
 from abc import abstractmethod
@@ -24,12 +26,12 @@ from invdyn.models.effects.situation import Situation
 
 SETTLING = 0.01
 """s, typical T of a friction that is soft."""
-CREEP = 0.1
-"""Its typical R."""
+CREEP = 0.001
+"""s, its typical ρ."""
 
 
 class Rubbing(Effect):
-    """Base of dry frictions: a level, and in their softer form the time constant ``settling`` and ``creep``."""
+    """Base of dry frictions: a level, and in their softer form the times ``settling``, T, and ``creep``, ρ."""
 
     longest: ClassVar[float] = ABRUPT
     softens: ClassVar[bool] = True
@@ -43,15 +45,15 @@ class Rubbing(Effect):
         """Parameters of the ideal law."""
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Those of the ideal law; if it is soft T, s, and R, a pure number."""
+        """Those of the ideal law; if it is soft T and ρ, s."""
         if not self.soft:
             return self.levels(scale)
         settling = Parameter("settling", "s", HalfNormal(SETTLING), None, (SETTLING / 2,))
-        return (*self.levels(scale), settling, Parameter("creep", "1", HalfNormal(CREEP)))
+        return (*self.levels(scale), settling, Parameter("creep", "s", HalfNormal(CREEP)))
 
     def settling(self, p: Values) -> tuple[Tensor, Tensor] | None:
-        """T (1 + R) and R T, s."""
-        return (p["settling"] * (1 + p["creep"]), p["settling"] * p["creep"]) if self.soft else None
+        """T and ρ, s."""
+        return (p["settling"], p["creep"]) if self.soft else None
 
     @abstractmethod
     def friction(self, p: Values, now: Situation) -> Tensor:

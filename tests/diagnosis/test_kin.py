@@ -88,7 +88,7 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
-    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.03, "creep": 0.1}
+    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
     bound = setting(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))

@@ -105,7 +105,7 @@ def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_
     spike = np.arange(len(none.by_size)) == 0
     none = replace(none, by_size=np.where(spike, -1e4, 0.0))
     names = ("camera_yaw", "camera_roll", "camera_latency", "clock_rate", "camera_scale", "payload")
-    some = [e for e in considered(bound) if e.name in names]
+    some = [e for e in considered(bound) if e.key in names]
     common = unknowns(bound, ())
     screened = screen(bound, bound.model, path, some, common, common.mean)
     screened = [replace(s, log_evidence=-1e3 * names.index(s.effect.name) if s.effect else 0.0) for s in screened]
