@@ -98,10 +98,9 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
         kind = EFFECTS[each["effect"]]
         if kind.side == "observation" or issubclass(kind, HiddenHinge):
             continue
-        part = kind(*(each[k] for k in ("joint", "link", "partner") if each.get(k)))
+        part = kind(*(each[k] for k in ("joint", "link", "partner", "stop", "form") if each.get(k)))
         means = {name: p["mean"] for name, p in each["parameters"].items()}
-        if {"settling", "softness"} & means.keys():
-            part = part.softened()
+        part = part.softened() if {"settling", "softness"} & means.keys() else part
         parts.append(part)
         if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
             size, phase = means.pop("amplitude"), means.pop("phase")
@@ -115,11 +114,14 @@ def main() -> None:
     parser.add_argument("--fit", nargs="+", default=["01", "03"])
     parser.add_argument("--held-out", nargs="+", default=["00", "02", "04", "05", "11", "12", "13"])
     parser.add_argument("--without", nargs="*", default=[], help="effects to strike from the catalogue")
+    parser.add_argument("--workers", type=int, default=1, help="processes side by side, with the same result")
     parser.add_argument("--out", type=Path, help="folder for the report")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body, start = Body.from_toml(BODY), time.perf_counter()
-    diagnosis = diagnose([seen(run) for run in arguments.fit], body, without=arguments.without)
+    diagnosis = diagnose(
+        [seen(run) for run in arguments.fit], body, without=arguments.without, workers=arguments.workers
+    )
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
         save(diagnosis, arguments.out)

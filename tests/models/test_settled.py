@@ -1,6 +1,7 @@
 """Gaps along a known motion: what rows one after the other give, in fewer passes than they are forgotten by."""
 
 from functools import cache
+from statistics import median
 
 import pytest
 import torch
@@ -90,16 +91,21 @@ def test_many_sets_are_each_by_itself():
 
 
 def test_slopes_save_passes(calls, monkeypatch):
-    """A flight across a wide gap takes many rows, one a pass without slopes: as after a step of Gauss–Newton."""
-    model = with_play(0.16)
-    path = rolled(model)
-    path = path + 1e-3 * torch.randn(path.shape, generator=torch.manual_seed(0), dtype=path.dtype)
-    found = settled(model, path)
-    quick = len(calls)
-    monkeypatch.setattr("invdyn.models.settled.FEW", 0)
-    calls.clear()
-    torch.testing.assert_close(settled(model, path), found, rtol=1e-9, atol=1e-9)
-    assert quick < 0.4 * len(calls)
+    """A flight across a wide gap takes many rows, one a pass without slopes: as after a step of Gauss–Newton.
+
+    For most paths; where a slope straddles a contact, how many depends on the last digits that a machine has.
+    """
+    model, passes = with_play(0.16), {}
+    for seed in range(5):
+        noise = torch.randn(rolled(model).shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        path, found = rolled(model) + 1e-3 * noise, []
+        for few in (2000, 0):
+            monkeypatch.setattr("invdyn.models.settled.FEW", few)
+            calls.clear()
+            found.append(settled(model, path))
+            passes.setdefault(few, []).append(len(calls))
+        torch.testing.assert_close(*found, rtol=1e-9, atol=1e-9)
+    assert median(passes[2000]) < 0.4 * median(passes[0])
 
 
 def test_a_path_that_runs_away_ends(calls):
