@@ -30,10 +30,21 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.inference.controlled import Controlled, triangular
-from invdyn.inference.gauss_newton import GaussianSmoother, jacobian
+from invdyn.inference.gauss_newton import GaussianSmoother
 from invdyn.inference.proposal import Particles, Proposal
 from invdyn.inference.square_root import eliminate
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
+
+
+def jacobian(function, x: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P = ``size``), by one backward pass."""
+    with torch.enable_grad():
+        copies = x.detach().expand(size, *x.shape).clone().requires_grad_()
+        value = function(copies)
+        # Copy i contributes output i only, so one gradient holds all rows.
+        picked = value.diagonal(dim1=0, dim2=-1).sum()
+        rows = torch.autograd.grad(picked, copies)[0]
+    return value[0].detach(), rows.movedim(0, -2)
 
 
 class Affine(Proposal):

@@ -31,8 +31,8 @@ from invdyn.models.missing import explained, gaussian_rows, times
 from invdyn.models.settled import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
-NUDGE = 1e-6
-"""Of every state, for slopes of a model with jumps."""
+NUDGE, JUMP = 1e-6, 1e-6
+"""Of every state for its slopes, in its standard deviations at the first row; and as it is, of a model with jumps."""
 
 
 @dataclass
@@ -72,17 +72,6 @@ class GaussianSmoother:
     def covariance(self) -> Tensor:
         """Marginal posterior covariances (…, T, D, D)."""
         return torch.as_tensor(forward_covariance(self.factors))
-
-
-def jacobian(function, x: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P = ``size``), by one backward pass."""
-    with torch.enable_grad():
-        copies = x.detach().expand(size, *x.shape).clone().requires_grad_()
-        value = function(copies)
-        # Copy i contributes output i only, so one gradient holds all rows.
-        picked = value.diagonal(dim1=0, dim2=-1).sum()
-        rows = torch.autograd.grad(picked, copies)[0]
-    return value[0].detach(), rows.movedim(0, -2)
 
 
 def emission_mean(model: StateSpaceModel, state: Tensor, rows: Tensor) -> Tensor:
@@ -141,21 +130,31 @@ Slopes = tuple[Tensor, Tensor]
 """F (…, T−1, D, D) of the transition and H (…, T, O, D) of the emission along a path."""
 
 
-def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
-    """Slopes of ``model`` along ``path`` (…, T, D): tangents, or differences where it has ``driven`` states."""
-    rows, dim = torch.arange(path.shape[-2]), path.shape[-1]
-    _, H = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
-    if model.driven is not None:
-        return _differences(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :]), H
-    _, F = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
-    return F, H
-
-
 @torch.no_grad()
-def _differences(function, x: Tensor) -> Tensor:
-    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by differences, which see what lies at a stop."""
-    nudges = NUDGE * torch.eye(x.shape[-1], dtype=x.dtype).reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
-    return ((function(x + nudges) - function(x)) / NUDGE).movedim(0, -1)
+def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
+    """Slopes of ``model`` along ``path`` (…, T, D) by differences, which take half the time of a backward pass.
+
+    Central ones, of an error of ``NUDGE``²; one-sided where the model has ``driven`` states, which lie at stops.
+    """
+    rows = torch.arange(path.shape[-2])
+    scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
+    nudges = torch.diag(NUDGE * torch.where(scale > 0, scale, 1.0))
+
+    def transition(x: Tensor) -> Tensor:
+        return gaussian_mean(model.transition(x, rows[1:]))
+
+    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges)
+    if model.driven is not None:
+        return _differences(transition, path[..., :-1, :], JUMP * torch.eye(path.shape[-1]).to(path), False), H
+    return _differences(transition, path[..., :-1, :], nudges), H
+
+
+def _differences(function, x: Tensor, nudges: Tensor, central: bool = True) -> Tensor:
+    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by D ``nudges`` (D, D), a multiple of I each."""
+    steps = nudges.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
+    ends = x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])])
+    values, width = function(ends), (1 + central) * nudges.diagonal().reshape(-1, *[1] * x.ndim)
+    return ((values[: len(steps)] - values[len(steps) :]) / width).movedim(0, -1)
 
 
 def linearise(

@@ -10,10 +10,12 @@ import pytest
 import torch
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.gauss_newton import gauss_newton_path, jacobian, linearise, log_joint, slopes_along
+from invdyn.inference.affine import jacobian
+from invdyn.inference.gauss_newton import emission_mean, gauss_newton_path, linearise, log_joint, slopes_along
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 from invdyn.models.effects import EFFECTS
+from invdyn.models.state_space import gaussian_mean
 
 F64 = torch.float64
 LENGTHS = (0.35, 0.3)
@@ -84,17 +86,17 @@ def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
     np.testing.assert_allclose(found, model.log_joint(paths, observations).numpy(), rtol=1e-10)
 
 
-def test_jacobian():
-    matrix = torch.randn(3, 4, 2, 5, dtype=F64)
-
-    def function(x):
-        return torch.sin(matrix @ x.unsqueeze(-1)).squeeze(-1)
-
-    x = torch.randn(3, 4, 5, dtype=F64)
-    value, slope = jacobian(function, x, 2)
-    torch.testing.assert_close(value, function(x))
-    expected = torch.cos(matrix @ x.unsqueeze(-1)) * matrix
-    torch.testing.assert_close(slope, expected)
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_slopes_are_tangents(batch):
+    """Differences of second order beside a backward pass, with an effect on what moves and one on what is seen."""
+    model = arm(30, 0.003).with_effects(EFFECTS["viscous_friction"]("joint1"), EFFECTS["lens_distortion"]())
+    path = model.simulate(batch)[0]
+    rows, dim = torch.arange(30), model.state_dim
+    F, H = slopes_along(model, path)
+    _, expected = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
+    torch.testing.assert_close(F, expected, rtol=1e-7, atol=1e-8)
+    _, expected = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
+    torch.testing.assert_close(H, expected, rtol=1e-7, atol=1e-8)
 
 
 def test_slopes_follow_what_is_driven_through_contacts():

@@ -13,7 +13,7 @@ from pyro.optim import Adam
 from torch.distributions import constraints
 
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter, gauss_newton
-from invdyn.inference.affine import Affine, Corrected
+from invdyn.inference.affine import Affine, Corrected, jacobian
 from invdyn.inference.vsmc import VSMC_ELBO
 from invdyn.models import ArmModel, Body, Emission, Link
 
@@ -35,6 +35,18 @@ def bound(model, guide, y, num_particles, num_filters=2000):
     """Mean of log p̂ by the plain filter."""
     result = ParticleFilter(model, guide, num_particles, num_filters=num_filters).run(y, keep=0)
     return result.log_evidence.mean().item()
+
+
+def test_jacobian():
+    matrix = torch.randn(3, 4, 2, 5, dtype=torch.float64)
+
+    def function(x):
+        return torch.sin(matrix @ x.unsqueeze(-1)).squeeze(-1)
+
+    x = torch.randn(3, 4, 5, dtype=torch.float64)
+    value, slope = jacobian(function, x, 2)
+    torch.testing.assert_close(value, function(x))
+    torch.testing.assert_close(slope, torch.cos(matrix @ x.unsqueeze(-1)) * matrix)
 
 
 # -- exact values ------------------------------------------------------------------------------
