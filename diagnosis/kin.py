@@ -83,11 +83,11 @@ def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect)
         if cause.complete or narrow is None or wider.where != mine.where or wider.key in cause.key.split("+"):
             continue
         there = found.pool.get(_in_place(cause, mine, wider))
-        if (there is not None and there.complete) or _followed(found, cause, mine, wider):
+        if (there is not None and there.complete) or _followed(found, cause, mine, wider, _softness(mine)):
             continue
         known = cause.values
         values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
-        _refine(setting, found, cause, mine, wider, values, [cause.path])
+        _refine(setting, found, cause, mine, *_as_soft(setting, cause, mine, wider, values), [cause.path])
 
 
 def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -106,9 +106,25 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         worst_first = sorted(names, key=lambda name: -sd[f"{mine.key}.{name}"])
         values = {names[name]: known[f"{mine.key}.{name}"] for name in worst_first}
         off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
-        if max(off) > ALLOWED or _followed(found, cause, mine, narrow):
+        if max(off) > ALLOWED or _followed(found, cause, mine, narrow, _softness(mine)):
             continue
-        _refine(setting, found, cause, mine, narrow, values, [cause.path])
+        _refine(setting, found, cause, mine, *_as_soft(setting, cause, mine, narrow, values), [cause.path])
+
+
+def _softness(effect: Effect) -> str:
+    return " soft" if effect.soft else ""
+
+
+def _as_soft(
+    setting: Setting, cause: Refined, mine: Effect, other: Effect, values: dict[str, float]
+) -> tuple[Effect, dict[str, float]]:
+    """A relative and its values, as soft as one of a cause's effects is."""
+    form = other.softened() if mine.soft else None
+    if form is None:
+        return other, values
+    own = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+    wanted = [p.name for p in form.parameters(setting.model.scale)]
+    return form, {name: own[name] for name in wanted if name in own} | values
 
 
 def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:

@@ -3,24 +3,22 @@
 from pyro.distributions import StudentT
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, turned
+from invdyn.models.effects.base import Parameter, Values, turned
+from invdyn.models.effects.optics import Optics
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
-class CameraRoll(Effect):
+class CameraRoll(Optics):
     """All points turned counter-clockwise by an angle about the origin.
 
     With the base at the origin it cannot be told from tilted gravity, unless a plumb line or the base's own orientation
     is seen.
     """
 
-    side, site, order = "observation", "arm", 2
-
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""
         return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.02)),)
 
-    def points(self, p: Values, view: View) -> Tensor:
+    def seen(self, p: Values, points: Tensor) -> Tensor:
         """R(angle) p."""
-        return turned(view.points, p["angle"].unsqueeze(-1))
+        return turned(points, p["angle"].unsqueeze(-1))

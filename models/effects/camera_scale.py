@@ -3,23 +3,21 @@
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.optics import Optics
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
-class CameraScale(Effect):
+class CameraScale(Optics):
     """All points s times as far from the origin as they are.
 
     Cannot be told from longer links unless the base is off the origin or gravity's strength is known.
     """
 
-    side, site, order = "observation", "arm", 2
-
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Factor s, a pure number."""
         return (Parameter("scale", "1", LogNormal(0.0, 0.07), 1.0),)
 
-    def points(self, p: Values, view: View) -> Tensor:
+    def seen(self, p: Values, points: Tensor) -> Tensor:
         """S p."""
-        return p["scale"].unsqueeze(-1) * view.points
+        return p["scale"].unsqueeze(-1) * points

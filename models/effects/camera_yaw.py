@@ -6,20 +6,18 @@ import torch
 from pyro.distributions import LogNormal, StudentT
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.optics import Optics
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
-class CameraYaw(Effect):
+class CameraYaw(Optics):
     """The plane is turned by ψ about the vertical through the origin, its +x side away from the camera at D.
 
     What is farther away looks smaller: that asymmetry tells it apart from a scale.
     """
 
-    side, site, order = "observation", "arm", 2
-
-    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+    def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle ψ, rad: few cameras stand far from square; distance D of the camera from the origin, m."""
         distance = LogNormal(math.log(3.5 * scale.reach), 0.4)
         return (
@@ -27,9 +25,9 @@ class CameraYaw(Effect):
             Parameter("distance", "m", distance, None, tuple(n * scale.reach for n in (2.0, 3.5, 6.0))),
         )
 
-    def points(self, p: Values, view: View) -> Tensor:
+    def seen(self, p: Values, points: Tensor) -> Tensor:
         """Perspective about the origin."""
         angle, distance = p["angle"], p["distance"]
-        x, y = view.points.unbind(-1)
+        x, y = points.unbind(-1)
         away = (distance + x * angle.sin()).maximum(0.1 * distance)  # nothing is behind the camera
         return torch.stack(torch.broadcast_tensors(x * angle.cos(), y), -1) * (distance / away).unsqueeze(-1)
