@@ -83,13 +83,12 @@ def firmed(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tens
 
 
 def lifted(model: ArmModel, path: Tensor) -> Tensor:
-    """A path (T, D) in the states of ``model``: a hinge that it does not know yet is at rest, a gap as it is driven."""
-    missing = model.state_dim - path.shape[-1]
-    if not missing:
+    """A path (T, D) in the states of ``model``: hidden ones that it does not know rest, a gap is as it is driven."""
+    torque, moving = model.torque_size, 2 * model.body.num_joints
+    has, needs = (size - torque - moving for size in (path.shape[-1], model.state_dim))
+    if has == needs:
         return settled(model, path)
-    torque = model.torque_size
-    if missing > 0 and model.driven is not None:
+    path = torch.cat([path[:, :torque], path[:, torque + has :]], -1)
+    if model.driven is not None:
         return driven(model, path, 1)[0].squeeze(0)
-    if missing < 0:
-        return torch.cat([path[:, :torque], path[:, torque - missing :]], -1)
-    return torch.cat([path[:, :torque], path.new_zeros(len(path), missing), path[:, torque:]], -1)
+    return torch.cat([path[:, :torque], path.new_zeros(len(path), needs), path[:, torque:]], -1)

@@ -228,8 +228,8 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         """Keypoints and encoder angles of row ``t`` given x_t = ``state``; event shape (O,)."""
         z, q, qd = self.split(state)
         body, p, effects = self.body_parameters(), self.parameters, self.effects
-        if effects.hinge:
-            tips = effects.hinge.tips(own_values(effects.hinge, p), q, z[..., self.torque_size :], body)
+        if effects.hidden:
+            tips = effects.hidden.tips(own_values(effects.hidden, p), q, z[..., self.torque_size :], body)
         else:
             tips = self.dynamics.keypoints(q, body)
         if not (effects.has_points or effects.has_angles or effects.has_noise or effects.has_mistakes):
@@ -250,7 +250,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         return self.emission_model.distribution(view.points, angles, t, p, noise, effects.mistakes(p, view))
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z (..., Z) and any hidden hinge's (2), angles (..., K), velocities (..., K)."""
+        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
         joints = self.body.num_joints
         return torch.split(state, [self.state_dim - 2 * joints, joints, joints], -1)
 
@@ -260,7 +260,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         return torque if self.command is None else torque + self.command.to(path)
 
     def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
-        return join(*([self.parameters[name]] if self.effects.hinge else []), angle, velocity)
+        return join(*([self.parameters[name]] if self.effects.hidden else []), angle, velocity)
 
     def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
         if self.torque.diagonal:
@@ -281,15 +281,16 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
     @property
     def driven(self) -> slice | None:
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
-        hinge = self.effects.hinge
-        return slice(self.torque_size, self.state_dim - 2 * self.body.num_joints) if hinge and hinge.forgets else None
+        hidden = self.effects.hidden
+        return slice(self.torque_size, self.state_dim - 2 * self.body.num_joints) if hidden and hidden.forgets else None
 
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""
         angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
         slack = {"noise.angle": angle, "noise.velocity": velocity}
-        if self.effects.hinge:
-            slack["noise.hidden"] = [0.1 * angle, 0.1 * velocity]
+        if self.effects.hidden:
+            each = len(self.parameters["noise.hidden"]) // 2
+            slack["noise.hidden"] = [0.1 * angle] * each + [0.1 * velocity] * each
         return self.replace(
             **{k: torch.hypot(self.parameters[k], self.parameters[k].new_tensor(v)) for k, v in slack.items()}
         )

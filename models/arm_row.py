@@ -6,6 +6,7 @@ or moves as the motors make it. Effects act in the order
     motors, forces, inertias of the joints    as the integrator asks for them
     dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
     a hidden hinge                            has a step of its own: :mod:`.effects.hidden`
+    what follows the arm                      from one row to the next, after it
 
 Shapes: states (..., D), joint quantities (..., K).
 """
@@ -46,7 +47,6 @@ class ArmRow:
 
         if self.effects.hinge:
             p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
-
             links, whole = hinge.chain(p, body), dynamics_for(joints + 1)
 
             def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
@@ -80,11 +80,13 @@ class ArmRow:
             q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
             return (q if off is None else q + off), qd
 
-        if not self.effects.has_friction:
-            return join(z_next, *integrate(q, qd, 0.0, 1.0, parts))
-        for i in range(parts):
-            q, qd = integrate(q, qd, i / parts, 1 / parts, 1)
-        return join(z_next, q, qd)
+        before, spans = (q, qd), parts if self.effects.has_friction else 1
+        for i in range(spans):
+            q, qd = integrate(q, qd, i / spans, 1 / spans, parts // spans)
+        if self.effects.follower:
+            p, follower = own_values(self.effects.follower, self.parameters), self.effects.follower
+            hidden = follower.follow(p, hidden, before, (q, qd), body, dt)
+        return join(z_next, hidden, q, qd)
 
     def _smooth(
         self,

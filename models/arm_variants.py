@@ -34,11 +34,12 @@ class ArmVariants:
         :meth:`sequence` draws them; until then they stand where the effect is absent (or, for those that are
         never absent, in the middle of their grid or prior).
 
-        A hidden hinge (:mod:`.effects.hidden`) lengthens the state to (z, ψ, ψ̇, θ, θ̇), with the parameters
-        "initial.hidden_scale" and "noise.hidden", standard deviations (2,) of ψ, rad, and ψ̇, rad/s.
+        Hidden states (:mod:`.effects.hidden`) stand in the state before the angles, those of a hinge as
+        (z, ψ, ψ̇, θ, θ̇), with the parameters "initial.hidden_scale" and "noise.hidden", standard deviations (H,) of ψ,
+        rad, and ψ̇, rad/s.
 
         Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place,
-        and for a second hidden hinge.
+        and for a second one with hidden states.
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
         other = self.replace()
@@ -48,10 +49,10 @@ class ArmVariants:
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         other.parameters |= starts
         other.priors = {**self.priors, **priors}
-        if other.effects.hinge and not self.effects.hinge:
-            spread = torch.tensor(other.effects.hinge.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
+        if other.effects.hidden and not self.effects.hidden:
+            spread = torch.tensor(other.effects.hidden.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
             other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 1e-4 * spread}
-            other.state_dim += 2
+            other.state_dim += len(spread)
         check_tracked(bound, [self.body.keypoint_names[k] for k in self.emission_model.tips])
         return other
 

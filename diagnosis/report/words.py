@@ -49,6 +49,7 @@ SOFTER = {
     "settling": "softer than the ideal law, it takes a moment to bring the joint to rest and lets it creep",
     "position": "softer than in its middle alone, at this share of its length",
     "softness": "softer than a spring, it gives way to whatever presses the joint into it",
+    "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
     "centre_x": "about a centre of the picture that is not the frame’s origin",
 }
 """A parameter of an effect's softer form → what that is."""

@@ -22,7 +22,7 @@ from invdyn.models.effects.coulomb_friction import CoulombFriction
 from invdyn.models.effects.drifting_friction import DriftingFriction
 from invdyn.models.effects.external_push import ExternalPush
 from invdyn.models.effects.gravity_tilt import GravityTilt
-from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.models.effects.hidden import Follower, HiddenHinge
 from invdyn.models.effects.inertial_error import InertialError
 from invdyn.models.effects.joint_coupling import JointCoupling
 from invdyn.models.effects.joint_limit import JointLimit
@@ -68,6 +68,7 @@ __all__ = [
     "DriftingFriction",
     "Effect",
     "ExternalPush",
+    "Follower",
     "GravityTilt",
     "HiddenHinge",
     "InertialError",

@@ -12,7 +12,7 @@ from invdyn.models.body import BodyParameters
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
-from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mistakes import Shift, Stray, Swap
 
@@ -47,11 +47,13 @@ class Composition:
         self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
         self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
-        hinges = [effect for effect in effects if isinstance(effect, HiddenHinge)]
-        if len(hinges) > 1:
-            keys = " and ".join(effect.key for effect in hinges)
+        hidden = [effect for effect in effects if isinstance(effect, Hidden)]
+        if len(hidden) > 1:
+            keys = " and ".join(effect.key for effect in hidden)
             raise ValueError(f"expected at most one effect with a hidden coordinate, got {keys}")
-        self.hinge = hinges[0] if hinges else None
+        self.hidden = hidden[0] if hidden else None
+        self.hinge = self.hidden if isinstance(self.hidden, HiddenHinge) else None
+        self.follower = self.hidden if isinstance(self.hidden, Follower) else None
 
     def __iter__(self) -> Iterator[Effect]:
         return iter(self.effects)

@@ -1,7 +1,8 @@
-"""A hinge that nobody sees: one coordinate ψ more, in a chain of K + 1 links.
+"""States that nobody sees: of a hinge, one coordinate ψ more in a chain of K + 1 links, or of what follows the arm.
 
-One link becomes two, with a hinge between them: a flexible link bends there, a joint with backlash plays there. The
-state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything else of the model is as it was.
+What follows (:class:`Follower`) has no part in how the arm moves. A hinge makes two links of one: a flexible link bends
+there, a joint with backlash plays there. The state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything
+else of the model is as it was.
 
     chain      the K + 1 links                                      BodyParameters → BodyParameters
     spread     the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
@@ -32,8 +33,8 @@ Pull = Callable[[Tensor, Tensor, float | Tensor], Tensor | float]
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
 
-class HiddenHinge(Effect):
-    """Base of the effects with a hidden coordinate; at most one of them in a model."""
+class Hidden(Effect):
+    """Base of the effects with H hidden states, coordinates and then their rates; at most one of them in a model."""
 
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
@@ -44,8 +45,26 @@ class HiddenHinge(Effect):
         return True
 
     @abstractmethod
-    def hidden_scale(self, scale: Scale) -> tuple[float, float]:
-        """How far ψ, rad, and ψ̇, rad/s, may be from 0 at the first row: standard deviations."""
+    def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
+        """How far the H states may be from 0 at the first row: standard deviations."""
+
+    @abstractmethod
+    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+        """The K tips, or what is seen as them, (..., K, 2) m."""
+
+
+class Follower(Hidden):
+    """Base of what follows the arm's motion and has no part in it."""
+
+    @abstractmethod
+    def follow(
+        self, p: Values, hidden: Tensor, before: tuple[Tensor, Tensor], after: tuple[Tensor, Tensor], body, dt
+    ) -> Tensor:
+        """States (..., H) a row of ``dt`` s later, between angles and velocities (..., K) each at its two ends."""
+
+
+class HiddenHinge(Hidden):
+    """Base of the effects with a hidden hinge, of states ψ, rad, and ψ̇, rad/s."""
 
     @abstractmethod
     def chain(self, p: Values, body: BodyParameters) -> BodyParameters:

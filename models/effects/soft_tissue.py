@@ -1,13 +1,31 @@
-"""A marker on soft tissue: it lags behind its bone, p − κ p̈, or slides on it as the joint turns."""
+"""A marker on soft tissue: it lags behind its bone, p − κ p̈, or slides on it as the joint turns.
 
+The first is what slow motion leaves of a mass on a spring and a damper, of natural frequency ω = 1/√κ. The softer form
+is all of it, for motion about as fast: the marker is at p + δ with
+
+    δ̈ + 2ζω δ̇ + ω² δ = −p̈
+
+from row to row in closed form, with p̈ a straight line in between, that of the cubic through p and ṗ at both ends.
+"""
+
+from collections.abc import Mapping
 from typing import ClassVar
 
-from pyro.distributions import HalfNormal, Normal
+import torch
+from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
+from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.hidden import Follower
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
+
+STIFFEST = 1e-8
+"""s², least κ that is none at all: a frequency of 1.6 kHz."""
+TYPICAL = 0.3
+"""Damping ratio from which a search starts."""
 
 
 class SoftTissue(Effect):
@@ -20,6 +38,12 @@ class SoftTissue(Effect):
 
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)
+    softens: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """That of the catalogue, of the softer form too."""
+        return "soft_tissue"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ, s²; sliding, a' and b', m/rad, and a and b, m."""
@@ -30,6 +54,18 @@ class SoftTissue(Effect):
         slides = [Parameter(f"{way}_per_rad", "m/rad", prior) for way in ("along", "across")]
         return (*slides, Parameter("along", "m", prior), Parameter("across", "m", prior))
 
+    def softened(self) -> "Wobble | None":
+        """A mass on a spring; None for skin that slides, and for itself."""
+        if self.soft or self.form is not None:
+            return None
+        other = Wobble(*self.where)
+        other.place = self.place
+        return other
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """The same compliance."""
+        return {**ideal, "damping_ratio": TYPICAL}
+
     def points(self, p: Values, view: View) -> Tensor:
         """The tip moved."""
         k = self.place[0]
@@ -39,3 +75,65 @@ class SoftTissue(Effect):
         angle = view.q[..., joint : joint + 1]
         along, across = (p[way] + p[f"{way}_per_rad"] * angle for way in ("along", "across"))
         return view.moved(k, along * view.along[..., k, :] + across * view.across[..., k, :])
+
+
+class Wobble(SoftTissue, Follower):
+    """The softer form: hidden states δ, m, and δ̇, m/s, along x and y each."""
+
+    soft = True
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Compliance κ = 1/ω², s², and the damping ratio ζ, a pure number."""
+        ratio = Parameter("damping_ratio", "1", Uniform(0.02, 0.98), None, (0.1, TYPICAL, 0.6))
+        return (*super().parameters(scale), ratio)
+
+    def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
+        """A twentieth of the reach, which tissue of a typical compliance swings through."""
+        far = 0.05 * scale.reach
+        fast = far * float(scale.speed[self.place[0]]) / 0.1**0.5
+        return far, far, fast, fast
+
+    def follow(
+        self,
+        p: Values,
+        hidden: Tensor,
+        before: tuple[Tensor, Tensor],
+        after: tuple[Tensor, Tensor],
+        body: BodyParameters,
+        dt,
+    ) -> Tensor:
+        """See :meth:`Follower.follow`; damping ratios are below one."""
+        (p0, v0), (p1, v1) = self._tip(*before, body), self._tip(*after, body)
+        # of the cubic the second derivative, a + b t
+        a = (6 * (p1 - p0) / dt - 4 * v0 - 2 * v1) / dt
+        b = (6 * (v0 + v1) - 12 * (p1 - p0) / dt) / dt**2
+        kappa, ratio = p["kappa"].clamp_min(STIFFEST), p["damping_ratio"]
+        omega = kappa.rsqrt()
+        rate, turning = ratio * omega, omega * (1 - ratio**2).sqrt()
+
+        def steady(t) -> Tensor:
+            return kappa * (2 * rate * kappa * b - a - b * t)
+
+        x, v = (state - rest for state, rest in zip(hidden.chunk(2, -1), (steady(0.0), -kappa * b), strict=True))
+        decay, cos, sin = (-rate * dt).exp(), (turning * dt).cos(), (turning * dt).sin() / turning
+        swung = decay * ((cos + rate * sin) * x + sin * v)
+        swings = decay * ((cos - rate * sin) * v - sin / kappa * x)
+        moved = torch.cat(torch.broadcast_tensors(swung + steady(dt), swings - kappa * b), -1)
+        return torch.where(p["kappa"] > 0, moved, torch.zeros_like(moved))
+
+    def _tip(self, q: Tensor, qd: Tensor, body: BodyParameters) -> tuple[Tensor, Tensor]:
+        """Its tip from the base and its velocity, (..., 2) m and m/s."""
+        k = self.place[0] + 1
+        length, phi, omega = body.length[..., :k], q[..., :k].cumsum(-1), qd[..., :k].cumsum(-1)
+        cos, sin = length * phi.cos(), length * phi.sin()
+        return torch.stack([cos, sin], -1).sum(-2), torch.stack([-sin * omega, cos * omega], -1).sum(-2)
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """They are moved already, by :meth:`tips`."""
+        return view.points
+
+    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+        """One of them moved by δ."""
+        points = dynamics_for(q.shape[-1]).keypoints(q, body)
+        here = torch.nn.functional.one_hot(torch.tensor(self.place[0]), points.shape[-2]).to(points)
+        return points + here.unsqueeze(-1) * hidden[..., :2].unsqueeze(-2)

@@ -111,6 +111,25 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert not started
 
 
+def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
+    """The ideal one would leave what the softer form was found for, and never come near."""
+    truth, wide = (EFFECTS[name]("pivot").softened() for name in ("coulomb_friction", "stribeck_friction"))
+    given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
+    bound = setting(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
+    wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
+    found = Search(considered(bound), {"": none, wider.key: wider}, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.pool["coulomb_friction.pivot"]
+    assert cause.effects[0].soft
+    assert cause.complete
+    assert cause.log_evidence > wider.log_evidence
+    assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
+
+
 def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     bound = setting(recording_of(body=ARM), ARM)
     path, stray = data_path(bound)

@@ -93,6 +93,30 @@ def test_yaw_is_a_pinhole_camera(seen):
     assert found == pytest.approx(1.5 * space[..., :2] / space[..., 2:])
 
 
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (CameraScale, {"scale": 1.05}),
+        (CameraRoll, {"angle": 0.3}),
+        (CameraYaw, {"angle": 0.2, "distance": 1.5}),
+        (LensDistortion, {"k1": -0.3}),
+    ],
+)
+def test_optics_about_any_centre(kind, values, arm, having, states):
+    """As about the origin, of an arm whose base is moved against it."""
+    centre = np.array([0.1, -0.25])
+    ideal = arm(2)
+    x = states(ideal, 6)
+    soft = kind().softened()
+    found, _ = tips(having(ideal, soft, **values, centre_x=centre[0], centre_y=centre[1]), x)
+    moved = ideal.replace(**{"body.base": ideal.parameters["body.base"] - torch.as_tensor(centre)})
+    expected, _ = tips(having(moved, kind(), **values), x)
+    assert found == pytest.approx(expected + centre)
+    assert tips(having(ideal, soft, **soft.as_soft(values)), x)[0] == pytest.approx(
+        tips(having(ideal, kind(), **values), x)[0]
+    )
+
+
 def test_under_latency_a_state_is_that_of_the_picture(arm, having, states):
     """The camera shows it, the motors move it on by what they did before, and the encoders show what came after."""
     ideal = arm(2)

@@ -37,7 +37,7 @@ def at_all_places(name, model):
     form, _, plain = name.rpartition(" ")
     found = EFFECTS[plain].everywhere(model.body, model.body.keypoint_names)
     if EFFECTS[plain].forms:
-        found = [effect for effect in found if effect.form == (form.rstrip(":") or None)]
+        found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
     if form == "softer":
         found = [effect.softened() for effect in found]
     several = name in ("joint_coupling", "label_swap")

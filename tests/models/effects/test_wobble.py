@@ -1,0 +1,92 @@
+"""Soft tissue that swings on by itself: against a fine integration, and what slow motion leaves of it."""
+
+import numpy as np
+import pytest
+import torch
+from rod import F64, rod
+from scipy.integrate import solve_ivp
+
+from invdyn.models import ArmModel
+from invdyn.models.effects import CoulombFriction, LinkFlexibility, SoftTissue
+
+LENGTH = 0.3
+
+
+def along(model, q, qd, hidden):
+    """Hidden states (T, 4) that follow given angles and velocities (T,) of the rod, from ``hidden`` on."""
+    follower = model.effects.follower
+    p = {name: model.parameters[f"effect.{follower.key}.{name}"] for name in ("kappa", "damping_ratio")}
+    found = [torch.tensor(hidden, dtype=F64)]
+    for t in range(1, len(q)):
+        ends = [(torch.tensor(q[s : s + 1]), torch.tensor(qd[s : s + 1])) for s in (t - 1, t)]
+        found.append(follower.follow(p, found[-1], *ends, model.body_parameters(), model.dt[t]))
+    return torch.stack(found).numpy()
+
+
+def swinging(time, rate, size=0.6):
+    """Angle, velocity and the tip's acceleration (2,) of a sine."""
+    q, qd = size * np.sin(rate * time), size * rate * np.cos(rate * time)
+    u, across = np.stack([np.cos(q), np.sin(q)]), np.stack([-np.sin(q), np.cos(q)])
+    return q, qd, LENGTH * (-(rate**2) * q * across - qd**2 * u)
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.5, 0.95])
+def test_it_is_a_mass_on_a_spring(ratio, having):
+    kappa, hidden = 1.7e-3, [0.004, -0.002, 0.05, 0.1]
+    model = having(rod(rows=301), SoftTissue("tip").softened(), kappa=kappa, damping_ratio=ratio)
+    time = model.time.numpy()
+
+    def rate(t, x):
+        a = swinging(t, 12.0)[2]
+        return [*x[2:], *(-a - 2 * ratio / kappa**0.5 * x[2:] - x[:2] / kappa)]
+
+    exact = solve_ivp(rate, (0, time[-1]), hidden, t_eval=time, rtol=1e-10, atol=1e-12).y.T
+    found = along(model, *swinging(time, 12.0)[:2], hidden)
+    assert found[:, :2] == pytest.approx(exact[:, :2], abs=2e-6)
+    assert found[:, 2:] == pytest.approx(exact[:, 2:], abs=2e-4)
+
+
+def test_rows_twice_as_far_apart_err_sixteen_times_as_much(having):
+    errors = []
+    for step in (0.02, 0.01):
+        model = having(
+            rod(rows=int(1.2 / step) + 1, step=step), SoftTissue("tip").softened(), kappa=2e-3, damping_ratio=0.3
+        )
+        fine = having(rod(rows=2401, step=5e-4), SoftTissue("tip").softened(), kappa=2e-3, damping_ratio=0.3)
+        coarse, exact = (along(m, *swinging(m.time.numpy(), 9.0)[:2], [0.0] * 4) for m in (model, fine))
+        errors.append(np.abs(coarse - exact[:: round(step / 5e-4)])[:, :2].max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
+
+
+def test_slow_motion_leaves_the_lag(having):
+    """To first order in the square of how much slower it is."""
+    kappa, rate = 1e-4, 5.0
+    model = having(rod(rows=401), SoftTissue("tip").softened(), kappa=kappa, damping_ratio=0.6)
+    time = model.time.numpy()
+    q, qd, a = swinging(time, rate)
+    found = along(model, q, qd, [0.0] * 4)[100:, :2]
+    lag = -kappa * a.T[100:]
+    assert np.abs(found - lag).max() < 2 * 0.6 * rate * 2 * kappa**0.5 * np.abs(lag).max()
+
+
+def test_the_camera_sees_it_and_the_arm_does_not_feel_it(arm, having, states):
+    ideal = arm(2)
+    model = having(ideal, SoftTissue("tip0").softened(), kappa=1e-3, damping_ratio=0.3)
+    assert isinstance(model, ArmModel)
+    assert model.state_dim == ideal.state_dim + 4
+    x = states(model, 6)
+    x[:, 2:6] = 0.01 * torch.randn(6, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
+    plain = torch.cat([x[:, :2], x[:, 6:]], -1)
+    moved = model.transition_mean(x, 5)
+    torch.testing.assert_close(torch.cat([moved[:, :2], moved[:, 6:]], -1), ideal.transition_mean(plain, 5))
+    seen, true = model.emission(x, 5).mean, ideal.emission(plain, 5).mean
+    torch.testing.assert_close(seen[:, :2] - true[:, :2], x[:, 2:4])
+    torch.testing.assert_close(seen[:, 2:], true[:, 2:])
+
+
+def test_it_goes_with_dry_friction_and_not_with_a_hidden_hinge(arm):
+    wobble = SoftTissue("tip0").softened()
+    assert arm(2).with_effects(wobble, CoulombFriction("joint0")).state_dim == 10
+    with pytest.raises(ValueError, match="at most one effect with a hidden coordinate"):
+        arm(2).with_effects(wobble, LinkFlexibility("link1"))
+    assert SoftTissue("tip0", "sliding").softened() is None
