@@ -112,29 +112,37 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
 
 
 def _softness(effect: Effect) -> str:
-    return " soft" if effect.soft else ""
+    """Which form it is."""
+    return " softer" * effect.softness
 
 
 def _as_soft(
     setting: Setting, cause: Refined, mine: Effect, other: Effect, values: dict[str, float]
 ) -> tuple[Effect, dict[str, float]]:
     """A relative and its values, as soft as one of a cause's effects is."""
-    form = other.softened() if mine.soft else None
-    if form is None:
-        return other, values
+    form = other
+    for _ in range(mine.softness):
+        form = form.softened() or form
     own = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
     wanted = [p.name for p in form.parameters(setting.model.scale)]
     return form, {name: own[name] for name in wanted if name in own} | values
 
 
 def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:
-    """Refine a cause with the softer form of each of its effects that has one; the better one stays."""
+    """Refine a cause with the softer form of each of its effects that has one; the better one stays.
+
+    And with that one's, where it has one and something is left.
+    """
     for mine in cause.effects:
-        if mine.softened() is None or _followed(found, cause, mine, mine, f" softer {mine.key}"):
-            continue
-        refined = softer(setting, cause, mine)
-        if refined is not None:
+        form, best = mine, cause
+        while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
+            refined = softer(setting, best, form)
+            if refined is None:
+                break
             found.add(refined)
+            if refined.complete:
+                break
+            form, best = next(e for e in refined.effects if e.key == form.key), refined
 
 
 def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:

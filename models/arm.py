@@ -289,8 +289,8 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
         slack = {"noise.angle": angle, "noise.velocity": velocity}
         if self.effects.hidden:
-            each = len(self.parameters["noise.hidden"]) // 2
-            slack["noise.hidden"] = [0.1 * angle] * each + [0.1 * velocity] * each
+            rates = len(self.parameters["noise.hidden"]) // 2
+            slack["noise.hidden"] = [0.1 * angle] * max(rates, 1) + [0.1 * velocity] * rates
         return self.replace(
             **{k: torch.hypot(self.parameters[k], self.parameters[k].new_tensor(v)) for k, v in slack.items()}
         )

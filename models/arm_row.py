@@ -6,6 +6,7 @@ or moves as the motors make it. Effects act in the order
     motors, forces, inertias of the joints    as the integrator asks for them
     dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
     a hidden hinge                            has a step of its own: :mod:`.effects.hidden`
+    bristles                                  the same: :mod:`.effects.bristles`
     what follows the arm                      from one row to the next, after it
 
 Shapes: states (..., D), joint quantities (..., K).
@@ -63,6 +64,21 @@ class ArmRow:
                 return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
 
             return join(z_next, *hinge.step(p, body, net, pull, self.dynamics, hidden, q, qd, dt, parts))
+
+        if self.effects.bristles:
+            p, bristles = own_values(self.effects.bristles, self.parameters), self.effects.bristles
+            j = bristles.place[0]
+
+            def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
+                torque, own, _ = smooth(q, qd, s)
+                now = self._now(q, qd, start + s * change, body, clock, s * interval, dt / parts)
+                friction, rate = bristles.bending(p, bent, qd[..., j : j + 1], bristles.level(p, now), dt / parts)
+                torque = torque + now.at(j, friction)
+                if self.effects.has_friction:
+                    torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
+                return self.dynamics.forward(q, qd, torque, body, own), rate
+
+            return join(z_next, *bristles.step(moving, hidden, q, qd, dt, parts))
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""

@@ -150,6 +150,11 @@ class Effect(ABC):
         return ".".join([self.name, *self.where])
 
     @property
+    def softness(self) -> int:
+        """How many forms softer than the ideal one it is."""
+        return int(self.soft)
+
+    @property
     def moves(self) -> bool:
         """Whether any of its hooks has a part in the dynamics."""
         return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in DYNAMICS)

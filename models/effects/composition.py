@@ -10,6 +10,7 @@ from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.effects.base import Effect, Values
+from invdyn.models.effects.bristles import Bristles
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
@@ -53,6 +54,7 @@ class Composition:
             raise ValueError(f"expected at most one effect with a hidden coordinate, got {keys}")
         self.hidden = hidden[0] if hidden else None
         self.hinge = self.hidden if isinstance(self.hidden, HiddenHinge) else None
+        self.bristles = self.hidden if isinstance(self.hidden, Bristles) else None
         self.follower = self.hidden if isinstance(self.hidden, Follower) else None
 
     def __iter__(self) -> Iterator[Effect]:

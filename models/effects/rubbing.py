@@ -1,4 +1,4 @@
-"""Dry friction whose joint does not come to rest at once: the ideal law, and its softer form.
+"""Dry friction whose joint does not come to rest at once: the ideal law, and its softer forms.
 
 Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it: a joint is brought with a time
 constant T, as far as friction's level L allows, to the speed at which it creeps under what friction holds (Todorov
@@ -11,16 +11,20 @@ so that friction changes sign about a T before the motion does, and a joint that
 ρ → 0 are the ideal law. In the solvers' own terms T = T' (1 + R) and ρ = T' R: of T' and R a recording tells the
 product and not each. MuJoCo's ``frictionloss``, unless told otherwise, has T' = ½ · .95 · .02 s and R = .1/.9: T ≈ 11
 and ρ ≈ 1 ms.
+
+Real ones rather spring back: see :mod:`.bristles`, which is looked for where this form leaves something as well.
 """
 
+import copy
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
+from invdyn.models.effects.bristles import Bristles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation
 
@@ -35,6 +39,16 @@ class Rubbing(Effect):
 
     longest: ClassVar[float] = ABRUPT
     softens: ClassVar[bool] = True
+
+    def softened(self) -> Self | Bristles | None:
+        """The ideal law's is soft, and that one's has bristles."""
+        return Bristles(self.ideal()) if self.soft else super().softened()
+
+    def ideal(self) -> Self:
+        """The ideal form."""
+        other = copy.copy(self)
+        other.soft = False
+        return other
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """A short T, which leads on to longer ones."""

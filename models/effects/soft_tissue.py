@@ -90,7 +90,7 @@ class Wobble(SoftTissue, Follower):
     def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
         """A twentieth of the reach, which tissue of a typical compliance swings through."""
         far = 0.05 * scale.reach
-        fast = far * float(scale.speed[self.place[0]]) / 0.1**0.5
+        fast = far * scale.speed[self.place[0]] / 0.1**0.5
         return far, far, fast, fast
 
     def follow(

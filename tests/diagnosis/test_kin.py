@@ -101,13 +101,13 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert cause.names == tuple(f"{soft.key}.{name}" for name in given)
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
     assert cause.log_evidence > hard.log_evidence + 10
-    assert found.relatives[f"{ideal.key} softer {ideal.key}"] == hard.log_evidence
-    # Followed once, and never from what is soft already or leaves nothing.
+    assert found.relatives[f"{ideal.key} {ideal.key}"] == hard.log_evidence
+    # Followed once, and never from what leaves nothing.
     started = []
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
     refine_kin(bound, Search([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
-    for other in (replace(cause, by_size=hard.by_size), replace(hard, by_size=cause.by_size)):
-        refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
+    other = replace(hard, by_size=cause.by_size)
+    refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
 
 
@@ -128,6 +128,30 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     assert cause.complete
     assert cause.log_evidence > wider.log_evidence
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
+
+
+@pytest.mark.parametrize(
+    ("name", "levels"),
+    [
+        ("coulomb_friction", {"torque": 0.15}),
+        ("stribeck_friction", {"coulomb": 0.1, "static": 0.2, "velocity": 1.0}),
+    ],
+)
+def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(name, levels):
+    ideal = EFFECTS[name]("pivot")
+    given = {**levels, "bristle_stiffness": 60.0, "bristle_damping": 0.3}
+    bound = setting(recording_of(ideal.softened().softened(), rows=200, **given), PENDULUM)
+    path, stray = data_path(bound)
+    none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
+    found = Search(considered(bound), {"": none, hard.key: hard}, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.pool[ideal.key]
+    assert not hard.complete
+    assert cause.complete
+    assert cause.effects[0].softness == 2
+    assert cause.names == tuple(f"{ideal.key}.{name}" for name in given)
+    assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
+    assert cause.log_evidence > hard.log_evidence + 10
 
 
 def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):

@@ -12,10 +12,13 @@ from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.models import Emission
 from invdyn.models.effects import EFFECTS, Backlash, HiddenHinge, KeypointOffset, LinkFlexibility, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
+from invdyn.models.effects.bristles import Bristles
+from invdyn.models.effects.rubbing import Rubbing
 from invdyn.models.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
+FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if issubclass(kind, Rubbing)))
 FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
@@ -38,7 +41,7 @@ def at_all_places(name, model):
     found = EFFECTS[plain].everywhere(model.body, model.body.keypoint_names)
     if EFFECTS[plain].forms:
         found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
-    if form == "softer":
+    for _ in range(form.count("softer")):
         found = [effect.softened() for effect in found]
     several = name in ("joint_coupling", "label_swap")
     assert found or (several and model.body.num_joints == 1)
@@ -124,7 +127,7 @@ def test_places_are_checked(name, arm):
     assert effect.key == ".".join([effect.name, *effect.where])
     with pytest.raises(ValueError, match="twice"):
         model.with_effects(effect, effect)
-    kind = type(effect)
+    kind = type(effect.of if isinstance(effect, Bristles) else effect)
     with pytest.raises((ValueError, TypeError)):
         kind("a", "b", "c")
     if effect.where:

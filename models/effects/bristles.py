@@ -1,0 +1,121 @@
+"""Dry friction through bristles that bend before they slip (LuGre: Canudas de Wit, Olsson, Åström & Lischinsky 1995).
+
+A joint that is held is held by a spring: over some thousandths of a radian friction grows from nothing to its level L,
+and has to be bent back where the joint turns around. With s the bristles' deflection, rad,
+
+    ṡ = θ̇ − σ₀ |θ̇| s / L        friction = −σ₀ s − σ₁ ṡ
+
+which slides with −L sgn θ̇, whatever L depends on, speed (Stribeck's curve) or load; L constant and σ₁ = 0 is Dahl's
+model. σ₀ → ∞ is the ideal law. MuJoCo's ``dcmotor`` has it as ``lugre``.
+
+Deflections that follow faster than a sub-step h can, at σ₀ |θ̇| h / L > 1, do so as fast as it can: a joint that slides
+like that has bent them as far as they go.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+
+import torch
+from pyro.distributions import LogNormal
+from torch import Tensor
+
+from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import dynamics_for
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.hidden import Hidden
+from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.situation import Situation
+
+LONGEST = 0.002
+"""s, sub-step that follows a joint swinging on its bristles."""
+FRICTION, BENT = 0.1, 0.002
+"""Typical level, of the typical torque, and deflection under it, rad."""
+
+Moving = Callable[[Tensor, Tensor, float, Tensor], tuple[Tensor, Tensor]]
+"""(q, q̇, fraction of the step, s) → θ̈ (..., K) and ṡ (..., 1)."""
+
+
+class Bristles(Hidden):
+    """A dry friction, ``of``, whose levels are as they are, and one hidden state s.
+
+    Args:
+        of: the friction in its ideal form, bound or not.
+    """
+
+    soft = True
+    longest = LONGEST
+
+    def __init__(self, of: Effect):
+        self.of, self.where, self.form, self.place = of, of.where, of.form, of.place
+        self.contains = of.contains
+
+    @property
+    def name(self) -> str:
+        """That of the friction."""
+        return self.of.name
+
+    @property
+    def softness(self) -> int:
+        """Beyond a friction that creeps."""
+        return 2
+
+    def bound(self, body) -> "Bristles":
+        """See :meth:`Effect.bound`."""
+        return type(self)(self.of.bound(body))
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """The friction's own; stiffness σ₀, N·m/rad, and damping σ₁, N·m·s/rad."""
+        j = self.place[0]
+        stiffness = FRICTION * scale.torque[j] / BENT
+        damping = math.sqrt(stiffness * scale.inertia[j])
+        return (
+            *self.of.parameters(scale),
+            Parameter("bristle_stiffness", "N·m/rad", LogNormal(math.log(stiffness), 1.2), None, (stiffness,)),
+            Parameter("bristle_damping", "N·m·s/rad", LogNormal(math.log(0.3 * damping), 1.2), None, (0.3 * damping,)),
+        )
+
+    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
+        """See :meth:`Effect.credible`."""
+        return self.of.credible(mean, sd, scale)
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """The levels of a friction that creeps."""
+        return {name: value for name, value in ideal.items() if name not in ("settling", "creep")}
+
+    def softened(self) -> None:
+        """There is none."""
+        return None
+
+    def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
+        """As far as typical friction bends them."""
+        return (BENT,)
+
+    def level(self, p: Values, now: Situation) -> Tensor:
+        """L, (..., 1) N·m."""
+        return self.of.friction(p, now)
+
+    def bending(self, p: Values, s: Tensor, speed: Tensor, level: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+        """Friction (..., 1) N·m, and ṡ rad/s, at a joint's ``speed`` in a sub-step of ``step`` s."""
+        # where there is none the quotient's slope must not count either
+        pace = p["bristle_stiffness"] * speed.abs() / torch.where(level > 0, level, 1.0)  # 1/s
+        rate = (speed - pace * s) / (pace * step).clamp_min(1.0)
+        friction = -p["bristle_stiffness"] * s - p["bristle_damping"] * rate
+        return torch.where(level > 0, friction, 0.0), torch.where(level > 0, rate, 0.0)
+
+    def step(
+        self, moving: Moving, s: Tensor, q: Tensor, qd: Tensor, dt: Tensor, n: int
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """S, q and q̇ one row of ``dt`` s later, in ``n`` sub-steps of Runge–Kutta of order 4."""
+        h = dt / n
+        for i in range(n):
+            x, slopes = (s, q, qd), []
+            for share, ahead in ((0.0, 0.0), (0.5, 0.5), (0.5, 0.5), (1.0, 1.0)):
+                here = x if not slopes else tuple(a + ahead * h * b for a, b in zip(x, slopes[-1], strict=True))
+                bent, rate = moving(here[1], here[2], (i + share) / n, here[0])
+                slopes.append((rate, here[2], bent))
+            s, q, qd = (a + h / 6 * (k1 + 2 * (k2 + k3) + k4) for a, k1, k2, k3, k4 in zip(x, *slopes, strict=True))
+        return s, q, qd
+
+    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+        """The K tips: nobody sees them bend."""
+        return dynamics_for(q.shape[-1]).keypoints(q, body)
