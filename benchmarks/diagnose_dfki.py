@@ -89,7 +89,10 @@ def rms(error: np.ndarray) -> list[float]:
 
 
 def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) -> ArmModel:
-    """The body under torques (T, K) with effects of a diagnosis.json, but for those of the camera and hidden hinges."""
+    """The body under torques (T, K) with effects of a diagnosis.json, but for those of the camera and hidden hinges.
+
+    Bristles are bent all the way, as while a joint slides.
+    """
     still = np.zeros((len(times), 2))
     rows = Recording(times, np.zeros((len(times), 0, 2)), (), angles=still, torques=u, joint_names=body.joint_names)
     model = arm_problem(rows, body, substeps=1).model
@@ -99,7 +102,7 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
         if kind.side == "observation" or issubclass(kind, HiddenHinge):
             continue
         part = kind(*(each[k] for k in ("joint", "link", "partner", "stop", "form") if each.get(k)))
-        means = {name: p["mean"] for name, p in each["parameters"].items()}
+        means = {name: p["mean"] for name, p in each["parameters"].items() if not name.startswith("bristle_")}
         part = part.softened() if {"settling", "softness"} & means.keys() else part
         parts.append(part)
         if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
@@ -107,6 +110,26 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
             means |= {"sine": size * np.cos(phase), "cosine": size * np.sin(phase)}
         values |= {f"effect.{part.key}.{name}": torch.tensor([mean]).double() for name, mean in means.items()}
     return model.with_effects(*parts).replace(**values)
+
+
+def compare(effects: list[dict], runs: list[str]) -> None:
+    """Print the rms of the torque that is missing along runs, with effects of a diagnosis.json and the lab's."""
+    print("\nrms of the torque that is missing, N·m, shoulder / elbow")
+    body = Body.from_toml(BODY)
+    friction = [each for each in effects if "friction" in each["effect"]]
+    for run in runs:
+        times, q, qd, qdd, u = smooth(load_truth(f"dfki-trajectory-{run}"))
+        rigid, found, rubbed = (arm_on(times, u, body, some) for some in ([], effects, friction))
+        missing, (friction_torque, rotors) = model_error(rigid, q, qd, qdd), published(qd, qdd)
+        errors = {
+            "rigid": missing,
+            "lab's friction": missing + friction_torque,
+            "lab's friction and rotors": missing + friction_torque + rotors,
+            "found": model_error(found, q, qd, qdd),
+            "found, friction alone": model_error(rubbed, q, qd, qdd),
+        }
+        for name, error in errors.items():
+            print(f"{run}  {name:<27} " + " / ".join(f"{v:.4f}" for v in rms(error)), flush=True)
 
 
 def main() -> None:
@@ -135,22 +158,7 @@ def main() -> None:
                 f"{n} {p['mean']:.4g} ± {p['sd']:.2g} {p['unit']}" for n, p in each["parameters"].items()
             )
             print(f"  {each['effect']} {place}: {numbers}")
-    print("\nrms of the torque that is missing, N·m, shoulder / elbow")
-    for run in arguments.held_out:
-        times, q, qd, qdd, u = smooth(load_truth(f"dfki-trajectory-{run}"))
-        effects = result["causes"][0]["effects"]
-        friction = [each for each in effects if "friction" in each["effect"]]
-        rigid, found, rubbed = (arm_on(times, u, body, some) for some in ([], effects, friction))
-        missing, (friction_torque, rotors) = model_error(rigid, q, qd, qdd), published(qd, qdd)
-        errors = {
-            "rigid": missing,
-            "lab's friction": missing + friction_torque,
-            "lab's friction and rotors": missing + friction_torque + rotors,
-            "found": model_error(found, q, qd, qdd),
-            "found, friction alone": model_error(rubbed, q, qd, qdd),
-        }
-        for name, error in errors.items():
-            print(f"{run}  {name:<27} " + " / ".join(f"{v:.4f}" for v in rms(error)), flush=True)
+    compare(result["causes"][0]["effects"], arguments.held_out)
 
 
 if __name__ == "__main__":
