@@ -66,19 +66,15 @@ class ArmRow:
             return join(z_next, *hinge.step(p, body, net, pull, self.dynamics, hidden, q, qd, dt, parts))
 
         if self.effects.bristles:
-            p, bristles = own_values(self.effects.bristles, self.parameters), self.effects.bristles
-            j = bristles.place[0]
 
             def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
                 torque, own, _ = smooth(q, qd, s)
                 now = self._now(q, qd, start + s * change, body, clock, s * interval, dt / parts)
-                friction, rate = bristles.bending(p, bent, qd[..., j : j + 1], bristles.level(p, now), dt / parts)
-                torque = torque + now.at(j, friction)
-                if self.effects.has_friction:
-                    torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
+                friction, rate = self._bending(bent, now)
+                torque, own = self._rubbed(torque + friction, own, now)
                 return self.dynamics.forward(q, qd, torque, body, own), rate
 
-            return join(z_next, *bristles.step(moving, hidden, q, qd, dt, parts))
+            return join(z_next, *self.effects.bristles.step(moving, hidden, q, qd, dt, parts))
 
         def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
             """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
@@ -150,13 +146,25 @@ class ArmRow:
             torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
         return torque, own
 
+    def _bending(self, bent: Tensor, now: Situation) -> tuple[Tensor, Tensor]:
+        """Friction through bristles that are ``bent`` (..., 1), (..., K) N·m, and how fast they bend, rad/s."""
+        bristles, p = self.effects.bristles, own_values(self.effects.bristles, self.parameters)
+        j = bristles.place[0]
+        friction, rate = bristles.bending(p, bent, now.qd[..., j : j + 1], bristles.level(p, now), now.step)
+        return now.at(j, friction), rate
+
     def _under(self, state: Tensor, t: int | Tensor, body: BodyParameters, command: Tensor | None) -> Tensor:
         """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
         z, q, qd = self.split(state)
         torque = z[..., : self.body.num_joints]
         torque = torque if command is None else torque + command
         step = self._interval(t) / self.substeps_taken
-        torque, own = self._rubbed(*self._smooth(q, qd, torque, body, self._clock(t), 0.0, step))
+        motor = torque
+        torque, own, now = self._smooth(q, qd, motor, body, self._clock(t), 0.0, step)
+        if self.effects.bristles:
+            now = self._now(q, qd, motor, body, self._clock(t), 0.0, step)
+            torque = torque + self._bending(z[..., self.torque_size :], now)[0]
+        torque, own = self._rubbed(torque, own, now)
         return self.dynamics.forward(q, qd, torque, body, own)
 
     def acceleration(self, state: Tensor, t: int | Tensor, body: BodyParameters) -> Tensor:

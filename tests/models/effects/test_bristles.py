@@ -100,6 +100,21 @@ def test_a_joint_that_slides_bends_them_all_the_way(having):
     assert (friction.item(), rate.item()) == (0.0, 0.0)
 
 
+def test_acceleration_knows_how_far_they_are_bent(arm, having, states):
+    """As far as the joint is slowed down in a moment."""
+    values = {"torque": 1.0, "bristle_stiffness": 200.0, "bristle_damping": 0.5}
+    model = having(arm(2, step=1e-5), Bristles(CoulombFriction("joint1")), **values)
+    x = states(model, 6)
+    x[:, 2] = torch.linspace(-0.004, 0.004, 6, dtype=F64)
+    body = model.body_parameters()
+    ideal = arm(2, step=1e-5)
+    plain = torch.cat([x[:, :2], x[:, 3:]], -1)
+    rows = torch.full((6,), 5)
+    change = model.acceleration(x, rows, body) - ideal.acceleration(plain, rows, body)
+    after = model.transition_mean(x, rows)[:, -2:] - ideal.transition_mean(plain, rows)[:, -2:]
+    torch.testing.assert_close(change, after / 1e-5, rtol=1e-2, atol=1e-2)
+
+
 def test_it_stands_under_the_frictions_own_name(arm):
     soft = CoulombFriction("joint1").softened()
     bristles = soft.softened()
