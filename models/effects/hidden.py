@@ -34,7 +34,7 @@ Torques as of the rigid arm, at the joints alone, are what they are counted from
 
 
 class Hidden(Effect):
-    """Base of the effects with H hidden states, coordinates and then their rates; at most one of them in a model."""
+    """Base of the effects with H hidden states, coordinates and then any rates; at most one of them in a model."""
 
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
