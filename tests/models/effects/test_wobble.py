@@ -59,7 +59,7 @@ def test_rows_twice_as_far_apart_err_sixteen_times_as_much(having):
 
 
 def test_slow_motion_leaves_the_lag(having):
-    """To first order in the square of how much slower it is."""
+    """To first order in how much slower it is."""
     kappa, rate = 1e-4, 5.0
     model = having(rod(rows=401), SoftTissue("tip").softened(), kappa=kappa, damping_ratio=0.6)
     time = model.time.numpy()
