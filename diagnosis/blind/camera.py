@@ -5,9 +5,10 @@ A frame stamped t shows, through the effects that are present and in this order,
     when     t' = t − δ (latency) + ρ y (rolling shutter, y the row's height) + jitter: a share of the frames
              (rate) is mistimed, with a standard deviation of sd over all frames
     marker   p' = p + R(φ) (along, across)                  φ the link's absolute angle
-             p' = p − κ a                                   soft tissue, a the keypoint's acceleration
+             p' = p − κ a                                   soft tissue, a the keypoint's acceleration; or as it swings
     optics   (x, y) → (x cos ψ, y) D / (D + x sin ψ)        yaw, from the distance D
-             p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin
+             p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin, yaw and lens also about
+                                                            any centre
     tracker  p + σ (1 + slope |v|) noise;  two labels exchanged;  a stray detection near p
 
 The rate of the clock is no matter of the picture: it scales every time in the table, `cases` sees to it.
@@ -20,6 +21,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .reality import Trajectory
+from .softer import swung
 
 OBSERVATIONS = (
     "keypoint_offset",
@@ -102,7 +104,9 @@ def marker(trajectory: Trajectory, point: int, present: Mapping) -> np.ndarray:
         across = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
         track = track + parameters["along"] * along + parameters["across"] * across
     if "soft_tissue" in present and present["soft_tissue"][0] == point - 1:
-        track = track - present["soft_tissue"][1]["kappa"] * acceleration(trajectory.time, trajectory.points[:, point])
+        parameters, a = present["soft_tissue"][1], acceleration(trajectory.time, trajectory.points[:, point])
+        kappa, ratio = parameters["kappa"], parameters.get("damping_ratio")
+        track = track + (-kappa * a if ratio is None else swung(trajectory.time, a, kappa, ratio))
     return track
 
 
@@ -115,8 +119,10 @@ def optics(points: np.ndarray, present: Mapping) -> np.ndarray:
     """What lens and pose of the camera make of points (..., 2), m."""
     if "camera_yaw" in present:
         angle, distance = (present["camera_yaw"][1][key] for key in ("angle", "distance"))
-        x, y = points[..., 0], points[..., 1]
-        points = np.stack([x * np.cos(angle), y], axis=-1) * (distance / (distance + x * np.sin(angle)))[..., None]
+        centre = _centre(present["camera_yaw"][1])
+        x, y = np.moveaxis(points - centre, -1, 0)
+        turned = np.stack([x * np.cos(angle), y], axis=-1)
+        points = centre + turned * (distance / (distance + x * np.sin(angle)))[..., None]
     if "camera_roll" in present:
         angle = present["camera_roll"][1]["angle"]
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -124,8 +130,14 @@ def optics(points: np.ndarray, present: Mapping) -> np.ndarray:
     if "camera_scale" in present:
         points = points * present["camera_scale"][1]["scale"]
     if "lens_distortion" in present:
-        points = points * (1 + present["lens_distortion"][1]["k1"] * (points**2).sum(axis=-1, keepdims=True))
+        k1, centre = present["lens_distortion"][1]["k1"], _centre(present["lens_distortion"][1])
+        from_it = points - centre
+        points = centre + from_it * (1 + k1 * (from_it**2).sum(axis=-1, keepdims=True))
     return points
+
+
+def _centre(parameters: Mapping[str, float]) -> np.ndarray:
+    return np.array([parameters.get("centre_x", 0.0), parameters.get("centre_y", 0.0)])
 
 
 def _at(time: np.ndarray, tracks: np.ndarray, when: np.ndarray) -> np.ndarray:

@@ -4,7 +4,8 @@ Where MuJoCo has the effect, its own part plays it; else a force is applied at e
 on its way to the motors. Joints, links and tips are counted from 0 at the base; SI units, radians.
 
     viscous, coulomb, drifting   dof_damping, dof_frictionloss, dof_damping rewritten every step
-    stribeck, load friction      dof_frictionloss rewritten every step, so that sticking stays MuJoCo's own
+    stribeck, load friction      dof_frictionloss rewritten every step, so that sticking stays MuJoCo's own; Stribeck's
+                                 also through bristles, applied (`softer`)
     stiffness, coupling          springs of joints, of a fixed tendon
     payload, inertial error      an inertial in place of the link's own
     backlash                     a rotor of its own inertia (taken from the link's, so that with no play
@@ -18,6 +19,7 @@ from collections import deque
 import numpy as np
 
 from .reality import Segment, World
+from .softer import bristles
 
 ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is play between motor and link
 
@@ -49,8 +51,18 @@ def coulomb_friction(world: World, joint: int, torque: float) -> None:
     set_joint(world, joint, frictionloss=torque)
 
 
-def stribeck_friction(world: World, joint: int, coulomb: float, static: float, velocity: float) -> None:
-    """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇."""
+def stribeck_friction(
+    world: World,
+    joint: int,
+    coulomb: float,
+    static: float,
+    velocity: float,
+    bristle_stiffness: float | None = None,
+    bristle_damping: float | None = None,
+) -> None:
+    """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇; through bristles, where they have a stiffness."""
+    if bristle_stiffness is not None:
+        return bristles(world, joint, coulomb, static, velocity, bristle_stiffness, bristle_damping)
     set_joint(world, joint, frictionloss=static)
 
     def act(t, model, data):

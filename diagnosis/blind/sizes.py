@@ -17,7 +17,13 @@ from .reality import Trajectory, World
 UNITS = {
     "viscous_friction": {"damping": "N·m·s/rad"},
     "coulomb_friction": {"torque": "N·m"},
-    "stribeck_friction": {"coulomb": "N·m", "static": "N·m", "velocity": "rad/s"},
+    "stribeck_friction": {
+        "coulomb": "N·m",
+        "static": "N·m",
+        "velocity": "rad/s",
+        "bristle_stiffness": "N·m/rad",
+        "bristle_damping": "N·m·s/rad",
+    },
     "load_friction": {"coefficient": "1"},
     "quadratic_drag": {"drag": "N·m·s²/rad²"},
     "joint_stiffness": {"stiffness": "N·m/rad", "rest_angle": "rad"},
@@ -39,11 +45,11 @@ UNITS = {
     "link_flexibility": {"stiffness": "N·m/rad", "damping": "N·m·s/rad"},
     "drifting_friction": {"damping": "N·m·s/rad", "slope": "N·m/rad"},
     "keypoint_offset": {"along": "m", "across": "m"},
-    "soft_tissue": {"kappa": "s²"},
+    "soft_tissue": {"kappa": "s²", "damping_ratio": "1"},
     "camera_scale": {"scale": "1"},
     "camera_roll": {"angle": "rad"},
-    "camera_yaw": {"angle": "rad", "distance": "m"},
-    "lens_distortion": {"k1": "m⁻²"},
+    "camera_yaw": {"angle": "rad", "distance": "m", "centre_x": "m", "centre_y": "m"},
+    "lens_distortion": {"k1": "m⁻²", "centre_x": "m", "centre_y": "m"},
     "clock_rate": {"rate": "1"},
     "camera_latency": {"latency": "s"},
     "rolling_shutter": {"readout": "s/m"},
@@ -52,7 +58,10 @@ UNITS = {
     "label_swap": {"rate": "1"},
     "varying_noise": {"slope": "s/m"},
 }
-"""Unit of every parameter of every effect; "1" where it has none."""
+"""Unit of every parameter of every effect; "1" where it has none. Softer forms have the last ones besides."""
+
+SOFTER = 0.4
+"""Share of friction, tissue and lenses that are not ideal."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +112,13 @@ def _sign(rng: np.random.Generator) -> float:
 
 def _stribeck(rng, s, k, a):
     coulomb = a * between(rng, 0.03, 0.1) * s.torque[k]
-    return {
-        "coulomb": coulomb,
-        "static": coulomb * rng.uniform(1.5, 3.0),
-        "velocity": rng.uniform(0.2, 0.6) * s.speed[k],
-    }
+    static = coulomb * rng.uniform(1.5, 3.0)
+    level = {"coulomb": coulomb, "static": static, "velocity": rng.uniform(0.2, 0.6) * s.speed[k]}
+    if rng.random() > SOFTER:
+        return level
+    stiffness = static / between(rng, 3e-4, 3e-3)  # bent by so many radians it slips
+    damping = 2 * rng.uniform(0.3, 0.8) * np.sqrt(stiffness * s.inertia[k])
+    return level | {"bristle_stiffness": stiffness, "bristle_damping": damping}
 
 
 def _limit(rng, s, k, a):
@@ -185,7 +196,8 @@ def _offset(rng, s, k, a):
 def _tissue(rng, s, k, a):
     second = np.gradient(np.gradient(s.motion.points[:, k + 1], s.motion.time, axis=0), s.motion.time, axis=0)
     rms = np.sqrt((second**2).sum(-1).mean())
-    return {"kappa": a * rng.uniform(0.02, 0.05) * s.body.links[k].nominal("length") / rms}
+    kappa = a * rng.uniform(0.02, 0.05) * s.body.links[k].nominal("length") / rms
+    return {"kappa": kappa} | ({"damping_ratio": rng.uniform(0.1, 0.6)} if rng.random() < SOFTER else {})
 
 
 def _hz(s: Scene) -> float:
@@ -193,7 +205,19 @@ def _hz(s: Scene) -> float:
 
 
 def _yaw(rng, s, place, a):
-    return {"angle": a * _sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
+    turned = {"angle": a * _sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
+    return turned | _centre(rng, s)
+
+
+def _lens(rng, s, place, a):
+    return {"k1": a * _sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2} | _centre(rng, s)
+
+
+def _centre(rng, s):
+    """Where the camera looks, if not at the origin: of an arm with one link, that would make another twin of it."""
+    if s.body.num_joints == 1 or rng.random() > SOFTER:
+        return {}
+    return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
 
 
 SIZES = {
@@ -235,7 +259,7 @@ SIZES = {
     "camera_scale": lambda rng, s, place, a: {"scale": 1 + a * _sign(rng) * rng.uniform(0.02, 0.08)},
     "camera_roll": lambda rng, s, place, a: {"angle": a * _sign(rng) * np.deg2rad(rng.uniform(1.0, 3.0))},
     "camera_yaw": _yaw,
-    "lens_distortion": lambda rng, s, place, a: {"k1": a * _sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2},
+    "lens_distortion": _lens,
     "clock_rate": lambda rng, s, place, a: {"rate": np.exp(a * _sign(rng) * rng.uniform(0.05, 0.22))},
     "camera_latency": lambda rng, s, place, a: {"latency": a * np.clip(rng.uniform(0.01, 0.06) / _hz(s), 0.005, 0.06)},
     "rolling_shutter": lambda rng, s, place, a: {

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from invdyn.diagnosis.blind.camera import film
+from invdyn.diagnosis.blind.camera import film, optics
 from invdyn.diagnosis.blind.reality import Trajectory
 
 STEP, SEED = 5e-4, (1, 2)
@@ -50,6 +51,33 @@ def test_soft_tissue_lags_behind_the_acceleration():
     h = 1e-3
     before, now, after = (arm(FRAMES + shift)[1][:, 2] for shift in (-h, 0.0, h))
     np.testing.assert_allclose(change[:, 2], -1e-3 * (before - 2 * now + after) / h**2, atol=1e-6)
+
+
+def test_soft_tissue_swings_by_itself():
+    """δ̈ + 2ζω δ̇ + ω² δ = −p̈ by an ODE solver, steady at first."""
+    kappa, ratio = 2e-3, 0.2
+    track = REAL.points[:, 2]
+    a = np.gradient(np.gradient(track, REAL.time, axis=0), REAL.time, axis=0)
+
+    def slope(t, x):
+        now = np.array([np.interp(t, REAL.time, column) for column in a.T])
+        return np.r_[x[2:], -x[:2] / kappa - 2 * ratio * kappa**-0.5 * x[2:] - now]
+
+    start = np.r_[-kappa * a[0], 0.0, 0.0]
+    swung = solve_ivp(slope, REAL.time[[0, -1]], start, t_eval=FRAMES, rtol=1e-8, atol=1e-11, max_step=2e-3).y[:2].T
+    change = seen("soft_tissue", 1, kappa=kappa, damping_ratio=ratio) - film(REAL, FRAMES, [], 0.0, SEED)
+    np.testing.assert_allclose(change[:, 2], swung, atol=1e-6)
+    assert np.abs(change[:, 2] - (seen("soft_tissue", 1, kappa=kappa) - TRUE)[:, 2]).max() > 1e-4
+
+
+@pytest.mark.parametrize("effect", ["lens_distortion", "camera_yaw"])
+def test_optics_about_a_centre_are_those_of_a_frame_there(effect):
+    centre = np.array([0.07, -0.11])
+    parameters = {"lens_distortion": {"k1": 0.3}, "camera_yaw": {"angle": 0.15, "distance": 1.5}}[effect]
+    found = seen(effect, **parameters, centre_x=centre[0], centre_y=centre[1])
+    expected = optics(TRUE - centre, {effect: (None, parameters)}) + centre
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert np.abs(found - seen(effect, **parameters)).max() > 1e-4
 
 
 def test_scale_roll_and_lens():
