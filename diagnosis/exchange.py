@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn.diagnosis.cause import Refined, key_of
-from invdyn.diagnosis.kin import refine_kin, refine_softer
+from invdyn.diagnosis.kin import refine_instead, refine_kin, refine_softer
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, lifted
-from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.pool import FEW, Search
 from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen_in_halves
@@ -77,7 +77,10 @@ def exchange(setting: Setting, found: Search) -> None:
     best = found.ranked[0]
     for old in best.effects:
         rest = tuple(effect for effect in best.effects if effect is not old)
-        if is_searched(old) or any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+        if is_searched(old):
+            continue
+        if any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+            _beside_play(setting, found, best, old, rest)
             continue
         common, model = unknowns(setting, rest), setting.model
         point = common.mean
@@ -102,6 +105,30 @@ def exchange(setting: Setting, found: Search) -> None:
         bared = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
         refine_promising(setting, found, bared, near, SWAPS)
     refine_kin(setting, found, len(best.effects))
+
+
+def _beside_play(setting: Setting, found: Search, best: Refined, old: Effect, rest: Sequence[Effect]) -> None:
+    """Refine what by itself does as well as ``old`` in its place: play leaves no path that a screen could be along.
+
+    Where that is better, and the play is all the ``rest``, play is searched anew beside it.
+    """
+    taken, alone = {effect.key for effect in best.effects}, found.pool.get(old.key)
+    if alone is None:
+        return
+    singles = [c for c in found.pool.values() if len(c.effects) == 1 and c.key not in taken]
+    near = [c for c in singles if c.log_evidence > alone.log_evidence - FEW and not is_searched(c.effects[0])]
+    for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:
+        other = cause.effects[0]
+        own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(setting.model.scale)}
+        refine_instead(setting, found, best, old, other, own, [best.path])
+        swapped = found.pool.get(key_of((*rest, other)))
+        better = swapped is not None and swapped.log_evidence > best.log_evidence and not swapped.complete
+        if better and len(rest) == 1:
+            again = attempt(refine_searched, setting, cause, rest[0], found.top - HOPELESS)
+            if again is not None:
+                found.add(again)
+        if found.explained:
+            return
 
 
 def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:

@@ -29,20 +29,27 @@ TWINS = (
 ALIKE = 1.0
 """Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
 
+SOFTER = 3
+"""Causes of one effect whose softer forms are refined, and one of two or three: each may take minutes."""
+
 ALLOWED = 3.0
 """Standard deviations from a special case up to which an effect's parameters allow it."""
 
 
 def refine_kin(setting: Setting, found: Search, number: int) -> None:
-    """Refine the relatives of what was found, of causes with so many effects, from values that follow."""
-    for cause in list(found.pool.values()):
-        if len(cause.effects) == number and cause.log_evidence > found.top - HOPELESS:
-            for mine in cause.effects:
-                _refine_twins(setting, found, cause, mine)
-                _refine_wider(setting, found, cause, mine)
-                _refine_narrower(setting, found, cause, mine)
-            if not cause.complete:
-                refine_softer(setting, found, cause)
+    """Refine the relatives of what was found, of causes with so many effects, from values that follow.
+
+    And the softer forms of the best few of those that leave something.
+    """
+    near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - HOPELESS]
+    for cause in near:
+        for mine in cause.effects:
+            _refine_twins(setting, found, cause, mine)
+            _refine_wider(setting, found, cause, mine)
+            _refine_narrower(setting, found, cause, mine)
+    rough = sorted((cause for cause in near if not cause.complete), key=lambda cause: -cause.log_evidence)
+    for cause in rough[: SOFTER // number]:
+        refine_softer(setting, found, cause)
 
 
 def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -56,7 +63,7 @@ def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect)
         there = found.pool.get(_in_place(cause, mine, twin))
         arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
         if not arrived and not _followed(found, cause, mine, twin):
-            _refine(setting, found, cause, mine, twin, values, [cause.path, found.path])
+            refine_instead(setting, found, cause, mine, twin, values, [cause.path, found.path])
 
 
 def _is(setting: Setting, effect: Effect, name: str) -> bool:
@@ -87,7 +94,7 @@ def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect)
             continue
         known = cause.values
         values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
-        _refine(setting, found, cause, mine, *_as_soft(setting, cause, mine, wider, values), [cause.path])
+        refine_instead(setting, found, cause, mine, *_as_soft(setting, cause, mine, wider, values), [cause.path])
 
 
 def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
@@ -108,7 +115,7 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
         if max(off) > ALLOWED or _followed(found, cause, mine, narrow, _softness(mine)):
             continue
-        _refine(setting, found, cause, mine, *_as_soft(setting, cause, mine, narrow, values), [cause.path])
+        refine_instead(setting, found, cause, mine, *_as_soft(setting, cause, mine, narrow, values), [cause.path])
 
 
 def _softness(effect: Effect) -> str:
@@ -159,7 +166,7 @@ def _followed(found: Search, cause: Refined, mine: Effect, other: Effect, form: 
     return False
 
 
-def _refine(
+def refine_instead(
     setting: Setting,
     found: Search,
     cause: Refined,
