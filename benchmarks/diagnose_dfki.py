@@ -11,7 +11,7 @@ Torque that a model asks for along a measured motion, less the measured one, rms
 with θ, θ̇ and θ̈ from the encoders at 500 rows/s by a zero-phase Butterworth of order 4 and 5 Hz, as the torque; the
 first and last 0.5 s are left out.
 
-    INVDYN_DATA=… python benchmarks/diagnose_dfki.py [--fit 01 03] [--without link_flexibility] [--out FOLDER]
+    INVDYN_DATA=… python benchmarks/diagnose_dfki.py [--fit 01 03] [--without load_friction] [--most 6] [--out DIR]
 """
 
 import argparse
@@ -137,13 +137,18 @@ def main() -> None:
     parser.add_argument("--fit", nargs="+", default=["01", "03"])
     parser.add_argument("--held-out", nargs="+", default=["00", "02", "04", "05", "11", "12", "13"])
     parser.add_argument("--without", nargs="*", default=[], help="effects to strike from the catalogue")
+    parser.add_argument("--most", type=int, default=4, help="effects at once, at most")
     parser.add_argument("--workers", type=int, default=1, help="processes side by side, with the same result")
     parser.add_argument("--out", type=Path, help="folder for the report")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body, start = Body.from_toml(BODY), time.perf_counter()
     diagnosis = diagnose(
-        [seen(run) for run in arguments.fit], body, without=arguments.without, workers=arguments.workers
+        [seen(run) for run in arguments.fit],
+        body,
+        without=arguments.without,
+        most=arguments.most,
+        workers=arguments.workers,
     )
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)

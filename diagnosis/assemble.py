@@ -198,7 +198,8 @@ def _method(bound: Setting, found: Search, held_out: str) -> dict[str, str]:
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
         "row, chosen so that the integrator's own error stays a tenth of what can be noticed",
-        "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined",
+        "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
+        f"at most {found.most} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size and noise scale "
         "integrated out; the best confirmed by nested sequential Monte Carlo with parameters integrated out",
         "held out": held_out,

@@ -20,6 +20,7 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import describe
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
+from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
@@ -44,6 +45,7 @@ def diagnose(
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
     without: Sequence[str] = (),
+    most: int = MOST,
     seed: int = 0,
     workers: int = 1,
     progress: Progress | None = None,
@@ -58,12 +60,13 @@ def diagnose(
             third.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
+        most: effects at once, at most. Many take long, and several imitate what the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
         progress: called with (done, total, what).
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording, or when the
-    simulation runs away from the recording whatever torque is added. Too few frames are
+    simulation runs away from the recording whatever torque is added, or ``most`` is not positive. Too few frames are
     no error but an answer: :attr:`.Diagnosis.not_enough_data`.
     """
 
@@ -71,6 +74,8 @@ def diagnose(
         if progress is not None:
             progress(stage, 5, what)
 
+    if most < 1:
+        raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST}")
     report(0, "bind")
     try:
         bound = setting(recording, body, passive=passive)
@@ -85,7 +90,7 @@ def diagnose(
             f"has, got {other.regime.replace('_', ' ')}: give both with torques, or hide those of both: --hide-torque"
         )
     report(1, "screen and refine")
-    bound, found = _searched(bound, without, workers)
+    bound, found = _searched(bound, without, workers, most)
     if other is not None:
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
     report(2, "confirm")
@@ -118,12 +123,12 @@ def diagnose(
     return result
 
 
-def _searched(bound: Setting, without: Sequence[str], workers: int) -> tuple[Setting, Search]:
+def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
     """The setting in sub-steps short enough along the data's path, and the search from there."""
     try:
         path, stray = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
-        return bound, search(bound, path, stray, without, workers)
+        return bound, search(bound, path, stray, without, workers, most)
     except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
         raise cannot_follow(bound) from error
 

@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.prior import ALPHA_WITHIN, another, log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA_WITHIN, MOST, another, log_prior_of, tempered
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import SLAB, log_prior, sizes
@@ -38,6 +38,7 @@ class Search:
         workers: processes that may work side by side.
         relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.kin`).
         stray: whether some detections are far from it.
+        most: effects at once, at most.
     """
 
     candidates: list[Effect]
@@ -48,6 +49,7 @@ class Search:
     aside: Tensor | None = None
     workers: int = 1
     relatives: dict[str, float] = field(default_factory=dict)
+    most: int = MOST
 
     @property
     def top(self) -> float:
@@ -73,7 +75,7 @@ class Search:
         none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
         stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
-        rest = log(another(len(cause.effects))) if self.leaves(cause) else 0.0
+        rest = log(another(len(cause.effects), self.most)) if self.leaves(cause) else 0.0
         return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
 
     def leaves(self, cause: Refined) -> bool:

@@ -3,6 +3,7 @@
 The number of effects at work comes first, then which ones, then where each acts, all alike:
 
     P(0) = .4, P(1) = .5, P(2) = .08, P(3) = .016, P(4) = .004,     P(effect) = 1/E for E effects in the catalogue,
+    P(n + 1) = P(n)/4 for n ≥ 4, where more are asked for,
     P(place | effect) = 1/places.
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
@@ -36,6 +37,7 @@ from invdyn.models.effects.base import Effect
 
 NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
 MOST = len(NUMBER) - 1
+"""Effects at once, unless more are asked for: sets of many take long, and imitate what the catalogue lacks."""
 LACKING, IMITATORS = 0.03, 3
 """P(lacking), and the number of effects from which on they are suspected to imitate it."""
 ALPHA, ALPHA_WITHIN = 1000.0, 8000.0
@@ -55,20 +57,25 @@ def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: floa
     return temper * log_evidence - 0.5 * float(narrowed.sum()) - (1 - temper) * far
 
 
+def of_number(count: int) -> float:
+    """P(n), n = ``count``."""
+    return NUMBER[min(count, MOST)] / 4.0 ** max(count - MOST, 0)
+
+
 def believed(count: int) -> float:
     """Probability that ``count`` effects that explain a gap are at work, and not one that they imitate."""
-    return 1.0 if count < IMITATORS else NUMBER[count] / (NUMBER[count] + LACKING)
+    return 1.0 if count < IMITATORS else of_number(count) / (of_number(count) + LACKING)
 
 
-def another(count: int) -> float:
-    """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or no room for another."""
-    return NUMBER[count + 1] / NUMBER[count] if 0 < count < MOST else 1.0
+def another(count: int, most: int = MOST) -> float:
+    """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or no room for another under ``most``."""
+    return of_number(count + 1) / of_number(count) if 0 < count < most else 1.0
 
 
 def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:
     """Log prior probability of a cause among ``candidates``, all effects at all places that are considered."""
     names = {candidate.name for candidate in candidates}
-    total = math.log(NUMBER[len(effects)]) + math.lgamma(len(effects) + 1)
+    total = math.log(of_number(len(effects))) + math.lgamma(len(effects) + 1)
     for effect in effects:
         places = sum(candidate.name == effect.name for candidate in candidates)
         total -= math.log(max(len(names), 1)) + math.log(max(places, 1))

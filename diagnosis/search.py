@@ -1,7 +1,7 @@
 """The search for causes: screen, refine the best, add another effect, measure again.
 
-Forward selection with replacement over sets of at most four effects (Hastie, Tibshirani & Friedman 2009, §3.3), each
-set scored by its tempered evidence and its prior (:mod:`.prior`):
+Forward selection with replacement over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani &
+Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:mod:`.prior`):
 
     1  "no effect" by itself; where detections are stray, what leaves them, before anything else
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
@@ -28,6 +28,7 @@ that is less probable than a part of it is no rival of that part (Madigan & Raft
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -65,7 +66,7 @@ WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
 
 FORWARD = len(WIDTH)
-"""Effects that are added one by one."""
+"""Effects that are added one by one, at least, if there may be so many."""
 
 
 def search(
@@ -74,19 +75,21 @@ def search(
     stray: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
+    most: int = MOST,
 ) -> Search:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
+    Of no more than ``most`` effects at once.
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
     known = setting.regime != "unknown_torque"
-    found = _begun(setting, path, stray, considered(setting, left_out), workers)
+    found = replace(_begun(setting, path, stray, considered(setting, left_out), workers), most=most)
     if known and stray:
         _mistaken(setting, found)
     extended: set[str] = set()
-    for _ in range(FORWARD if known else 1):
+    for _ in range(max(FORWARD, most) if known else 1):
         best = found.ranked[0]
-        if best.key in extended or len(best.effects) >= MOST:
+        if best.key in extended or len(best.effects) >= most:
             break
         extended.add(best.key)
         screened = _extend(setting, found, best, WIDTH[min(len(_others(best)), FORWARD - 1)])
@@ -97,7 +100,7 @@ def search(
         _without_older(setting, found, best)
     _settled(setting, found)
     singles = _singles(found)
-    if known and singles and not found.ranked[0].complete:
+    if known and singles and most > 1 and not found.ranked[0].complete:
         base = max(singles, key=found.score)
         best = found.ranked[0]
         refine_every(setting, found, base, _screened(setting, found, base, False)[0])
@@ -114,7 +117,7 @@ def _settled(setting: Setting, found: Search) -> None:
         exchange(setting, found)
         if found.ranked[0].key == best.key:
             break
-        if not found.ranked[0].complete and len(found.ranked[0].effects) < MOST:
+        if not found.ranked[0].complete and len(found.ranked[0].effects) < found.most:
             _extend(setting, found, found.ranked[0], SWAPS)
         reduce(setting, found)
 
@@ -288,6 +291,8 @@ def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> N
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     common, none = unknowns(setting, ()), found.pool[""].log_evidence
     for sets in together(setting, setting.model, found.path, screened, common, found.candidates, SETS):
+        if len(sets[0].effects) > found.most:
+            break
         for each in sets:
             top = found.top
             limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}

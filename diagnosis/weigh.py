@@ -131,7 +131,7 @@ def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
     share = np.array([_alone(bound, found, c) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)])
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
-    probability = probability * np.where(rest, [another(len(c.effects)) for c in ranked], 1.0)
+    probability = probability * np.where(rest, [another(len(c.effects), found.most) for c in ranked], 1.0)
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}

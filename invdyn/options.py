@@ -139,6 +139,7 @@ class Diagnosed(Recorded):
         typer.Option(help="Another recording of the same arm, to check the answer on; default: this one's last third."),
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
+    most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -193,6 +194,7 @@ class Diagnosed(Recorded):
             "held_out": None if self.held_out is None else read(self.held_out),
             "passive": self.passive,
             "without": self.struck,
+            "most": self.most,
             "seed": self.seed,
             "workers": self.workers,
         }

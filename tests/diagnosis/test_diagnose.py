@@ -63,6 +63,12 @@ def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
         diagnose(recording, PENDULUM)
 
 
+@pytest.mark.parametrize("most", [0, -1])
+def test_no_effect_at_once_is_told(most):
+    with pytest.raises(InputError, match=f"expected one effect at once or more, got at most {most}"):
+        diagnose(recording_of(), PENDULUM, most=most)
+
+
 @pytest.mark.parametrize(("body", "times"), [(PENDULUM, 1e3), (ARM, 1e4)])
 def test_torques_in_other_units_are_told_before_anything_is_looked_for(body, times):
     """The arm moves so fast that it could do with a thousand; ten times as many N·m are no other unit yet."""

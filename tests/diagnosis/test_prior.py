@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from invdyn.diagnosis.evidence import learned
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.prior import ALPHA, NUMBER, another, believed, coarsened, log_prior_of, tempered
+from invdyn.diagnosis.prior import ALPHA, NUMBER, another, believed, coarsened, log_prior_of, of_number, tempered
 from invdyn.diagnosis.setting import setting
 
 
@@ -29,6 +29,17 @@ def test_three_at_once_may_imitate_what_is_lacking():
 def test_another_effect_costs_what_its_number_does():
     assert [another(count) for count in (0, 4)] == [1.0, 1.0]
     assert [another(count) for count in (1, 2, 3)] == pytest.approx([0.16, 0.2, 0.25])
+
+
+def test_where_more_are_asked_for_each_is_a_quarter_as_likely():
+    assert [another(count, 6) for count in (3, 4, 5, 6)] == [0.25, 0.25, 0.25, 1.0]
+    assert [another(count, 2) for count in (1, 2)] == [pytest.approx(0.16), 1.0]
+    assert of_number(6) == pytest.approx(NUMBER[4] / 16)
+    candidates = considered(setting(recording_of(body=ARM, rows=30), ARM))
+    five, six = (log_prior_of(candidates[:count], candidates) for count in (5, 6))
+    names = len({e.name for e in candidates})
+    assert six - five < np.log(6 / 4 / names) + 1e-9
+    assert believed(6) < believed(5) < believed(4)
 
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM])

@@ -45,6 +45,17 @@ def test_friction_is_named():
     assert screened[place].dprime > 10
 
 
+def test_no_more_effects_at_once_than_asked_for():
+    """Where the right one is struck, one leaves something, and two imitate it."""
+    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    start, struck = data_path(bound), [name for name in EFFECTS if "friction" in name or "drag" in name]
+    one = search(bound, *start, struck, most=1)
+    assert {len(cause.effects) for cause in one.pool.values()} == {0, 1}
+    assert not one.ranked[0].complete
+    several = search(bound, *start, struck)
+    assert max(len(cause.effects) for cause in several.pool.values()) > 1
+
+
 def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
     """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
     tried = []

@@ -111,8 +111,10 @@ def test_options_arrive(commanded, folder, run, calls):
     assert call["recording"].num_frames == 10
     assert call["held_out"].num_frames == 12
     assert call["recording"].torques[0].tolist() == [1, 2]
-    run(*commanded, "--passive")
+    assert call["most"] == 4
+    run(*commanded, "--passive", "--most", "6")
     assert calls[-1]["passive"] is True
+    assert calls[-1]["most"] == 6
     run(*commanded, "--hide-torque", "--held-out", "other.csv")
     assert calls[-1]["recording"].torques is None
     assert calls[-1]["held_out"].torques is None
