@@ -12,7 +12,7 @@ from torch import Tensor
 from invdyn.diagnosis import period
 from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.pool import Search, imitable
-from invdyn.diagnosis.promising import HOPELESS, attempt, softer
+from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, softer
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
@@ -39,7 +39,8 @@ ALLOWED = 3.0
 def refine_kin(setting: Setting, found: Search, number: int) -> None:
     """Refine the relatives of what was found, of causes with so many effects, from values that follow.
 
-    And the softer forms of the best few of those that leave something.
+    And the softer forms of the best few of those that leave something: where nothing explains the gap yet, of all that
+    gain half of what the best one does, as an ideal law may be as far off as another effect's.
     """
     near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - HOPELESS]
     for cause in near:
@@ -47,7 +48,12 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
             _refine_twins(setting, found, cause, mine)
             _refine_wider(setting, found, cause, mine)
             _refine_narrower(setting, found, cause, mine)
-    rough = sorted((cause for cause in near if not cause.complete), key=lambda cause: -cause.log_evidence)
+    least, none = found.top - HOPELESS, found.pool[""].log_evidence
+    if not found.explained:
+        least = min(least, none + HALF * (found.top - none))
+    rough = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least and not c.complete]
+    rough = [cause for cause in rough if any(effect.softened() is not None for effect in cause.effects)]
+    rough.sort(key=lambda cause: -cause.log_evidence)
     for cause in rough[: SOFTER // number]:
         refine_softer(setting, found, cause)
 

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -112,27 +111,32 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert not started
 
 
-def test_softer_forms_are_for_the_best_few(monkeypatch):
-    """Of singles three, of pairs one, best first."""
+@pytest.mark.parametrize(
+    ("number", "gains", "kept"),
+    [
+        (1, [1.0, 5.0, 3.0, 2.0, 4.0], [1, 4, 2]),
+        (2, [1.0, 5.0, 3.0, 2.0], [1]),
+        (4, [3.0], []),
+        (1, [400.0, 1000.0, 600.0], [1, 2]),  # half of what the best one gains, however far behind it is
+    ],
+)
+def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
     bound = setting(recording_of(), PENDULUM)
     path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE, rounds=1)
-    left = np.eye(len(none.by_size))[-1] * 20.0
-    joint = [e for e in considered(bound) if e.place == (0,) and e.softened() is None][:6]
-    soften, room = [], sys.modules[refine_kin.__module__]
-    monkeypatch.setattr(room, "refine_softer", lambda setting, found, cause: soften.append(cause.key))
+    none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
+    monkeypatch.setattr(room, "refine_softer", lambda setting, found, cause: followed.append(cause.key))
     for relatives in ("_refine_twins", "_refine_wider", "_refine_narrower"):
         monkeypatch.setattr(room, relatives, lambda *_: None)
-    for sets, kept in (([(e,) for e in joint], 3), (list(pairwise(joint)), 1), ([joint[:4]], 0)):
-        gains = np.random.default_rng(0).permutation(len(sets)) + 1.0
-        causes = [
-            replace(none, effects=tuple(each), log_evidence=none.log_evidence + gain, by_size=left)
-            for each, gain in zip(sets, gains, strict=True)
-        ]
-        soften.clear()
-        refine_kin(bound, Search([], {"": none} | {c.key: c for c in causes}, [], path, stray), len(sets[0]))
-        best_first = [causes[i].key for i in np.argsort(-gains)]
-        assert soften == best_first[:kept]
+    left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
+
+    def cause(gain, *effects):
+        return replace(none, effects=effects, log_evidence=none.log_evidence + gain, by_size=left)
+
+    rigid, soft = ([e for e in considered(bound) if (e.softened() is None) is hard] for hard in (True, False))
+    causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
+    stiff = cause(max(gains), *rigid[:number])
+    refine_kin(bound, Search([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
+    assert followed == [causes[i].key for i in kept]
 
 
 def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
