@@ -16,11 +16,8 @@ class CameraRoll(Optics):
     """
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle, rad: nearly nine cameras in ten are level to 3°, as few bases are; any may be.
-
-        Up to there a turned picture is likelier a rolled camera than tilted gravity (:mod:`.gravity_tilt`).
-        """
-        return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.025)),)
+        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""
+        return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.02)),)
 
     def seen(self, p: Values, points: Tensor) -> Tensor:
         """R(angle) p."""

@@ -15,7 +15,6 @@ from invdyn.models.effects import (
     CameraYaw,
     ClockRate,
     CoulombFriction,
-    GravityTilt,
     KeypointOffset,
     LensDistortion,
     RollingShutter,
@@ -84,15 +83,6 @@ def test_scale_roll_and_lens(seen):
     assert found == pytest.approx(np.stack([c * x - s * y, s * x + c * y], -1))
     found, _, true, _, _ = seen(LensDistortion(), k1=-0.3)
     assert found == pytest.approx(true * (1 - 0.3 * (true**2).sum(-1, keepdims=True)))
-
-
-def test_a_small_turn_is_likelier_a_camera_than_gravity(arm):
-    """They are exact twins: sizes alone speak, rolls of 1 to 3° and tilts of 1 to 12°."""
-    model = arm(2)
-    roll, tilt = (kind().bound(model.body).parameters(model.scale)[0].prior for kind in (CameraRoll, GravityTilt))
-    for degrees, sooner in ((1.0, roll), (2.8, roll), (3.2, tilt), (8.0, tilt)):
-        angle, later = torch.tensor(math.radians(degrees), dtype=torch.float64), tilt if sooner is roll else roll
-        assert sooner.log_prob(angle) > later.log_prob(angle)
 
 
 def test_yaw_is_a_pinhole_camera(seen):
