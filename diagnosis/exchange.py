@@ -80,7 +80,7 @@ def exchange(setting: Setting, found: Search) -> None:
         if is_searched(old):
             continue
         if any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
-            _beside_play(setting, found, best, old, rest)
+            _beside_play(setting, found, best, old)
             continue
         common, model = unknowns(setting, rest), setting.model
         point = common.mean
@@ -107,14 +107,15 @@ def exchange(setting: Setting, found: Search) -> None:
     refine_kin(setting, found, len(best.effects))
 
 
-def _beside_play(setting: Setting, found: Search, best: Refined, old: Effect, rest: Sequence[Effect]) -> None:
+def _beside_play(setting: Setting, found: Search, best: Refined, old: Effect) -> None:
     """Refine what by itself does as well as ``old`` in its place: play leaves no path that a screen could be along.
 
-    Where that is better, and the play is all the ``rest``, play is searched anew beside it.
+    Where that is better, and play is all the rest, play is searched anew beside it.
     """
     taken, alone = {effect.key for effect in best.effects}, found.pool.get(old.key)
     if alone is None:
         return
+    rest = tuple(effect for effect in best.effects if effect is not old)
     singles = [c for c in found.pool.values() if len(c.effects) == 1 and c.key not in taken]
     near = [c for c in singles if c.log_evidence > alone.log_evidence - FEW and not is_searched(c.effects[0])]
     for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:

@@ -1,8 +1,9 @@
 """What is softer in reality than its ideal law: friction through bristles, tissue that swings by itself.
 
-bristles   −(σ₀ z + σ₁ ż),  ż = θ̇ − σ₀ |θ̇| z / g(θ̇),  g = τc + (τs − τc) exp(−(θ̇/ωs)²)
-LuGre: Canudas de Wit, Olsson, Åström & Lischinsky, IEEE TAC 40 (1995), p. 419
-tissue     δ̈ + 2ζω δ̇ + ω² δ = −p̈,  ω = 1/√κ:  −κ p̈ where motion is slow
+    bristles   −(σ₀ z + σ₁ ż),  ż = θ̇ − σ₀ |θ̇| z / g(θ̇),  g = τc + (τs − τc) exp(−(θ̇/ωs)²)
+    tissue     δ̈ + 2ζω δ̇ + ω² δ = −p̈,  ω = 1/√κ:  −κ p̈ where motion is slow
+
+The first is LuGre: Canudas de Wit, Olsson, Åström & Lischinsky, IEEE TAC 40 (1995), p. 419. N steps; SI units, radians.
 """
 
 import numpy as np

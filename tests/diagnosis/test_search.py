@@ -7,14 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 from pendulum import ARM, PENDULUM, recorded, recording_of
-from scipy.stats import norm
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.search import _extend, _overtaken, search
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.diagnosis.unknowns import centre, spread
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -180,9 +178,9 @@ def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
     keys = [cause.key for cause in found.ranked]
     first, second = (next(c for c in found.ranked if c.key.split(".")[0] == k.split(".")[0]) for k in (truth, twin))
     assert abs(first.mean[0] - value) < 4 * first.sd[0]
-    # What is left between them is how likely the Gaussians that stand for their priors hold such a size.
-    sizes = [cause.effects[0].parameters(cause.model.scale)[0] for cause in (first, second)]
-    unlike = [norm.logpdf(value, centre(size), spread(size)) for size in sizes]
+    # What is left between them is how likely their priors hold such a size.
+    priors = [cause.effects[0].parameters(cause.model.scale)[0].prior for cause in (first, second)]
+    unlike = [float(prior.log_prob(prior.mean.new_tensor(value))) for prior in priors]
     assert first.log_evidence - second.log_evidence == pytest.approx(unlike[0] - unlike[1], abs=0.5)
     assert {first.key, second.key} <= set(keys[:3])
 
