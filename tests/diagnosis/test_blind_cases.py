@@ -20,7 +20,7 @@ QUICK = {
     "passive": ["payload", "label_swap"],
     "none": [None],
     "weak": ["actuator_lag"],
-    "two": [("backlash", "link_flexibility"), ("inertial_error", "keypoint_offset")],
+    "two": [("backlash", "camera_roll"), ("inertial_error", "keypoint_offset")],
     "unknown_torque": ["viscous_friction", "camera_scale"],
     "outside": ["sloshing_payload"],
     "leave_one_out": ["joint_limit", "gravity_tilt"],

@@ -168,7 +168,10 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
 
 @pytest.mark.parametrize(
     ("truth", "twin", "parameter", "value"),
-    [("gravity_tilt", "camera_roll", "angle", 0.1), ("actuator_delay.pivot", "camera_latency", "delay", 0.015)],
+    [
+        ("gravity_tilt", "camera_roll", "angle", 0.1),
+        pytest.param("actuator_delay.pivot", "camera_latency", "delay", 0.015, marks=pytest.mark.slow),
+    ],
 )
 def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
     found = searched(*truth.split("."), **{parameter: value}) if truth in EFFECTS else None
