@@ -182,7 +182,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
             if self.effects.has_command:
                 # In float64, whatever the states' type: times are long and steps short.
                 held = self.effects.command({name: value.double() for name, value in self.parameters.items()}, held)
-            held = held if self._finer is None else held.onto(self.time)
+            held = held if held.time is self.time else held.onto(self.time)
             self._motors = Command(held.time, held.mean.to(self.dtype), held.slope.to(self.dtype))
         return self._motors
 

@@ -14,7 +14,7 @@ class ActuatorDeadzone(Effect):
     Told apart from a gain by small commands.
     """
 
-    needs_command = True
+    needs_command, order = True, -4
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Half-width d, N·m."""

@@ -15,6 +15,8 @@ class ActuatorGain(Actuator):
     recording. As ``gear`` in MuJoCo.
     """
 
+    order = -1
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Excess ε, a pure number."""
         return (Parameter("gain", "1", Normal(0.0, 0.2)),)

@@ -16,6 +16,8 @@ class ActuatorLag(Actuator):
     Told apart from a delay above the angular frequency 1/T. ``dyntype="filter"`` in MuJoCo.
     """
 
+    order = -3
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Time constant T, s."""
         prior = HalfNormal(self.delay_scale(scale))

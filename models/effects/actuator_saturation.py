@@ -18,7 +18,7 @@ class ActuatorSaturation(Effect):
     Told apart from a gain by commands of several amplitudes. As ``forcerange`` in MuJoCo.
     """
 
-    needs_command = True
+    needs_command, order = True, -2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Largest torque u_max, N·m; the grid follows the command's own sizes."""

@@ -95,7 +95,8 @@ class Effect(ABC):
     needs_command: ClassVar[bool] = False
     """Whether it changes a commanded torque, and nothing without one."""
     order: ClassVar[int] = 0
-    """Hooks are called in this order: markers 0, timing 1, geometry of the camera 2."""
+    """Hooks are called in this order. Of the motors, as in MuJoCo: dead zone −4, lag −3, saturation −2, gain −1, and a
+    delay, which may come at any place, 0; of what is seen: markers 0, timing 1, geometry of the camera 2."""
 
     pulls: ClassVar[bool] = False
     """Whether its force acts on points of the links, so that a hidden hinge among them feels it too."""

@@ -10,6 +10,7 @@ Shapes: times (T,), mean and slope (..., T, K); row r leads from time r to the n
 the one before it. Before the first row the command was what it is there.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +21,8 @@ from invdyn.models.shapes import common
 
 INSTANT = 1e-5
 """s, under which a stretch of time is as good as none."""
+GAUSS = math.sqrt(0.15)
+"""Of a row's length: how far from its middle the outer points of Gauss–Legendre quadrature are."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,18 @@ class Command:
         single = isinstance(t, int) or t.ndim == 0
         return tuple(row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
 
-    def changed(self, function) -> "Command":
-        """``function(torque)`` of each row's mean; for what acts at once, such as a gain.
+    def split(self, parts: int) -> "Command":
+        """The same lines in rows a ``parts``-th as long."""
+        inside = (torch.arange(parts, device=self.mean.device, dtype=self.mean.dtype) + 0.5) / parts
+        time = self.time[:, None] + self.length * (inside - 0.5 / parts).to(self.time)
+        mean = self.mean.unsqueeze(-2) + self.slope.unsqueeze(-2) * (inside - 0.5)[:, None]
+        slope = (self.slope / parts).unsqueeze(-2).expand(mean.shape)
+        return Command(time.flatten(), mean.flatten(-3, -2), slope.flatten(-3, -2))
 
-        The slope goes along by the difference between the row's ends.
-        """
-        ends = function(self.mean + self.slope / 2) - function(self.mean - self.slope / 2)
-        return replace(self, mean=function(self.mean), slope=ends)
+    def changed(self, function) -> "Command":
+        """``function(torque)`` for what acts at once, such as a gain: its line in each row, by three points of Gauss."""
+        before, middle, after = (function(self.mean + s * self.slope) for s in (-GAUSS, 0.0, GAUSS))
+        return replace(self, mean=(5 * before + 8 * middle + 5 * after) / 18, slope=(after - before) / (2 * GAUSS))
 
     def delayed(self, delay: Tensor) -> "Command":
         """The command ``delay`` seconds later, (K,) or (..., 1, K)."""
@@ -139,11 +147,21 @@ class Command:
         ratio = time_constant / self.length  # (..., T, K); a floor only where it is divided by, for a slope at no lag
         shape = common(self.mean.shape, ratio.shape)
         u, left = self.mean.expand(shape), torch.exp(-1 / ratio.clamp_min(1e-6)).expand(shape)
-        filtered, now = [], u[..., 0, :]
-        for r in range(shape[-2]):
-            filtered.append(now)
-            now = u[..., r, :] + (now - u[..., r, :]) * left[..., r, :]
-        gap = torch.stack(filtered, -2) - u  # decays as e^{−s δ/T} within the row
+        gap = _decaying(left, u) - u  # decays as e^{−s δ/T} within the row
         mean_gap = ratio * (1 - left)  # ∫ e^{−s δ/T} ds over the row
         moment = ratio * (mean_gap - left)  # ∫ s e^{−s δ/T} ds
         return replace(self, mean=u + gap * mean_gap, slope=12 * gap * (moment - mean_gap / 2))
+
+
+def _decaying(left: Tensor, u: Tensor) -> Tensor:
+    """What has come, by the beginning of each row (..., T, K), of v ↦ u + (v − u) ``left`` from row to row, from u_0.
+
+    Maps of twice as many rows at a time (Hillis & Steele 1986).
+    """
+    kept, added, span = left, u * (1 - left), 1
+    while span < u.shape[-2]:
+        added = torch.cat([added[..., :span, :], added[..., span:, :] + kept[..., span:, :] * added[..., :-span, :]], -2)
+        kept = torch.cat([kept[..., :span, :], kept[..., span:, :] * kept[..., :-span, :]], -2)
+        span *= 2
+    first = u[..., :1, :]
+    return torch.cat([first, (added + kept * first)[..., :-1, :]], -2)

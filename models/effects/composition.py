@@ -18,6 +18,8 @@ from invdyn.models.effects.situation import Situation, View
 from invdyn.models.mistakes import Shift, Stray, Swap
 
 PREFIX = "effect."
+PARTS = 8
+"""Of a row, each with a line of its own, where a lagging command is changed further."""
 
 
 class Composition:
@@ -42,8 +44,11 @@ class Composition:
             type(effect).friction is not Effect.friction and not effect.steady for effect in effects
         )
         self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
-        self.has_command = any(type(effect).command is not Effect.command for effect in effects)
+        commanding = [effect for effect in effects if type(effect).command is not Effect.command]
+        self.has_command = bool(commanding)
         self.has_late = any(type(effect).late is not Effect.late for effect in effects)
+        # What one makes of a row is a curve, which another may cut within the row.
+        self.parts = PARTS if self.has_late and len(commanding) > 1 else 1
         self.has_points = any(type(effect).points is not Effect.points for effect in effects)
         self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
@@ -74,7 +79,8 @@ class Composition:
         return body
 
     def command(self, parameters: Mapping[str, Tensor], command: Command) -> Command:
-        """The command as all actuators make it."""
+        """The command as all actuators make it; in shorter rows, where several do."""
+        command = command if self.parts == 1 else command.split(self.parts)
         for effect, p in self._each(parameters):
             command = effect.command(p, command)
         return command

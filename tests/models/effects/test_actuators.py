@@ -119,6 +119,54 @@ def test_one_after_the_other(arm):
     torch.testing.assert_close(model.motors.slope[:, 0], 1.5 * lag.motors.slope[:, 0])
 
 
+CHAIN = (
+    ActuatorDeadzone("joint0"),
+    ActuatorLag("joint0"),
+    ActuatorSaturation("joint0"),
+    ActuatorGain("joint0"),
+    ActuatorDelay("joint0"),
+)
+VALUES = {
+    "actuator_deadzone.joint0.width": 0.2,
+    "actuator_lag.joint0.time_constant": 0.004,
+    "actuator_saturation.joint0.limit": 0.6,
+    "actuator_gain.joint0.gain": 0.3,
+    "actuator_delay.joint0.delay": 0.003,
+}
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_motors_are_a_chain_whatever_the_order_in_which_it_is_said(backwards, arm):
+    """A limit cuts a lag's exponential within the row, which a row's straight line does not show."""
+    model = ArmModel(arm(2).body, TIME, command=GIVEN).with_effects(*CHAIN[:: -1 if backwards else 1])
+    sets = {f"effect.{key}": torch.tensor([value, 0.5 * value], dtype=F64).reshape(2, 1, 1) for key, value in VALUES.items()}
+    both = model.replace(**sets).motors
+    for row, share in enumerate((1.0, 0.5)):
+        width, constant, limit, gain, delay = (share * value for value in VALUES.values())
+        t = np.linspace(TIME[0], TIME[-1], 110 * FINE + 1)
+        u = held(t)[:, 0]
+        u = u - np.clip(u, -width, width)
+        lagged, decay = [u[0]], np.exp(-(t[1] - t[0]) / constant)
+        for now in u[:-1]:
+            lagged.append(now + (lagged[-1] - now) * decay)
+        made = (1 + gain) * np.clip(lagged, -limit, limit)
+        mean, slope = moments(lambda at, made=made, delay=delay, t=t: np.interp(at - delay, t, made)[:, None])
+        # Of a limit's corner within an eighth of a row a line is left.
+        assert both.mean[row, :-1, 0].numpy() == pytest.approx(mean[:, 0], abs=5e-3)
+        assert both.slope[row, :-1, 0].numpy() == pytest.approx(slope[:, 0], abs=3e-2)
+    assert both.mean[:, :, 1].numpy() == pytest.approx(np.stack([GIVEN[:, 1]] * 2))
+
+
+def test_rows_that_are_split_are_the_same_lines():
+    command = Command.held(torch.as_tensor(TIME), torch.as_tensor(GIVEN)).lagged(torch.tensor([0.004, 0.02]).double())
+    finer = command.split(5)
+    again = finer.onto(command.time)
+    torch.testing.assert_close(again.mean, command.mean)
+    torch.testing.assert_close(again.slope, command.slope)
+    edges = finer.mean[4::5] + finer.slope[4::5] / 2
+    torch.testing.assert_close(edges, command.mean + command.slope / 2)
+
+
 @pytest.mark.parametrize(("effect", "name"), [(ActuatorDelay("joint1"), "delay"), (ActuatorLag(), "time_constant")])
 def test_what_motors_were_told_before_a_recording_acts_on(effect, name, arm, having):
     """Its sd stays while a dead time lasts, and falls with a lag's time constant; at each recording's beginning.
