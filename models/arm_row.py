@@ -12,7 +12,7 @@ or moves as the motors make it. Effects act in the order
 Shapes: states (..., D), joint quantities (..., K).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
@@ -27,114 +27,134 @@ Clock = tuple[Tensor, Tensor]
 """A row's time, and that since the first one, s, (..., 1)."""
 
 
+@dataclass(frozen=True)
+class Drive:
+    """What drives an arm from one row to the next.
+
+    Attributes:
+        start, change: N·m, (..., K): torque of process and motors, start + s change, 0 ≤ s ≤ 1.
+        body: the links as the effects leave them.
+        clock: of the row in which it begins.
+        interval, dt: s, (..., 1), what the row is said to last, and what it lasts.
+        parts: sub-steps.
+    """
+
+    start: Tensor
+    change: Tensor | float
+    body: BodyParameters
+    clock: Clock
+    interval: Tensor
+    dt: Tensor
+    parts: int
+
+    def motor(self, s: float | Tensor) -> Tensor:
+        """The torque a share ``s`` of the row after it has begun."""
+        return self.start + s * self.change
+
+
 class ArmRow:
     """One row of :class:`.ArmModel`, which has the body, torque, effects, command, clocks and parameters used here."""
 
     def transition_mean(self, state: Tensor, t: int | Tensor) -> Tensor:
         """E[x_t | x_{t−1} = state], shape (..., D)."""
         z, q, qd = self.split(state)
-        dt, body = self._step(t), self.body_parameters()
-        parts = self.substeps_taken
         z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
-        z_next = self.torque.mean(z, dt, self.parameters)
-        joints, clock, interval = self.body.num_joints, self._clock(t - 1), self._interval(t)
-        start, change = z[..., :joints], (z_next - z)[..., :joints]
-        if self.command is not None:
-            mean, slope = (row.to(state) for row in self.motors.row(t))
-            start, change = start + mean - slope / 2, change + slope
-
-        def smooth(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None, Situation | None]:
-            return self._smooth(q, qd, start + s * change, body, clock, s * interval, dt / parts)
-
+        z_next = self.torque.mean(z, self._step(t), self.parameters)
+        drive = self._drive(z, z_next, t)
         if self.effects.hinge:
-            p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
-            links, whole = hinge.chain(p, body), dynamics_for(joints + 1)
-
-            def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
-                return self._rubbed(*smooth(q, qd, s))
-
-            def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
-                if not self.effects.pulls:
-                    return 0.0
-                here = self._now(
-                    hinge.turned(angles), hinge.turned(rates), start, body, clock, s * interval, dt / parts
-                )
-                bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
-                rigid = self.effects.pull(self.parameters, here)
-                return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
-
-            return join(z_next, *hinge.step(p, body, net, pull, self.dynamics, hidden, q, qd, dt, parts))
-
+            return join(z_next, *self._hinged(drive, hidden, q, qd))
         if self.effects.bristles:
-
-            def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
-                torque, own, _ = smooth(q, qd, s)
-                now = self._now(q, qd, start + s * change, body, clock, s * interval, dt / parts)
-                friction, rate = self._bending(bent, now)
-                torque, own = self._rubbed(torque + friction, own, now)
-                return self.dynamics.forward(q, qd, torque, body, own), rate
-
-            return join(z_next, *self.effects.bristles.step(moving, hidden, q, qd, dt, parts))
-
-        def integrate(q: Tensor, qd: Tensor, begun: float, share: float, steps: int) -> tuple[Tensor, Tensor]:
-            """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
-            held, off, first = 0.0, None, None
-            if self.effects.has_friction:
-                torque, own, now = smooth(q, qd, begun)
-                held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
-
-            def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
-                if first is not None and not s:
-                    return first
-                torque, own, _ = smooth(q, qd, begun + share * s)
-                return self.dynamics.forward(q, qd, torque + held, body, own)
-
-            q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * dt, steps)
-            return (q if off is None else q + off), qd
-
-        before, spans = (q, qd), parts if self.effects.has_friction else 1
-        for i in range(spans):
-            q, qd = integrate(q, qd, i / spans, 1 / spans, parts // spans)
+            return join(z_next, *self._bristling(drive, hidden, q, qd))
+        moved = self._integrated(drive, q, qd)
         if self.effects.follower:
             p, follower = own_values(self.effects.follower, self.parameters), self.effects.follower
-            hidden = follower.follow(p, hidden, before, (q, qd), body, dt)
-        return join(z_next, hidden, q, qd)
+            hidden = follower.follow(p, hidden, (q, qd), moved, drive.body, drive.dt)
+        return join(z_next, hidden, *moved)
+
+    def _drive(self, z: Tensor, z_next: Tensor, t: int | Tensor) -> Drive:
+        joints = self.body.num_joints
+        start, change = z[..., :joints], (z_next - z)[..., :joints]
+        if self.command is not None:
+            mean, slope = (row.to(z) for row in self.motors.row(t))
+            start, change = start + mean - slope / 2, change + slope
+        times = self._clock(t - 1), self._interval(t), self._step(t)
+        return Drive(start, change, self.body_parameters(), *times, self.substeps_taken)
+
+    def _integrated(self, drive: Drive, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
+        """The arm one row later; dry friction is held within sub-steps."""
+        spans = drive.parts if self.effects.has_friction else 1
+        for i in range(spans):
+            q, qd = self._span(drive, q, qd, i / spans, 1 / spans, drive.parts // spans)
+        return q, qd
+
+    def _span(
+        self, drive: Drive, q: Tensor, qd: Tensor, begun: float, share: float, steps: int
+    ) -> tuple[Tensor, Tensor]:
+        """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
+        held, off, first = 0.0, None, None
+        if self.effects.has_friction:
+            torque, own, now = self._smooth(drive, q, qd, begun)
+            held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
+
+        def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
+            if first is not None and not s:
+                return first
+            torque, own, _ = self._smooth(drive, q, qd, begun + share * s)
+            return self.dynamics.forward(q, qd, torque + held, drive.body, own)
+
+        q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * drive.dt, steps)
+        return (q if off is None else q + off), qd
+
+    def _hinged(self, drive: Drive, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """A hidden hinge's angle and rate, q and q̇ one row later."""
+        p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
+        links, whole = hinge.chain(p, drive.body), dynamics_for(self.body.num_joints + 1)
+
+        def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
+            return self._rubbed(*self._smooth(drive, q, qd, s))
+
+        def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
+            if not self.effects.pulls:
+                return 0.0
+            here = self._now(drive, hinge.turned(angles), hinge.turned(rates), s)
+            bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
+            rigid = self.effects.pull(self.parameters, here)
+            return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
+
+        return hinge.step(p, drive.body, net, pull, self.dynamics, hidden, q, qd, drive.dt, drive.parts)
+
+    def _bristling(self, drive: Drive, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """How far bristles are bent, q and q̇ one row later."""
+
+        def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
+            torque, own, _ = self._smooth(drive, q, qd, s)
+            now = self._now(drive, q, qd, s)
+            friction, rate = self._bending(bent, now)
+            torque, own = self._rubbed(torque + friction, own, now)
+            return self.dynamics.forward(q, qd, torque, drive.body, own), rate
+
+        return self.effects.bristles.step(moving, hidden, q, qd, drive.dt, drive.parts)
 
     def _smooth(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        motor: Tensor,
-        body: BodyParameters,
-        clock: Clock,
-        passed: Tensor | float,
-        step: Tensor,
+        self, drive: Drive, q: Tensor, qd: Tensor, s: float | Tensor
     ) -> tuple[Tensor, Tensor | None, Situation | None]:
         """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
 
-        So many seconds ``passed`` after the row whose ``clock`` it is.
+        A share ``s`` of the row after it has begun.
         """
         if not self.effects:
-            return motor, None, None
+            return drive.motor(s), None, None
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
-            return motor, own, None
-        now = self._now(q, qd, motor, body, clock, passed, step)
-        return motor + self.effects.force(self.parameters, now), own, now
+            return drive.motor(s), own, None
+        now = self._now(drive, q, qd, s)
+        return now.motor + self.effects.force(self.parameters, now), own, now
 
-    def _now(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        motor: Tensor,
-        body: BodyParameters,
-        clock: Clock,
-        passed: Tensor | float,
-        step: Tensor,
-    ) -> Situation:
-        """The moment so many seconds ``passed`` after the row whose ``clock`` it is."""
-        time, elapsed = (reading + passed for reading in clock)
-        return Situation(q, qd, motor, time, elapsed, step, body, self.dynamics)
+    def _now(self, drive: Drive, q: Tensor, qd: Tensor, s: float | Tensor) -> Situation:
+        """The moment a share ``s`` of the row after it has begun."""
+        time, elapsed = (reading + s * drive.interval for reading in drive.clock)
+        step = drive.dt / drive.parts
+        return Situation(q, qd, drive.motor(s), time, elapsed, step, drive.body, self.dynamics)
 
     def _clock(self, t: int | Tensor) -> Clock:
         time, elapsed = (clock[t].to(self.dtype).unsqueeze(-1) for clock in (self.time, self._elapsed))
@@ -158,11 +178,11 @@ class ArmRow:
         z, q, qd = self.split(state)
         torque = z[..., : self.body.num_joints]
         torque = torque if command is None else torque + command
-        step = self._interval(t) / self.substeps_taken
-        motor = torque
-        torque, own, now = self._smooth(q, qd, motor, body, self._clock(t), 0.0, step)
+        interval = self._interval(t)
+        drive = Drive(torque, 0.0, body, self._clock(t), interval, interval, self.substeps_taken)
+        torque, own, now = self._smooth(drive, q, qd, 0.0)
         if self.effects.bristles:
-            now = self._now(q, qd, motor, body, self._clock(t), 0.0, step)
+            now = self._now(drive, q, qd, 0.0)
             torque = torque + self._bending(z[..., self.torque_size :], now)[0]
         torque, own = self._rubbed(torque, own, now)
         return self.dynamics.forward(q, qd, torque, body, own)

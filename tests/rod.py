@@ -1,9 +1,12 @@
 """A rod on a hinge, and what a model makes of a motion when nothing is random."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models.arm_row import Drive
 
 F64 = torch.float64
 INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint
@@ -25,10 +28,15 @@ def rolled(model, q, qd, rows=None):
     return path[:, -2 * K : -K], path[:, -K:]
 
 
+def driven(model, motor, t=3, step=None):
+    """What drives a model at row ``t`` under a steady ``motor`` torque (..., K), in sub-steps of ``step`` s."""
+    step = model.dt[t].reshape(1) if step is None else torch.tensor(step)
+    return Drive(motor, 0.0, model.body_parameters(), model._clock(t), step, step, 1)
+
+
 def torque_of(model, ideal, x, t=3):
     """The extra generalised force of the effects on the K joints, N·m, (..., K), from accelerations; no own inertia."""
     _, q, qd = ideal.split(x)
     body = ideal.body_parameters()
-    zero = torch.zeros_like(q)
-    torque, _ = model._rubbed(*model._smooth(q, qd, zero, body, model._clock(t), 0.0, ideal.dt[t].reshape(1)))
-    return torque
+    drive = replace(driven(model, torch.zeros_like(q), t), body=body)
+    return model._rubbed(*model._smooth(drive, q, qd, 0.0))[0]

@@ -63,7 +63,7 @@ class Command:
         return Command(time.flatten(), mean.flatten(-3, -2), slope.flatten(-3, -2))
 
     def changed(self, function) -> "Command":
-        """``function(torque)`` for what acts at once, such as a gain: its line in each row, by three points of Gauss."""
+        """``function(torque)`` for what acts at once, such as a gain; its line in a row by three points of Gauss."""
         before, middle, after = (function(self.mean + s * self.slope) for s in (-GAUSS, 0.0, GAUSS))
         return replace(self, mean=(5 * before + 8 * middle + 5 * after) / 18, slope=(after - before) / (2 * GAUSS))
 
@@ -160,7 +160,9 @@ def _decaying(left: Tensor, u: Tensor) -> Tensor:
     """
     kept, added, span = left, u * (1 - left), 1
     while span < u.shape[-2]:
-        added = torch.cat([added[..., :span, :], added[..., span:, :] + kept[..., span:, :] * added[..., :-span, :]], -2)
+        added = torch.cat(
+            [added[..., :span, :], added[..., span:, :] + kept[..., span:, :] * added[..., :-span, :]], -2
+        )
         kept = torch.cat([kept[..., :span, :], kept[..., span:, :] * kept[..., :-span, :]], -2)
         span *= 2
     first = u[..., :1, :]

@@ -139,8 +139,8 @@ VALUES = {
 def test_motors_are_a_chain_whatever_the_order_in_which_it_is_said(backwards, arm):
     """A limit cuts a lag's exponential within the row, which a row's straight line does not show."""
     model = ArmModel(arm(2).body, TIME, command=GIVEN).with_effects(*CHAIN[:: -1 if backwards else 1])
-    sets = {f"effect.{key}": torch.tensor([value, 0.5 * value], dtype=F64).reshape(2, 1, 1) for key, value in VALUES.items()}
-    both = model.replace(**sets).motors
+    sets = {key: torch.tensor([value, 0.5 * value], dtype=F64).reshape(2, 1, 1) for key, value in VALUES.items()}
+    both = model.replace(**{f"effect.{key}": value for key, value in sets.items()}).motors
     for row, share in enumerate((1.0, 0.5)):
         width, constant, limit, gain, delay = (share * value for value in VALUES.values())
         t = np.linspace(TIME[0], TIME[-1], 110 * FINE + 1)
