@@ -48,6 +48,7 @@ EFFECTS = {
 SOFTER = {
     "settling": "softer than the ideal law, it takes a moment to bring the joint to rest and lets it creep",
     "bristle_stiffness": "softer than the ideal law, it springs back by a little before it slips",
+    "coriolis_share": "loaded by this share of the Coriolis and centrifugal torques",
     "position": "softer than in its middle alone, at this share of its length",
     "softness": "softer than a spring, it gives way to whatever presses the joint into it",
     "damping_ratio": "softer than what only lags, it swings on by itself after its bone",

@@ -1,8 +1,9 @@
 """Friction that grows with the load on the gear: −k |τ_motor − τ_external| sgn θ̇."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
-from pyro.distributions import HalfNormal
+from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Parameter, Values
@@ -15,7 +16,8 @@ class LoadFriction(Rubbing):
     """Friction in proportion to what the gear carries: the motor on one side, the arm on the other.
 
     The arm exerts −(h + c), its gravity, Coriolis and centrifugal torques; a motor that holds it up, u = c, loads the
-    gear from both sides. Told apart from Coulomb friction by varying the load.
+    gear from both sides. Told apart from Coulomb friction by varying the load. Friction that rather goes with what
+    gravity alone exerts, as servo models have it, is its softer form: only a share s of h counts.
     """
 
     longest: ClassVar[float] = ABRUPT / 2
@@ -26,7 +28,18 @@ class LoadFriction(Rubbing):
         """Friction per load k, a pure number."""
         return (Parameter("coefficient", "1", HalfNormal(0.2)),)
 
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """If it is soft s as well, a pure number."""
+        share = Parameter("coriolis_share", "1", Normal(1.0, 0.5), None, (1.0,))
+        return (*super().parameters(scale), *([share] if self.soft else []))
+
+    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
+        """All of h."""
+        return {**super().as_soft(ideal), "coriolis_share": 1.0}
+
     def friction(self, p: Values, now: Situation) -> Tensor:
-        """The load |u + h + c| times k."""
-        j = self.place[0]
-        return p["coefficient"] * (now.motor + now.bias)[..., j : j + 1].abs()
+        """The load |u + s h + c| times k."""
+        j, load = self.place[0], now.motor + now.bias
+        if self.soft:
+            load = load - (1 - p["coriolis_share"]) * (now.bias - now.dynamics.gravity_load(now.q, now.body))
+        return p["coefficient"] * load[..., j : j + 1].abs()

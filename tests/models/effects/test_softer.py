@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from rod import F64, INERTIA, rod, rolled
+from rod import F64, INERTIA, driven, rod, rolled
 from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.unknowns import FAR
 from invdyn.models import ArmModel, Body, Emission, Link
-from invdyn.models.effects import EFFECTS, CoulombFriction, JointLimit, JointStiffness, ViscousFriction
+from invdyn.models.effects import EFFECTS, CoulombFriction, JointLimit, JointStiffness, LoadFriction, ViscousFriction
 
 RATE = 1 / (0.95 * 0.02)  # 1/s, of MuJoCo's default: time constant 20 ms, impedance .9 to .95, damping ratio 1
 RUBBING = {"settling": 1 / RATE / 2 / 0.9, "creep": 0.1 / RATE / 2 / 0.9}
@@ -31,6 +31,22 @@ def in_mujoco(joint, q, qd, rows=100, step=0.01, gravity=-9.81):
         for _ in range(round(step / 1e-4)):
             mujoco.mj_step(model, data)
     return np.array(angles)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.0])
+def test_a_share_of_the_coriolis_torque_loads_a_gear(share, arm, states, having):
+    """All of it in the ideal form; with none of it gravity and the motor alone."""
+    ideal = arm(2)
+    effect = LoadFriction("joint0").softened()
+    model = having(ideal, effect, coefficient=0.2, settling=0.0, creep=0.0, coriolis_share=share)
+    _, q, qd = ideal.split(states(ideal, 50))
+    qd = qd + qd.sign()  # fast enough not to stop within the sub-step
+    torque, body = torch.randn(50, 2, dtype=F64), ideal.body_parameters()
+    now = model._now(driven(model, torque), q, qd, 0.0)
+    load = torque + ideal.dynamics.gravity_load(q, body) + share * ideal.dynamics.coriolis(q, qd, body)
+    friction, _, _ = model.effects.friction(model.parameters, now, torque, None)
+    expected = -0.2 * load[:, 0].abs() * qd[:, 0].sign()
+    torch.testing.assert_close(friction[:, 0], expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])
