@@ -47,6 +47,9 @@ DOUBT, SURE = 5.0, 2.0
 SOFTENED = 0.01
 """Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
 
+FAILED = 20.0
+"""Nats under its base from which on a refinement has lost its way: a cause contains its base."""
+
 FAINT = 3.0
 """d′ of an effect of typical size under which the recording could not have shown it."""
 
@@ -160,8 +163,11 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
             refined.append(cause)
             if cause.complete:
                 break
+    best = max(refined, key=lambda cause: cause.log_evidence, default=None)
+    if best is not None and best.log_evidence < base.log_evidence - FAILED:
+        again = attempt(_from_base, setting, base, each, limits)
+        refined += [again] if again is not None else []
     if "moment" in each.effect.located and refined:
-        best = max(refined, key=lambda cause: cause.log_evidence)
         moved = (
             attempt(relocated, setting, base, each.effect, best)
             if best.log_evidence > limits.get("enough", -np.inf)
@@ -169,6 +175,14 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
         )
         refined += [moved] if moved is not None else []
     return refined
+
+
+def _from_base(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> Refined:
+    """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
+    nothing = {p.name: p.absent for p in each.effect.parameters(setting.model.scale) if p.absent not in (None, np.inf)}
+    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | nothing).items()} | base.values
+    size = float(sizes(setting.regime)[int(base.by_size.argmax())])
+    return refine(setting, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
 
 
 def softer(setting: Setting, cause: Refined, mine: Effect, **limits: float) -> Refined | None:
