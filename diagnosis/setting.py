@@ -160,19 +160,33 @@ class Setting:
         return {"torque.initial_scale": BEGINNING * typical} if self.regime == "commanded" else {}
 
 
+def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
+    """The body's numbers that it states an uncertainty or a prior of, and what is as uncertain because they are.
+
+    A moment of inertia that is left out follows the mass. One that is written as a number would stay as it is however
+    heavy the link: it is taken to be known as well as the mass is, relatively, and no better.
+    """
+    found = []
+    for k, link in enumerate(body.with_uncertainty().links):
+        given = {quantity: getattr(link, quantity) for quantity in QUANTITIES}
+        priors = {quantity: prior for quantity, prior in given.items() if isinstance(prior, Distribution)}
+        own = [Uncertain(quantity, k, p.mean.item(), p.stddev.item()) for quantity, p in priors.items()]
+        moment = link.nominal("inertia")
+        if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
+            own.append(Uncertain("inertia", k, moment, moment * float(priors["mass"].stddev / priors["mass"].mean)))
+        found += own
+    return tuple(found)
+
+
 def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
-    # Where the torque is unknown, only its rough prior would tell of masses: it pulls them down as far as they may go.
-    told = ("length",) if regime == "unknown_torque" else QUANTITIES
-    uncertain = tuple(
-        Uncertain(quantity, k, prior.mean.item(), prior.stddev.item())
-        for k, link in enumerate(body.with_uncertainty().links)
-        for quantity in told
-        if isinstance(prior := getattr(link, quantity), Distribution)
-    )
+    uncertain = uncertain_numbers(body)
+    if regime == "unknown_torque":
+        # There only its rough prior would tell of masses: it pulls them down as far as they may go.
+        uncertain = tuple(u for u in uncertain if u.quantity == "length")
     whole = arm_problem(recording, body, passive=passive, substeps=1)
     rows = (~torch.isnan(whole.observations)).any(-1).numpy()
     seen = int(rows.sum())

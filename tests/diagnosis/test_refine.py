@@ -34,11 +34,11 @@ from invdyn.diagnosis.paths import FIRM, data_path, firmed, led, lifted
 from invdyn.diagnosis.pool import leaves
 from invdyn.diagnosis.predict import scores
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.setting import BEGINNING, LOOSE, setting
+from invdyn.diagnosis.setting import BEGINNING, LOOSE, setting, uncertain_numbers
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import filter_of, sizes, whiten
 from invdyn.inference.gauss_newton import gauss_newton
-from invdyn.models import Body
+from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -268,6 +268,21 @@ def test_an_uncertain_body_is_fitted_too():
     assert cause.model.body_parameters().mass.item() == pytest.approx(cause.mean[1])
     confirmed = confirm(here, cause)
     assert confirmed.log_evidence == pytest.approx(cause.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
+
+
+def test_a_written_inertia_is_known_no_better_than_the_mass():
+    """Of a link that is heavier by 4 % than it is said to be, as a whole, nothing but its mass is to blame."""
+    stated = Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)
+    body = Body("pendulum", [stated], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
+    mass, moment = uncertain_numbers(body)
+    assert (mass.name, moment.name) == ("body.mass.0", "body.inertia.0")
+    assert (moment.mean, moment.sd) == pytest.approx((0.0075, 0.05 * 0.0075))
+    here = setting(recorded(mass=1.04, rows=200), body)
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    assert none.complete
+    assert (np.abs(none.mean - [1.04, 1.04 * 0.0075]) < 3 * none.sd).all()
+    for mine, known in ((PENDULUM, 0), (replace(body, uncertainty={"mass": 0.05, "inertia": 0.01}), 2)):
+        assert len(uncertain_numbers(mine)) == known
 
 
 def test_a_path_gets_and_loses_a_hidden_hinge():
