@@ -51,6 +51,7 @@ SOFTER = {
     "coriolis_share": "loaded by this share of the Coriolis and centrifugal torques",
     "position": "softer than in its middle alone, at this share of its length",
     "softness": "softer than a spring, it gives way to whatever presses the joint into it",
+    "second_amplitude": "no pure sine, it has a second wave of twice as many periods",
     "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
     "centre_x": "about a centre of the picture that is not the frame’s origin",
 }

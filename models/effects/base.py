@@ -156,6 +156,11 @@ class Effect(ABC):
         return int(self.soft)
 
     @property
+    def yields(self) -> bool:
+        """Whether its force takes what all other forces press into it."""
+        return False
+
+    @property
     def moves(self) -> bool:
         """Whether any of its hooks has a part in the dynamics."""
         return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in DYNAMICS)

@@ -35,7 +35,7 @@ class Composition:
             raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
-        self.soft = any(effect.soft for effect in effects)
+        self.yields = any(effect.yields for effect in effects)
         self.pulls = any(effect.pulls for effect in effects)
         self.longest = min((effect.longest for effect in effects), default=math.inf)
         self.abrupt = self.longest < math.inf
@@ -94,9 +94,9 @@ class Composition:
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Sum of the generalised forces, (..., K) N·m; softer stops take what all other forces press into them."""
         total = torch.zeros_like(now.q)
-        for soft in (False, True) if self.soft else (False,):
-            pressed = replace(now, motor=now.motor + total) if soft else now
-            forces = [effect.force(p, pressed) for effect, p in self._each(parameters) if effect.soft == soft]
+        for last in (False, True) if self.yields else (False,):
+            pressed = replace(now, motor=now.motor + total) if last else now
+            forces = [effect.force(p, pressed) for effect, p in self._each(parameters) if effect.yields == last]
             total = sum((force for force in forces if force is not None), start=total)
         return total
 

@@ -79,6 +79,11 @@ class JointLimit(Effect):
             *((Parameter("softness", "1", HalfNormal(0.2), math.inf),) if self.soft else ()),
         )
 
+    @property
+    def yields(self) -> bool:
+        """A softer stop does."""
+        return self.soft
+
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """A steady torque τ presses it as deep: e = τ / k of the ideal form, τ R / k of the softer one."""
         return {**ideal, "stiffness": ideal["stiffness"] * SOFTNESS, "softness": SOFTNESS}

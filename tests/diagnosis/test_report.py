@@ -190,7 +190,9 @@ def test_a_softer_form_is_said_to_be_one():
         ideal = each.everywhere(arm, arm.keypoint_names)[0].bound(arm)
         for effect in (ideal, ideal.softened()):
             if effect is not None:
-                named = {p.name: Estimate(1.0, 0.1, (0.9, 1.1), p.unit) for p in effect.parameters(scale)}
+                ones = {p.name: (torch.ones(1), p.unit) for p in effect.parameters(scale)}
+                shown = effect.described({name: one for name, (one, _) in ones.items()}) or ones
+                named = {name: Estimate(1.0, 0.1, (0.9, 1.1), unit) for name, (_, unit) in shown.items()}
                 told = words.meaning(Finding(effect.name, effect.side, {}, named))
                 assert any(each in told for each in words.SOFTER.values()) == effect.soft
     assert words.meaning(Finding("my_own", "dynamics", {}, {})) is None

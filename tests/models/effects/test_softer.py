@@ -3,12 +3,20 @@
 import numpy as np
 import pytest
 import torch
-from rod import F64, INERTIA, driven, rod, rolled
+from rod import F64, INERTIA, driven, rod, rolled, torque_of
 from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.unknowns import FAR
 from invdyn.models import ArmModel, Body, Emission, Link
-from invdyn.models.effects import EFFECTS, CoulombFriction, JointLimit, JointStiffness, LoadFriction, ViscousFriction
+from invdyn.models.effects import (
+    EFFECTS,
+    CoulombFriction,
+    JointLimit,
+    JointStiffness,
+    LoadFriction,
+    TorqueRipple,
+    ViscousFriction,
+)
 
 RATE = 1 / (0.95 * 0.02)  # 1/s, of MuJoCo's default: time constant 20 ms, impedance .9 to .95, damping ratio 1
 RUBBING = {"settling": 1 / RATE / 2 / 0.9, "creep": 0.1 / RATE / 2 / 0.9}
@@ -167,6 +175,22 @@ def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
         assert value < FAR / 2 * priors[name].scale
 
 
+def test_a_ripple_that_is_no_pure_sine(having):
+    """Its second harmonic, by the amplitude and phase that are told of it."""
+    values = {"sine": 0.3, "cosine": -0.2, "periods": 7.0, "second_sine": 0.05, "second_cosine": 0.12}
+    effect, ideal = TorqueRipple("hinge").softened(), rod()
+    told = effect.described({name: torch.tensor([value]) for name, value in values.items()})
+    A, phase, N, second, second_phase = (value.item() for value, _ in told.values())
+    q = torch.linspace(-2.0, 2.0, 50, dtype=F64)
+    x = torch.stack([torch.zeros_like(q), q, torch.zeros_like(q)], -1)
+    found = torque_of(having(ideal, effect, **values), ideal, x)[:, 0]
+    expected = A * torch.sin(N * q + phase) + second * torch.sin(2 * N * q + second_phase)
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6)
+    given = {name: values[name] for name in ("sine", "cosine", "periods")}
+    same = having(ideal, effect, **effect.as_soft(given)), having(ideal, TorqueRipple("hinge"), **given)
+    torch.testing.assert_close(*(torque_of(each, ideal, x) for each in same))
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_softer_form_is_the_same_effect_with_more_parameters(name, arm):
     model = arm(2)
@@ -174,7 +198,7 @@ def test_a_softer_form_is_the_same_effect_with_more_parameters(name, arm):
     ideal = next(effect for effect in reversed(every) if effect.form is None).bound(model.body)
     soft = ideal.softened()
     softer = ["coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "link_flexibility"]
-    softer += ["soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
+    softer += ["torque_ripple", "soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
     assert (soft is not None) == (name in softer)
     if soft is None:
         return
