@@ -9,6 +9,8 @@ it gains beside a large one: much of an effect is no straight line, and a large 
 An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
 stand for what the ideal form lacks. So is, in :mod:`.kin`, one that leaves something.
 
+A refinement that ends far under its base, which it contains, has lost its way and begins again from the base's path.
+
 With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
 stay larger than the noise whatever it does.
 """
@@ -149,7 +151,10 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
 
 
 def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> list[Refined]:
-    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
+
+    Where both end far under the base, once more from there.
+    """
     refined = []
     for start in (each.values, each.elsewhere):
         if start is None:
@@ -163,11 +168,11 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
             refined.append(cause)
             if cause.complete:
                 break
-    best = max(refined, key=lambda cause: cause.log_evidence, default=None)
-    if best is not None and best.log_evidence < base.log_evidence - FAILED:
+    if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
         again = attempt(_from_base, setting, base, each, limits)
         refined += [again] if again is not None else []
     if "moment" in each.effect.located and refined:
+        best = max(refined, key=lambda cause: cause.log_evidence)
         moved = (
             attempt(relocated, setting, base, each.effect, best)
             if best.log_evidence > limits.get("enough", -np.inf)

@@ -82,8 +82,7 @@ class Setting:
     Attributes:
         problem: model with the residual torque at size one typical torque, and observations.
         regime: one of ``REGIMES``.
-        uncertain: the body's numbers that its file states an uncertainty or a prior of; where the torque is unknown,
-            lengths alone.
+        uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
     """
