@@ -37,7 +37,8 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
         path = settled(model, path)
         return path, moved(path, rows)
 
-    nudges = torch.tensor(model.parameters["initial.hidden_scale"].tolist(), dtype=path.dtype) * 1e-3
+    spread = model.parameters[f"initial.hidden.{model.effects.hinge.key}"]
+    nudges = torch.tensor(spread.tolist(), dtype=path.dtype) * 1e-3
 
     rest, some = moved(path, rows), _some(model, path[0])
 

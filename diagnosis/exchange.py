@@ -21,7 +21,7 @@ from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.hidden import Hidden, HiddenHinge
+from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 
 SWAPS, FAIR = 2, 0.3
 """Candidates that are refined when one is to take another's place; what they have to gain by themselves where the best
@@ -144,6 +144,6 @@ def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:
 def free_beside(found: Search, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
     """Effects with columns that may join those that are ``taken``, but for ``others``."""
     keys = {effect.key for effect in (*taken, *others)}
-    busy = any(isinstance(effect, Hidden) for effect in taken)
+    busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)
     free = [e for e in found.candidates if e.key not in keys and not is_searched(e)]
     return [e for e in free if not (busy and isinstance(e, HiddenHinge))]

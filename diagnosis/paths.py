@@ -58,7 +58,7 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
     Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
     much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
     """
-    names = [name for name in ("noise.angle", "noise.velocity", "noise.hidden") if name in model.parameters]
+    names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
     for slack in SLACK:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
         quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)

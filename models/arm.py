@@ -28,7 +28,7 @@ from invdyn.models.arm_variants import ArmVariants
 from invdyn.models.body import Body, BodyParameters, Learned
 from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.composition import PREFIX, Composition, own_values
+from invdyn.models.effects.composition import PREFIX, Composition
 from invdyn.models.effects.parameters import is_signed
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.effects.situation import View
@@ -191,7 +191,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
         p = self.parameters
         root = self.torque.stationary(self._interval(0), p)
-        sds = self._with_hidden("initial.hidden_scale", p["initial.angle_scale"], p["initial.velocity_scale"])
+        sds = self._with_hidden("initial.hidden", p["initial.angle_scale"], p["initial.velocity_scale"])
         moving = join(p["initial.angle"], p["initial.velocity"])
         still = moving.new_zeros(*moving.shape[:-1], self.state_dim - moving.shape[-1])
         return self._gaussian(join(still, moving), root, sds)
@@ -209,7 +209,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
     def _unless_anew(self, moved: Distribution, t: int | Tensor) -> Distribution:
         p = self.parameters
         here, middle = (value[t] for value in self._anew)
-        sds = self._with_hidden("initial.hidden_scale", torch.full_like(middle, np.pi), p["initial.velocity_scale"])
+        sds = self._with_hidden("initial.hidden", torch.full_like(middle, np.pi), p["initial.velocity_scale"])
         still = middle.new_zeros(*middle.shape[:-1], self.state_dim - 2 * self.body.num_joints)
         start = self._gaussian(
             join(still, middle, torch.zeros_like(middle)), self.torque.stationary(self._interval(0), p), sds
@@ -228,10 +228,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         """Keypoints and encoder angles of row ``t`` given x_t = ``state``; event shape (O,)."""
         z, q, qd = self.split(state)
         body, p, effects = self.body_parameters(), self.parameters, self.effects
-        if effects.hidden:
-            tips = effects.hidden.tips(own_values(effects.hidden, p), q, z[..., self.torque_size :], body)
-        else:
-            tips = self.dynamics.keypoints(q, body)
+        tips = effects.tips(p, q, z[..., self.torque_size :], body)
         if not (effects.has_points or effects.has_angles or effects.has_noise or effects.has_mistakes):
             return self.emission_model.distribution(tips, q, t, p)
         elapsed = self._elapsed[t].to(state).unsqueeze(-1)
@@ -260,7 +257,7 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
         return torque if self.command is None else torque + self.command.to(path)
 
     def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
-        return join(*([self.parameters[name]] if self.effects.hidden else []), angle, velocity)
+        return join(*(self.parameters[f"{name}.{each.key}"] for each in self.effects.hidden), angle, velocity)
 
     def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
         if self.torque.diagonal:
@@ -281,16 +278,16 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
     @property
     def driven(self) -> slice | None:
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
-        hidden = self.effects.hidden
-        return slice(self.torque_size, self.state_dim - 2 * self.body.num_joints) if hidden and hidden.forgets else None
+        hinge = self.effects.hinge
+        return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None
 
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""
         angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
         slack = {"noise.angle": angle, "noise.velocity": velocity}
-        if self.effects.hidden:
-            rates = len(self.parameters["noise.hidden"]) // 2
-            slack["noise.hidden"] = [0.1 * angle] * max(rates, 1) + [0.1 * velocity] * rates
+        for each in self.effects.hidden:
+            rates = each.states // 2
+            slack[f"noise.hidden.{each.key}"] = [0.1 * angle] * (each.states - rates) + [0.1 * velocity] * rates
         return self.replace(
             **{k: torch.hypot(self.parameters[k], self.parameters[k].new_tensor(v)) for k, v in slack.items()}
         )

@@ -19,6 +19,7 @@ from torch import Tensor
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.composition import own_values
+from invdyn.models.effects.hidden import tip_motion
 from invdyn.models.effects.situation import Situation
 from invdyn.models.integrators import INTEGRATORS
 from invdyn.models.shapes import join
@@ -61,15 +62,32 @@ class ArmRow:
         z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
         z_next = self.torque.mean(z, self._step(t), self.parameters)
         drive = self._drive(z, z_next, t)
+        own = self.effects.shares(hidden)
+        mover = self.effects.hinge or self.effects.bristles
+        before = own[mover.key] if mover else hidden[..., :0], q, qd
+        bent, *moved = after = self._moved(drive, *before)
+        return join(z_next, bent, *self._followed(drive, own, before, after), *moved)
+
+    def _moved(self, drive: Drive, bent: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The hidden states, if there are any, that have a part in it, q and q̇ one row later."""
         if self.effects.hinge:
-            return join(z_next, *self._hinged(drive, hidden, q, qd))
+            return self._hinged(drive, bent, q, qd)
         if self.effects.bristles:
-            return join(z_next, *self._bristling(drive, hidden, q, qd))
-        moved = self._integrated(drive, q, qd)
-        if self.effects.follower:
-            p, follower = own_values(self.effects.follower, self.parameters), self.effects.follower
-            hidden = follower.follow(p, hidden, (q, qd), moved, drive.body, drive.dt)
-        return join(z_next, hidden, *moved)
+            return self._bristling(drive, bent, q, qd)
+        return bent, *self._integrated(drive, q, qd)
+
+    def _followed(self, drive: Drive, own: dict[str, Tensor], *ends: tuple[Tensor, Tensor, Tensor]) -> list[Tensor]:
+        """What follows the arm, one row later, between ``ends`` (hidden states that move it, q, q̇) of the row."""
+        if not self.effects.followers:
+            return []
+        hinge, motions = self.effects.hinge, []
+        for bent, q, qd in ends:
+            if hinge:
+                motions.append(hinge.tip_motion(own_values(hinge, self.parameters), q, qd, bent, drive.body))
+            else:
+                motions.append(tip_motion(q, qd, drive.body))
+        following = ((each, own_values(each, self.parameters)) for each in self.effects.followers)
+        return [each.follow(p, own[each.key], *motions, drive.dt) for each, p in following]
 
     def _drive(self, z: Tensor, z_next: Tensor, t: int | Tensor) -> Drive:
         joints = self.body.num_joints
@@ -183,7 +201,8 @@ class ArmRow:
         torque, own, now = self._smooth(drive, q, qd, 0.0)
         if self.effects.bristles:
             now = self._now(drive, q, qd, 0.0)
-            torque = torque + self._bending(z[..., self.torque_size :], now)[0]
+            bent = self.effects.shares(z[..., self.torque_size :])[self.effects.bristles.key]
+            torque = torque + self._bending(bent, now)[0]
         torque, own = self._rubbed(torque, own, now)
         return self.dynamics.forward(q, qd, torque, body, own)
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import Composition
+from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.parameters import check_tracked, parameters_of
 from invdyn.models.effects.scale import Scale
 
@@ -35,11 +36,11 @@ class ArmVariants:
         never absent, in the middle of their grid or prior).
 
         Hidden states (:mod:`.effects.hidden`) stand in the state before the angles, those of a hinge as
-        (z, ψ, ψ̇, θ, θ̇), with the parameters "initial.hidden_scale" and "noise.hidden", standard deviations (H,) of ψ,
-        rad, and ψ̇, rad/s.
+        (z, ψ, ψ̇, θ, θ̇), what moves the arm before what follows it, with the parameters "initial.hidden.<effect>" and
+        "noise.hidden.<effect>", standard deviations (H,) of ψ, rad, and ψ̇, rad/s.
 
         Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place,
-        and for a second one with hidden states.
+        and for a second one with hidden states that move the arm.
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
         other = self.replace()
@@ -49,10 +50,11 @@ class ArmVariants:
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         other.parameters |= starts
         other.priors = {**self.priors, **priors}
-        if other.effects.hidden and not self.effects.hidden:
-            spread = torch.tensor(other.effects.hidden.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
-            other.parameters |= {"initial.hidden_scale": spread, "noise.hidden": 1e-4 * spread}
-            other.state_dim += len(spread)
+        for effect in (each for each in bound if isinstance(each, Hidden)):
+            spread = torch.tensor(effect.hidden_scale(self.scale), dtype=self.dtype, device=self.device)
+            other.parameters[f"initial.hidden.{effect.key}"] = spread
+            other.parameters[f"noise.hidden.{effect.key}"] = 1e-4 * spread
+            other.state_dim += effect.states
         check_tracked(bound, [self.body.keypoint_names[k] for k in self.emission_model.tips])
         return other
 

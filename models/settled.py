@@ -56,13 +56,17 @@ def settled(model: StateSpaceModel, path: Tensor) -> Tensor:
 
 
 def _pass(model: StateSpaceModel, path: Tensor, rows: Tensor, leaps: bool = False, whole: bool = False) -> Tensor:
-    """Send ``rows`` (R,) of ``path`` on in place, those that change or the ``whole``; the rows after a change."""
+    """Send ``rows`` (R,) of ``path`` on in place, those that change or the ``whole``; the rows after a change.
+
+    Of the whole, any change counts: what follows a contact may have many times as much of it.
+    """
     before, here = path[..., rows - 1, :], path[..., rows, model.driven]
     if leaps:
         moved = _carried(here, *_sent(model, before, rows), rows)
     else:
         moved = gaussian_mean(model.transition(before, rows))[..., model.driven]
-    changed = ~((moved - here).abs().movedim(-2, 0).flatten(1).amax(1) <= CLOSE)  # NaN, too, is a change
+    close = 0.0 if whole else CLOSE
+    changed = ~((moved - here).abs().movedim(-2, 0).flatten(1).amax(1) <= close)  # NaN, too, is a change
     taken = torch.ones_like(changed) if whole else changed
     path[..., rows[taken], model.driven] = moved[..., taken, :]
     after = rows[changed] + 1

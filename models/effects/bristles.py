@@ -19,8 +19,6 @@ import torch
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.scale import Scale
@@ -43,6 +41,7 @@ class Bristles(Hidden):
     """
 
     soft = True
+    states = 1
     longest = LONGEST
 
     def __init__(self, of: Effect):
@@ -115,7 +114,3 @@ class Bristles(Hidden):
                 slopes.append((rate, here[2], bent))
             s, q, qd = (a + h / 6 * (k1 + 2 * (k2 + k3) + k4) for a, k1, k2, k3, k4 in zip(x, *slopes, strict=True))
         return s, q, qd
-
-    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
-        """The K tips: nobody sees them bend."""
-        return dynamics_for(q.shape[-1]).keypoints(q, body)

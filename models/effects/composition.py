@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
+from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.bristles import Bristles
 from invdyn.models.effects.command import Command
@@ -54,13 +55,15 @@ class Composition:
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
         self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
-        if len(hidden) > 1:
-            keys = " and ".join(effect.key for effect in hidden)
-            raise ValueError(f"expected at most one effect with a hidden coordinate, got {keys}")
-        self.hidden = hidden[0] if hidden else None
-        self.hinge = self.hidden if isinstance(self.hidden, HiddenHinge) else None
-        self.bristles = self.hidden if isinstance(self.hidden, Bristles) else None
-        self.follower = self.hidden if isinstance(self.hidden, Follower) else None
+        movers = [effect for effect in hidden if not isinstance(effect, Follower)]
+        if len(movers) > 1:
+            keys = " and ".join(effect.key for effect in movers)
+            raise ValueError(f"expected at most one effect whose hidden states move the arm, got {keys}")
+        mover = movers[0] if movers else None
+        self.hinge = mover if isinstance(mover, HiddenHinge) else None
+        self.bristles = mover if isinstance(mover, Bristles) else None
+        self.followers = sorted((each for each in hidden if isinstance(each, Follower)), key=lambda each: each.key)
+        self.hidden: tuple[Hidden, ...] = (*movers, *self.followers)
 
     def __iter__(self) -> Iterator[Effect]:
         return iter(self.effects)
@@ -171,6 +174,22 @@ class Composition:
         for effect, p in self._each(parameters):
             sd = effect.noise(p, view, sd)
         return sd
+
+    def shares(self, hidden: Tensor) -> dict[str, Tensor]:
+        """Of all hidden states (..., H), which stand in the order of :attr:`hidden`, each effect's, by its key."""
+        sizes = [effect.states for effect in self.hidden]
+        return dict(zip((effect.key for effect in self.hidden), hidden.split(sizes, -1), strict=True))
+
+    def tips(self, parameters: Mapping[str, Tensor], q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+        """The K tips, or what is seen as them, in hidden states (..., H): (..., K, 2) m."""
+        own, hinge = self.shares(hidden), self.hinge
+        if hinge is None:
+            tips = dynamics_for(q.shape[-1]).keypoints(q, body)
+        else:
+            tips = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
+        for follower in self.followers:
+            tips = follower.shown(tips, own[follower.key])
+        return tips
 
     def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap | Shift]:
         """What the tracker gets wrong now and then."""

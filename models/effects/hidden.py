@@ -32,10 +32,18 @@ Pull = Callable[[Tensor, Tensor, float | Tensor], Tensor | float]
 
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
+Motion = tuple[Tensor, Tensor]
+"""Positions of the K tips from the base, m, and their velocities, m/s, (..., K, 2)."""
+
 
 class Hidden(Effect):
-    """Base of the effects with H hidden states, coordinates and then any rates; at most one of them in a model."""
+    """Base of the effects with hidden states, coordinates and then any rates.
 
+    At most one that moves the arm in a model, and any number of what follows it.
+    """
+
+    states: ClassVar[int]
+    """H, how many."""
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
 
@@ -48,23 +56,23 @@ class Hidden(Effect):
     def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
         """How far the H states may be from 0 at the first row: standard deviations."""
 
-    @abstractmethod
-    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
-        """The K tips, or what is seen as them, (..., K, 2) m."""
-
 
 class Follower(Hidden):
     """Base of what follows the arm's motion and has no part in it."""
 
     @abstractmethod
-    def follow(
-        self, p: Values, hidden: Tensor, before: tuple[Tensor, Tensor], after: tuple[Tensor, Tensor], body, dt
-    ) -> Tensor:
-        """States (..., H) a row of ``dt`` s later, between angles and velocities (..., K) each at its two ends."""
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
+        """States (..., H) a row of ``dt`` s later, between what the K tips do at its two ends."""
+
+    @abstractmethod
+    def shown(self, tips: Tensor, hidden: Tensor) -> Tensor:
+        """What is seen as the K ``tips``, (..., K, 2) m."""
 
 
 class HiddenHinge(Hidden):
     """Base of the effects with a hidden hinge, of states ψ, rad, and ψ̇, rad/s."""
+
+    states = 2
 
     @abstractmethod
     def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
@@ -113,9 +121,27 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        k, links = self.place[0], self.chain(p, body)
-        points = dynamics_for(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), links)
+        points = dynamics_for(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        return self._tracked(points)
+
+    def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
+        """What the K tips do; see :func:`tip_motion`."""
+        angles, rates = (self.spread(joints, hinge) for joints, hinge in zip((q, qd), hidden.chunk(2, -1), strict=True))
+        points, velocities = tip_motion(angles, rates, self.chain(p, body))
+        return self._tracked(points), self._tracked(velocities)
+
+    def _tracked(self, points: Tensor) -> Tensor:
+        """Of the ends of K + 1 links (..., K + 1, 2) those of the arm's own."""
+        k = self.place[0]
         return torch.cat([points[..., :k, :], points[..., k + 1 :, :]], -2)
+
+
+def tip_motion(q: Tensor, qd: Tensor, body: BodyParameters) -> Motion:
+    """The tips as seen from the base, m, and their velocities, m/s, (..., K, 2), at angles and rates (..., K)."""
+    phi, omega = q.cumsum(-1), qd.cumsum(-1)
+    along, up = body.length * phi.cos(), body.length * phi.sin()
+    points, velocities = torch.stack([along, up], -1), torch.stack([-up * omega, along * omega], -1)
+    return points.cumsum(-2), velocities.cumsum(-2)
 
 
 def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:

@@ -15,10 +15,8 @@ import torch
 from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.hidden import Follower
+from invdyn.models.effects.hidden import Follower, Motion
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import View
 
@@ -81,6 +79,7 @@ class Wobble(SoftTissue, Follower):
     """The softer form: hidden states δ, m, and δ̇, m/s, along x and y each."""
 
     soft = True
+    states = 4
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ = 1/ω², s², and the damping ratio ζ, a pure number."""
@@ -93,17 +92,10 @@ class Wobble(SoftTissue, Follower):
         fast = far * scale.speed[self.place[0]] / 0.1**0.5
         return far, far, fast, fast
 
-    def follow(
-        self,
-        p: Values,
-        hidden: Tensor,
-        before: tuple[Tensor, Tensor],
-        after: tuple[Tensor, Tensor],
-        body: BodyParameters,
-        dt,
-    ) -> Tensor:
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
         """See :meth:`Follower.follow`; damping ratios are below one."""
-        (p0, v0), (p1, v1) = self._tip(*before, body), self._tip(*after, body)
+        k = self.place[0]
+        (p0, v0), (p1, v1) = ((x[..., k, :], v[..., k, :]) for x, v in (before, after))
         # of the cubic the second derivative, a + b t
         a = (6 * (p1 - p0) / dt - 4 * v0 - 2 * v1) / dt
         b = (6 * (v0 + v1) - 12 * (p1 - p0) / dt) / dt**2
@@ -121,19 +113,11 @@ class Wobble(SoftTissue, Follower):
         moved = torch.cat(torch.broadcast_tensors(swung + steady(dt), swings - kappa * b), -1)
         return torch.where(p["kappa"] > 0, moved, torch.zeros_like(moved))
 
-    def _tip(self, q: Tensor, qd: Tensor, body: BodyParameters) -> tuple[Tensor, Tensor]:
-        """Its tip from the base and its velocity, (..., 2) m and m/s."""
-        k = self.place[0] + 1
-        length, phi, omega = body.length[..., :k], q[..., :k].cumsum(-1), qd[..., :k].cumsum(-1)
-        cos, sin = length * phi.cos(), length * phi.sin()
-        return torch.stack([cos, sin], -1).sum(-2), torch.stack([-sin * omega, cos * omega], -1).sum(-2)
-
     def points(self, p: Values, view: View) -> Tensor:
-        """They are moved already, by :meth:`tips`."""
+        """They are moved already, by :meth:`shown`."""
         return view.points
 
-    def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
+    def shown(self, tips: Tensor, hidden: Tensor) -> Tensor:
         """One of them moved by δ."""
-        points = dynamics_for(q.shape[-1]).keypoints(q, body)
-        here = torch.nn.functional.one_hot(torch.tensor(self.place[0]), points.shape[-2]).to(points)
-        return points + here.unsqueeze(-1) * hidden[..., :2].unsqueeze(-2)
+        here = torch.nn.functional.one_hot(torch.tensor(self.place[0]), tips.shape[-2]).to(tips)
+        return tips + here.unsqueeze(-1) * hidden[..., :2].unsqueeze(-2)

@@ -105,7 +105,7 @@ def test_slopes_save_passes(calls, monkeypatch):
             found.append(settled(model, path))
             passes.setdefault(few, []).append(len(calls))
         torch.testing.assert_close(*found, rtol=1e-9, atol=1e-9)
-    assert median(passes[2000]) < 0.4 * median(passes[0])
+    assert median(passes[2000]) < 0.6 * median(passes[0])
 
 
 def test_a_path_that_runs_away_ends(calls):

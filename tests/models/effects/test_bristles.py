@@ -126,5 +126,5 @@ def test_it_stands_under_the_frictions_own_name(arm):
     assert bristles.as_soft({"torque": 1.0, "settling": 0.01, "creep": 0.001}) == {"torque": 1.0}
     beside = model.with_effects(bristles, CoulombFriction("joint0"), ViscousFriction("joint0"))
     assert beside.state_dim == model.state_dim + 1
-    with pytest.raises(ValueError, match="at most one effect with a hidden coordinate"):
+    with pytest.raises(ValueError, match="at most one effect whose hidden states move the arm"):
         model.with_effects(bristles, LinkFlexibility("link1"))

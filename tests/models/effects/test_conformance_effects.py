@@ -288,7 +288,7 @@ def test_start_of_linearisation_has_the_models_states(name, arm):
 
 
 def test_one_hidden_hinge_at_most(arm):
-    with pytest.raises(ValueError, match="at most one effect with a hidden coordinate"):
+    with pytest.raises(ValueError, match="at most one effect whose hidden states move the arm"):
         arm(2).with_effects(Backlash("joint0"), LinkFlexibility("link1"))
     assert {kind for kind in EFFECTS.values() if issubclass(kind, HiddenHinge)} == {Backlash, LinkFlexibility}
 

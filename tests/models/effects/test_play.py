@@ -55,11 +55,10 @@ def exact():
     push.terminal = at_stop.terminal = True
     at_stop.direction = 1
     times, rows, impacts = 0.01 * np.arange(round(DURATION / 0.01) + 1), [], []
-    now, psi, x, touching = 0.0, -WIDTH / 2, np.array(START), None
+    now, psi, x, rate = 0.0, -WIDTH / 2, np.array(START), 0.0
+    touching = push(0, x) * psi < 0
     while now < DURATION:
-        if touching is None:
-            touching = push(0, x) * psi < 0
-        begun = x if touching else torch.cat([wide(x[:2], psi), wide(x[2:], 0.0)]).numpy()
+        begun = x if touching else torch.cat([wide(x[:2], psi), wide(x[2:], rate)]).numpy()
         event = push if touching else at_stop
         run = solve_ivp(
             held if touching else free,
@@ -77,14 +76,16 @@ def exact():
             rows.append([float(gap), float(rate), *q, *qd])
         now, y = run.t[-1], run.y[:, -1]
         if touching:
-            x, touching = y, False
+            x, rate, touching = y, 0.0, False
         else:
             angles, rates = torch.as_tensor(y[:3]), torch.as_tensor(y[3:])
             psi = float(np.copysign(WIDTH / 2, y[2]))
             unit = torch.tensor([0.0, 0.0, 1.0], dtype=F64)
             answer = whole.response(angles, unit, links)
-            rates = rates - answer / answer[2] * rates[2]
-            x, touching = np.r_[PLAY.gathered(angles)[0].numpy(), PLAY.gathered(rates)[0].numpy()], None
+            back = np.exp(-2) if abs(rates[2]) > 0.05 else 0.0
+            rates = rates - (1 + back) * answer / answer[2] * rates[2]
+            x, rate = np.r_[PLAY.gathered(angles)[0].numpy(), PLAY.gathered(rates)[0].numpy()], float(rates[2])
+            touching = not back and push(0, x) * psi < 0
             impacts.append(now)
     return times[: len(rows)], np.array(rows), impacts
 
@@ -99,9 +100,9 @@ def off(step):
 
 
 def test_contacts_within_rows_are_followed():
-    """Seven impacts in 1.2 s, and the stops let go between them, in two or three sub-steps a row."""
+    """Twenty-one impacts in 1.2 s, four within a hundredth, and the stops let go between them."""
     _, rows, impacts = exact()
-    assert len(impacts) >= 6
+    assert len(impacts) >= 20
     assert np.abs(rows[:, 5]).max() > 20
     angles, rates = [0, 2, 3], [4, 5]
     assert off(0.02)[angles].max() < 2e-3

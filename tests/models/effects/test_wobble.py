@@ -6,20 +6,21 @@ import torch
 from rod import F64, rod
 from scipy.integrate import solve_ivp
 
-from invdyn.models import ArmModel
+from invdyn.models import ArmModel, Emission
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, SoftTissue
+from invdyn.models.effects.hidden import tip_motion
 
 LENGTH = 0.3
 
 
 def along(model, q, qd, hidden):
     """Hidden states (T, 4) that follow given angles and velocities (T,) of the rod, from ``hidden`` on."""
-    follower = model.effects.follower
+    (follower,), body = model.effects.followers, model.body_parameters()
     p = {name: model.parameters[f"effect.{follower.key}.{name}"] for name in ("kappa", "damping_ratio")}
     found = [torch.tensor(hidden, dtype=F64)]
     for t in range(1, len(q)):
-        ends = [(torch.tensor(q[s : s + 1]), torch.tensor(qd[s : s + 1])) for s in (t - 1, t)]
-        found.append(follower.follow(p, found[-1], *ends, model.body_parameters(), model.dt[t]))
+        ends = [tip_motion(torch.tensor(q[s : s + 1]), torch.tensor(qd[s : s + 1]), body) for s in (t - 1, t)]
+        found.append(follower.follow(p, found[-1], *ends, model.dt[t]))
     return torch.stack(found).numpy()
 
 
@@ -84,9 +85,39 @@ def test_the_camera_sees_it_and_the_arm_does_not_feel_it(arm, having, states):
     torch.testing.assert_close(seen[:, 2:], true[:, 2:])
 
 
-def test_it_goes_with_dry_friction_and_not_with_a_hidden_hinge(arm):
-    wobble = SoftTissue("tip0").softened()
-    assert arm(2).with_effects(wobble, CoulombFriction("joint0")).state_dim == 10
-    with pytest.raises(ValueError, match="at most one effect with a hidden coordinate"):
-        arm(2).with_effects(wobble, LinkFlexibility("link1"))
+@pytest.mark.parametrize("tip", [0, 1])
+def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, having):
+    """δ = −κ p̈ where it swings fast, p what a bending arm's tip does; and the arm moves as without it."""
+    step, rows, kappa, bends = 5e-4, 301, 1e-6, LinkFlexibility("link0")
+    body = arm(2).body
+    command = np.stack([0.5 * np.sin(9 * step * np.arange(rows)), np.zeros(rows)], -1)
+    plain = ArmModel(body, step * np.arange(rows), Emission([0, 1]), command=command)
+    bending = having(plain, bends, stiffness=8.0, damping=0.0)
+    both = having(bending, SoftTissue(f"tip{tip}").softened(), kappa=kappa, damping_ratio=0.7)
+    x, y = torch.zeros(bending.state_dim, dtype=F64), torch.zeros(both.state_dim, dtype=F64)
+    tips, straight, swung = [], [], []
+    for t in range(rows):
+        if t:
+            x, y = bending.transition_mean(x, t), both.transition_mean(y, t)
+        tips.append(bending.emission(x, t).mean[2 * tip : 2 * tip + 2])
+        straight.append(plain.dynamics.keypoints(x[4:6], plain.body_parameters())[tip])
+        swung.append(y[4:8])
+    torch.testing.assert_close(torch.cat([y[:4], y[8:]]), x)
+    thrown, rigid = (-kappa * np.diff(torch.stack(p).numpy(), 2, axis=0)[60:] / step**2 for p in (tips, straight))
+    found = torch.stack(swung).numpy()[61:-1, :2]
+    assert np.abs(found - thrown).max() < 0.1 * np.abs(thrown).max()
+    assert np.abs(found - rigid).max() > 0.5 * np.abs(thrown).max()
+
+
+def test_it_goes_with_dry_friction_and_other_tissue_through_bristles_too(arm):
+    wobbles = [SoftTissue(tip).softened() for tip in ("tip1", "tip0")]
+    assert arm(2).with_effects(wobbles[0], CoulombFriction("joint0")).state_dim == 10
+    bristles = CoulombFriction("joint0").softened().softened()
+    model = arm(2).with_effects(*wobbles, bristles)
+    assert model.state_dim == 15
+    assert [(each.key, each.states) for each in model.effects.hidden] == [
+        ("coulomb_friction.joint0", 1),
+        ("soft_tissue.tip0", 4),
+        ("soft_tissue.tip1", 4),
+    ]
     assert SoftTissue("tip0", "sliding").softened() is None
