@@ -9,13 +9,11 @@ import inspect
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.blind import mechanisms as m
 from invdyn.diagnosis.blind.camera import OBSERVATIONS
-from invdyn.diagnosis.blind.outside import OUTSIDE
 from invdyn.diagnosis.blind.reality import World
-from invdyn.diagnosis.blind.sizes import SIZES, UNITS, scene
+from invdyn.diagnosis.blind.sizes import SIZES, UNITS
 from invdyn.models import ArmModel, Body, Emission, Link
 from invdyn.models.effects import EFFECTS, Backlash
 
@@ -122,29 +120,6 @@ def test_dry_friction_turns_around_with_the_motion():
     assert late.sum() > 1000
     lost = 2 * 2e-4 * level / inertia
     np.testing.assert_allclose(real.qd[late, 0], after[late], atol=lost)
-
-
-def test_friction_through_bristles_is_the_law_of_lugre():
-    """A rod that turns around twice a second, and an ODE solver's LuGre; the force is held over steps of .2 ms."""
-    inertia, law = 1.0 * 0.3**2 / 3, {"coulomb": 0.1, "static": 0.25, "velocity": 0.8}
-    stiff, damping = 120.0, 0.8
-    world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
-    m.stribeck_friction(world, 0, **law, bristle_stiffness=stiff, bristle_damping=damping)
-    real = world.run(ROWS, lambda row, t, q, qd: np.array([0.4 * np.sin(6 * t)]), [0.0], [0.0])
-
-    def slope(t, x):
-        level = 0.1 + 0.15 * np.exp(-((x[1] / 0.8) ** 2))
-        bending = x[1] - stiff * abs(x[1]) / level * x[2]
-        row = min(int(t / 0.02 + 1e-9), 99)
-        return [x[1], (0.4 * np.sin(6 * ROWS[row]) - stiff * x[2] - damping * bending) / inertia, bending]
-
-    x, q = np.zeros(3), [0.0]
-    for start, end in zip(ROWS[:-1], ROWS[1:] - 1e-12, strict=True):
-        x = solve_ivp(slope, (start, end), x, method="LSODA", rtol=1e-9, atol=1e-12).y[:, -1]
-        q.append(x[0])
-    np.testing.assert_allclose(real.q[:: (len(real.q) - 1) // 100, 0], q, atol=2e-4)
-    again = world.run(ROWS, lambda row, t, q, qd: np.array([0.4 * np.sin(6 * t)]), [0.0], [0.0])
-    np.testing.assert_array_equal(again.q, real.q)  # bristles begin unbent
 
 
 def test_coupling_pulls_on_both():
@@ -353,18 +328,3 @@ def test_every_effect_has_units_and_sizes():
             p for p in inspect.signature(function).parameters if p not in ("world", "joint", "link", "keypoint")
         ]
         assert parameters == list(UNITS[name])
-
-
-@pytest.mark.parametrize("name", OUTSIDE)
-def test_what_lies_outside_moves_the_arm(name):
-    from invdyn.diagnosis.blind.motion import play, random_plan
-
-    rng = np.random.default_rng(3)
-    plan = random_plan(rng, ARM, False)
-    ideal = play(World(ARM), World(ARM), plan)
-    world = World(ARM)
-    drawn = OUTSIDE[name](world, rng, scene(ARM, plan, ideal), 1)
-    assert all(np.isfinite(value) and unit for value, unit in drawn.values())
-    real = play(world, World(ARM), plan)
-    assert np.isfinite(real.q).all()
-    assert np.abs(real.points - ideal.points).max() > 1e-4
