@@ -40,7 +40,7 @@ def searched():
 def test_evidence_is_smooth_in_the_width_and_largest_near_the_true_one():
     """Within some tenths of a nat of a cubic, in ten percent either way; all of them leave nothing.
 
-    The width is known to a twentieth.
+    The true width is within two standard deviations of the top, two nats, which is no end of what is looked at.
     """
     play = widths(*loose_joint())
     logs = np.log(0.06) + np.linspace(-0.1, 0.1, 11)
@@ -49,7 +49,8 @@ def test_evidence_is_smooth_in_the_width_and_largest_near_the_true_one():
     fitted = np.polynomial.Polynomial.fit(logs, score, 3)
     assert np.abs(fitted(logs) - score).max() < 0.3
     assert score.max() - score.min() > 2
-    assert abs(np.log(0.06) - logs[score.argmax()]) < 0.1
+    assert 0 < score.argmax() < 10
+    assert score.max() - score[5] < 2
 
 
 def test_play_is_searched_and_found():
