@@ -34,3 +34,9 @@ def _seeded():
     """Every test starts from the same seed and an empty parameter store."""
     torch.manual_seed(0)
     pyro.clear_param_store()
+
+
+@pytest.fixture
+def fine_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blind check's reality in steps of .2 ms at most: its own errors stay below what a test measures."""
+    monkeypatch.setattr("invdyn.diagnosis.blind.reality.LONGEST_STEP", 2e-4)

@@ -18,17 +18,13 @@ from invdyn.models import ArmModel, Body, Emission, Link
 from invdyn.models.effects import EFFECTS, Backlash
 
 pytest.importorskip("mujoco")
+pytestmark = pytest.mark.usefixtures("fine_steps")
 ARM = Body(
     "arm",
     [Link("upper", "shoulder", "elbow", 0.3, 1.5, 0.14, 0.012), Link("fore", "elbow", "wrist", 0.27, 1.0)],
 )
 ROWS = np.arange(101) * 0.02
 START = ([-1.2, 0.7], [0.5, -1.0])
-
-
-@pytest.fixture(autouse=True)
-def _fine_steps(monkeypatch):
-    monkeypatch.setattr("invdyn.diagnosis.blind.reality.LONGEST_STEP", 2e-4)
 
 
 def swing(row, t, q, qd):

@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
+from pendulum import ARM
 
 from invdyn.diagnosis.blind.motion import play, random_plan
 from invdyn.diagnosis.blind.outside import OUTSIDE
 from invdyn.diagnosis.blind.reality import World
 from invdyn.diagnosis.blind.sizes import scene
-from invdyn.models import Body, Link
 
 pytest.importorskip("mujoco")
-ARM = Body(
-    "arm",
-    [Link("upper", "shoulder", "elbow", 0.3, 1.5, 0.14, 0.012), Link("fore", "elbow", "wrist", 0.27, 1.0)],
-)
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

@@ -9,12 +9,8 @@ from invdyn.diagnosis.blind.reality import World
 from invdyn.models import Body, Link
 
 pytest.importorskip("mujoco")
+pytestmark = pytest.mark.usefixtures("fine_steps")
 ROWS = np.arange(101) * 0.02
-
-
-@pytest.fixture(autouse=True)
-def _fine_steps(monkeypatch):
-    monkeypatch.setattr("invdyn.diagnosis.blind.reality.LONGEST_STEP", 2e-4)
 
 
 def test_friction_through_bristles_is_the_law_of_lugre():

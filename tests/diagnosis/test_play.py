@@ -73,6 +73,7 @@ def test_its_width_is_as_certain_as_its_evidence_is_sharp():
     assert top - (low + high) / 2 == pytest.approx(2.5**2 / 2, rel=0.3)
 
 
+@pytest.mark.slow
 def test_wide_play_is_found_from_a_base_that_it_bends():
     """Along the base's path none of the grid's widths shows what the true one explains."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
