@@ -117,7 +117,9 @@ def test_jitter_mistimes_its_share_of_frames():
 
 
 def test_outliers_and_swaps_come_at_their_rate():
-    stray = np.abs(seen("outliers", rate=0.05, scale=0.2) - TRUE).max(axis=-1) > 1e-5
+    off = seen("outliers", rate=0.05, scale=0.2) - TRUE
+    stray = np.abs(off).max(axis=-1) > 1e-5
+    assert off[stray].std() == pytest.approx(0.2, rel=4 / np.sqrt(2 * off[stray].size))
     assert abs(stray.mean() - 0.05) < 4 * np.sqrt(0.05 * 0.95 / stray.size)
     swapped = seen("label_swap", 1, rate=0.04)
     exchanged = np.abs(swapped - TRUE).max(axis=(1, 2)) > 1e-4

@@ -146,7 +146,7 @@ def test_the_visibility_of_an_effect_is_that_of_its_change():
     scale = effect["parameters"]["scale"]["value"]
     rms = off * np.sqrt((keypoints[frames] ** 2).mean()) / scale / case.answer["noise"]["keypoint_sd"]
     assert effect["visibility_rms"] == pytest.approx(rms, rel=0.05)
-    assert effect["dprime"] > effect["visibility_rms"]
+    assert effect["dprime"] == pytest.approx(effect["visibility_rms"] * np.sqrt(keypoints[frames].size))
 
 
 @pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start

@@ -32,7 +32,9 @@ def test_means_and_medians():
     for _ in range(400):
         m = median("x", rng.exponential(size=21).tolist())
         hits += m.low <= math.log(2) <= m.high
-    assert hits / 400 > 0.87
+    # From the 7th to the 15th of 21: binom(21, ½) says how often the middle of the distribution lies between.
+    covers = binom.cdf(14, 21, 0.5) - binom.cdf(6, 21, 0.5)
+    assert hits / 400 == pytest.approx(covers, abs=4 * np.sqrt(covers * (1 - covers) / 400))
     m = mean("x", [1.0, 2.0, 3.0])
     assert (m.value, m.high - m.value) == pytest.approx((2.0, 1.645 / math.sqrt(3)), rel=1e-3)
     assert mean("x", []).value is None

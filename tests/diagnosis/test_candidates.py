@@ -126,7 +126,9 @@ def test_columns_are_differences_of_the_model(name):
     for hypothesis in (found[0], found[-1]):
         point = hypothesis.point
         base = ideal
-        if hypothesis.offset is not None:
+        if hypothesis.offset is None:
+            assert hypothesis.sd == pytest.approx([spread(parameters[free]) for free in hypothesis.free])
+        else:
             base = means(having(model, effect, point), path)
             for got, here, without in zip((columns.g, columns.d), base, ideal, strict=True):
                 np.testing.assert_allclose(got[..., hypothesis.offset], here - without, atol=1e-12)

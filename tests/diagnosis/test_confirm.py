@@ -49,7 +49,10 @@ def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, ho
     confirmed = confirm_all(here, [none, cause], 3, temper)[1]
     assert confirmed.result.log_evidence.shape == (filters,)
     assert confirmed.result.states.shape[1] == len(confirmed.values) == filters
-    assert len(set(confirmed.result.log_evidence.tolist())) == filters
+    found = confirmed.result.log_evidence
+    assert len(set(found.tolist())) == filters
+    other_sizes = cause.log_evidence - at_best(here, cause)[0]
+    assert confirmed.log_evidence == pytest.approx(float(found.logsumexp(0)) - np.log(filters) + other_sizes)
 
 
 def test_one_cause_alone_is_confirmed_once(monkeypatch):
@@ -124,7 +127,10 @@ def test_same_seed_same_numbers_and_all_within_bounds():
 
 def test_posterior_has_the_parameters():
     here, _, cause = causes()
-    idata = posterior(here, cause, confirm(here, cause, filters=4), 0)
+    run = confirm(here, cause, filters=4)
+    idata = posterior(here, cause, run, 0)
     drawn = idata["posterior"]["effect.viscous_friction.pivot.damping"]
     assert drawn.shape == idata["posterior"]["torque"].shape[:2]
     assert np.abs(drawn - DAMPING).max() < 10 * cause.sd[0]
+    np.testing.assert_array_equal(drawn, np.repeat(run.values, drawn.sizes["draw"], 1))  # each chain its filter's
+    assert len(set(run.values[:, 0])) == 4

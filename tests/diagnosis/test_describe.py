@@ -1,9 +1,10 @@
 """A formula for what the catalogue lacks."""
 
+import numpy as np
 from pendulum import ARM, recording_of
 from pyro.distributions import Normal
 
-from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.describe import _library, describe
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.inference.gauss_newton import gauss_newton
@@ -25,12 +26,13 @@ def described(recording):
     here = setting(recording, ARM)
     path = gauss_newton(here.with_residual(LOOSE), here.observations).path
     none = refine(here, (), {}, path, LOOSE)
-    return describe(here, none, none.path), path
+    return describe(here, none, none.path), here, none
 
 
 def test_a_cubic_spring_is_put_into_a_formula():
     stiffness = 1.5
-    formula, _ = described(recording_of(CubicSpring("elbow"), ARM, rows=100, effort=1.0, stiffness=stiffness))
+    recording = recording_of(CubicSpring("elbow"), ARM, rows=100, effort=1.0, stiffness=stiffness)
+    formula, here, none = described(recording)
     assert formula.variables[0] == "position:elbow"
     first, (coefficient, sd, unit) = next(iter(formula.terms.items()))
     assert first.endswith(" on elbow")
@@ -39,10 +41,14 @@ def test_a_cubic_spring_is_put_into_a_formula():
     assert unit in formula.text
     assert formula.gain_per_frame > 0
     # Whatever terms there are, they give about the torque that acted.
-    assert coefficient < 0
-    assert sd > 0
+    terms, features = _library(here, none, none.path)
+    values = {name: feature for (name, *_), feature in zip(terms, features, strict=True)}
+    said = sum(c * values[name] for name, (c, *_) in formula.terms.items() if name.endswith(" on elbow"))
+    acted = -stiffness * here.model.split(none.path)[1][:, 1].numpy() ** 3
+    assert np.linalg.norm(said - acted) < 0.3 * np.linalg.norm(acted)
+    assert 0 < sd < abs(coefficient) / 3
 
 
 def test_where_nothing_is_left_there_is_no_formula():
-    formula, _ = described(recording_of(body=ARM, rows=60))
+    formula, *_ = described(recording_of(body=ARM, rows=60))
     assert formula is None

@@ -23,8 +23,9 @@ def test_the_floor_is_what_a_perfect_simulation_scores():
     here, none, cause = causes()
     for setting_, perfect in ((causes(0.0)[0], causes(0.0)[1]), (here, cause)):
         both = scores(setting_, perfect)
-        # Squares of n = 160 unit innovations: their sum's sd is √320, of which half counts.
-        assert abs((both.floor - both.score).sum()) < 4 * np.sqrt(2 * 160) / 2
+        # The noise's size is that of these very innovations, so their squares' scatter cancels: what is left is
+        # what parameters cost.
+        assert abs((both.floor - both.score).sum()) < 2
     poor = scores(here, none)
     assert (poor.floor - poor.score).sum() > 10
 
@@ -66,7 +67,7 @@ def test_residual_torque_is_what_the_simulation_lacks():
     assert mean.shape == sd.shape == (80, 1)
     missing = -DAMPING * none.path[:, 2].numpy()
     # A Gaussian process through noise: its own spread says how far off it may be.
-    assert np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
+    assert 0.25 < np.sqrt((((mean[:, 0] - missing) / sd[:, 0]) ** 2).mean()) < 2
     assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
     after, _, _ = residual(here, cause)
     assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())

@@ -68,10 +68,10 @@ def test_replay_data_are_the_tracks(rows):
     data = json.loads(Page(render(d)).scripts["replay-data"])
     stride = -(-rows // FRAMES)
     assert len(data["time"]) == -(-rows // stride) <= FRAMES
-    shown = np.array(data["nominal"], float) - data["base"]
-    truth = d.tracks.nominal_replay[::stride]
-    scale = np.linalg.norm(shown[0, 0]) / np.linalg.norm(truth[0, 0])
-    np.testing.assert_allclose(shown, truth * [scale, -scale], atol=1.01 + 0.002 * np.abs(shown).max())
+    for name, replay in (("nominal", d.tracks.nominal_replay), ("corrected", d.tracks.corrected_replay)):
+        shown, truth = np.array(data[name], float) - data["base"], replay[::stride]
+        scale = np.linalg.norm(shown[0, 0]) / np.linalg.norm(truth[0, 0])
+        np.testing.assert_allclose(shown, truth * [scale, -scale], atol=1.01 + 0.002 * np.abs(shown).max())
     gone = np.isnan(d.tracks.observed[::stride])
     assert [[[v is None for v in point] for point in row] for row in data["observed"]] == gone.tolist()
 
@@ -227,9 +227,22 @@ def test_unknown_torque_is_not_called_missing():
 def test_the_torque_that_is_missing_is_that_of_the_joint_where_the_gap_lies():
     case = diagnosis()
     noisy = replace(case, gap=replace(case.gap, residual_torque_rms={"shoulder": 0.2, "elbow": 0.21}))
-    assert f"left unexplained at the shoulder goes from {handy(0.2, 'N·m')} to" in render(noisy)
+    after = {name: handy(value, "N·m") for name, value in case.shrinkage.residual_torque_rms_after.items()}
+    said = f"left unexplained at the shoulder goes from {handy(0.2, 'N·m')} to {after['shoulder']}"
+    assert said in render(noisy)
     nowhere = replace(noisy, where=replace(noisy.where, joints={}))
-    assert f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to" in render(nowhere)
+    said = f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to {after['elbow']}"
+    assert said in render(nowhere)
+
+
+def test_residuals_are_told_before_and_after():
+    page, shown = Page(render(diagnosis())), diagnosis().tracks
+    labels = [a.get("aria-label") for _, a in page.tags if a.get("role") == "img"]
+    for j, name in enumerate(("shoulder", "elbow")):
+        rms = [np.sqrt(np.nanmean(torque[:, j] ** 2)) for torque in (shown.residual_before, shown.residual_after)]
+        before, after = (handy(each, "N·m") for each in rms)
+        assert before != after
+        assert f"Residual torque of {name} over time: {before} rms before, {after} after" in labels
 
 
 def test_no_keypoints_and_no_lasting_intervals():

@@ -11,10 +11,11 @@ from invdyn.diagnosis.candidates import WINDOW
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import considered
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, screen_in_halves, windows
 from invdyn.diagnosis.search import _aside
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.unknowns import spread, unknowns
 from invdyn.diagnosis.whiten import linear_of
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
@@ -35,6 +36,11 @@ def test_screen_is_a_ranking_of_all_and_none():
         assert each.log_evidence == pytest.approx(np.logaddexp.reduce(each.by_size))
         for name, value in each.values.items():
             assert np.isfinite(value), (each.effect.key, name)
+    # d′ of an effect at two thirds of its prior's spread: that over what refining leaves unknown of it.
+    roll = next(s for s in screened if s.effect is not None and s.effect.name == "camera_roll")
+    (known,) = refine(here, (roll.effect,), {}, path, LOOSE).sd
+    (parameter,) = roll.effect.parameters(here.model.scale)
+    assert roll.dprime == pytest.approx(0.67 * spread(parameter) / known, rel=0.02)
 
 
 def test_half_the_sub_steps_do_for_what_is_changed():
@@ -46,10 +52,9 @@ def test_half_the_sub_steps_do_for_what_is_changed():
     for count in (2, 8):
         model = copy(here.model)
         model.substeps = count
-        found = {
-            s.effect and s.effect.key: s.log_evidence for s in screen(here, model, path, effects, common, common.mean)
-        }
-        gains.append({key: value - found[None] for key, value in found.items()})
+        screened = {s.effect and s.effect.key: s for s in screen(here, model, path, effects, common, common.mean)}
+        gains.append({key: s.log_evidence - screened[None].log_evidence for key, s in screened.items()})
+        assert screened["viscous_friction.pivot"].values["damping"] == pytest.approx(0.05, rel=0.1)
     for key, gain in gains[1].items():
         assert gains[0][key] == pytest.approx(gain, rel=0.01, abs=0.1), key
 

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from pendulum import ARM, causes, recording_of
+from pendulum import ARM, causes, path_of, recording_of
 
 from invdyn.diagnosis.pool import considered
-from invdyn.diagnosis.setting import setting
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.where import MOST_OF, intervals, joints_of, where
+from invdyn.models.effects import EFFECTS
 
 TIME = 0.01 * np.arange(400)
 
@@ -60,3 +62,17 @@ def test_what_the_catalogue_lacks_is_a_torque_or_in_the_picture_where_torques_do
     assert found.side[side] == 1.0
     assert found.joints == {"pivot": 1.0 if side == "dynamics" else 0.0}
     assert found.keypoints == {"tip": 1.0 if side == "observation" else 0.0}
+
+
+def test_shares_are_those_of_the_causes():
+    """Friction at the elbow .6, a marker beside the wrist .3, and .1 of which nobody knows the joint."""
+    here = setting(recording_of(body=ARM, rows=30), ARM)
+    friction, offset = EFFECTS["viscous_friction"]("elbow"), EFFECTS["keypoint_offset"]("wrist")
+    path = path_of(here)
+    found = {e.key: refine(here, (e.bound(ARM),), {}, path, LOOSE) for e in (friction, offset)}
+    shares = dict(zip(found, zip(found.values(), (0.6, 0.3), strict=True), strict=True))
+    rows, ones = len(here.observations), np.ones(2)
+    said = where(here.model, shares, 0.1, "commanded", np.ones((rows, 2)), ones, ones, np.ones(rows), ())
+    assert said.side == pytest.approx({"dynamics": 0.7, "observation": 0.3})
+    assert said.joints == pytest.approx({"shoulder": 0.05 / 0.7, "elbow": 0.65 / 0.7})
+    assert said.keypoints == pytest.approx({"elbow": 0.0, "wrist": 1.0})

@@ -38,7 +38,7 @@ def refused(folder, run, contents):
 INFER = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc")
 BAD = {
     "no recording": (("infer", "none.csv", "--body", "arm.toml", "--out", "p.nc"), "none.csv"),
-    "misspelt name": (("infer", "human-armm", "--body", "arm.toml", "--out", "p.nc"), "human-arm"),
+    "misspelt name": (("infer", "human-armm", "--body", "arm.toml", "--out", "p.nc"), "did you mean 'human-arm'"),
     "recording is a folder": (("infer", ".", "--body", "arm.toml", "--out", "p.nc"), "."),
     "no body": (("infer", "rec.csv", "--body", "none.toml", "--out", "p.nc"), "none.toml"),
     "body is a recording": (("infer", "rec.csv", "--body", "rec.csv", "--out", "p.nc"), "TOML"),

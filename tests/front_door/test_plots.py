@@ -65,8 +65,8 @@ def test_quantiles_follow_the_filters_weights(make_posterior):
     idata.sample_stats["log_weight"][:] = [-np.inf, 0.0, -np.inf]
     expected = np.quantile(idata.posterior.torque.values[1], (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
     spread = idata.posterior.torque.values[1].std(axis=0)
-    # resampled with replacement from 50 draws: the median's standard error is 1.25/√50 sd
-    assert np.abs(quantiles(idata, "torque") - expected)[2].mean() < 1.25 / np.sqrt(50) * spread.mean()
+    # resampled with replacement from 50 draws: standard errors of 1.25/√50 sd at the median, 2.1/√50 at the ends
+    assert (np.abs(quantiles(idata, "torque") - expected).mean((1, 2)) < 2.1 / np.sqrt(50) * spread.mean()).all()
     others = idata.posterior.torque.values[[0, 2]]
     chosen = quantiles(idata, "torque")
     assert (chosen[4] <= idata.posterior.torque.values[1].max(axis=0)).all()
@@ -86,6 +86,7 @@ def test_missing_keypoints_leave_gaps(make_posterior):
     observed = idata.observed_data.position.values[:, 1]
     assert np.isnan(observed).any()
     dots = [line for line in panel(plot_posterior(idata), "wrist keypoint").get_lines() if line.get_marker() == "."]
+    assert len(dots) == 2
     for space, line in enumerate(dots):
         np.testing.assert_array_equal(line.get_ydata(), observed[:, space])
 
