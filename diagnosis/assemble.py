@@ -152,13 +152,16 @@ def assembled(
 
 
 def _unseen(bound: Setting, found: Search) -> set[str]:
-    """Keys of the effects that this recording could not have shown; without commands, all of the actuators'."""
+    """Keys of the effects that this recording could not have shown.
+
+    Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
+    """
     unknown, body = bound.regime == "unknown_torque", bound.model.body
     shown = [s for s in found.first if s.effect is not None]
     unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
     if bound.regime != "commanded":
-        silent = [k for k in EFFECTS.values() if k.needs_command or (unknown and k.side == "dynamics")]
-        unseen |= {key(effect.bound(body)) for kind in silent for effect in kind.everywhere(body, [])}
+        everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
+        unseen |= {key(e.bound(body)) for e in everything if e.needs_command or (unknown and imitable(e))}
     return unseen
 
 

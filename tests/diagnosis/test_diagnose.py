@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.assemble import _unseen
 from invdyn.diagnosis.setting import setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -98,3 +100,10 @@ def test_what_is_named_is_not_said_to_be_hidden():
     assert found.causes[0].probability > 0.9
     assert "base_motion" not in found.not_identifiable
     assert "viscous_friction.pivot" in found.not_identifiable
+
+
+def test_what_a_torque_could_do_is_hidden_and_what_moves_the_whole_arm_is_not():
+    here = setting(replace(recording_of(), torques=None), PENDULUM)
+    hidden = _unseen(here, SimpleNamespace(first=[]))
+    assert {"payload", "armature.pivot", "actuator_gain.pivot", "gravity_tilt", "camera_latency"} <= hidden
+    assert "base_motion" not in hidden
