@@ -1,13 +1,16 @@
 """Runs of the blind check side by side: every measure that has a target, run by run.
 
-What `invdyn blind` left in each folder (scores.json), as the table of docs/blind_runs.md.
+What `invdyn blind` left in each folder (scores.json), as the table of docs/blind_runs.md. With `--together`
+one more column scores all their cases as those of one run, which runs of one and the same code are.
 
-python benchmarks/blind_runs.py FOLDER [FOLDER …]
+python benchmarks/blind_runs.py [--together] FOLDER [FOLDER …]
 """
 
 import argparse
 import json
 from pathlib import Path
+
+from invdyn.diagnosis.blind.score import score
 
 KINDS = {
     "commanded": "commanded",
@@ -31,15 +34,31 @@ UNTOLD = {
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("folders", nargs="+", type=Path, metavar="FOLDER")
-    runs = [json.loads((folder / "scores.json").read_text()) for folder in arguments.parse_args().folders]
-    seeds = [str(run["about"]["seed"]) for run in runs]
-    print("| kind | measure | aimed at | " + " | ".join(f"seed {seed}" for seed in seeds) + " |")
+    arguments.add_argument("--together", action="store_true")
+    asked = arguments.parse_args()
+    runs = [json.loads((folder / "scores.json").read_text()) for folder in asked.folders]
+    names = [f"seed {run['about']['seed']}" for run in runs]
+    if asked.together:
+        runs.append(together(asked.folders))
+        names.append("together")
+    print("| kind | measure | aimed at | " + " | ".join(names) + " |")
     print("|---" * (3 + len(runs)) + "|")
     for kind, said in KINDS.items():
         for measure in runs[-1]["measures"].get(kind, []):
             if measure["target"] or (kind, measure["name"]) in UNTOLD:
                 cells = [_cell(run["measures"].get(kind, []), measure["name"]) for run in runs]
                 print(f"| {said} | {measure['name']} | {measure['target'] or ''} | " + " | ".join(cells) + " |")
+
+
+def together(folders: list[Path]) -> dict:
+    """The scores of all cases of several runs, as those of one."""
+    answers, found = {}, {}
+    for number, folder in enumerate(folders):
+        for name, answer in json.loads((folder / "answers.json").read_text())["answers"].items():
+            answers[f"{number}-{name}"] = answer
+            if (said := folder / "diagnoses" / name / "diagnosis.json").exists():
+                found[f"{number}-{name}"] = json.loads(said.read_text())
+    return score(answers, found).to_json()
 
 
 def _cell(measures: list[dict], name: str) -> str:
