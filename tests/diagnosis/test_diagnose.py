@@ -11,7 +11,8 @@ import torch
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assemble import _unseen
+from invdyn.diagnosis.assemble import _ambiguous, _unseen
+from invdyn.diagnosis.result import Cause, Finding
 from invdyn.diagnosis.setting import setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -107,3 +108,21 @@ def test_what_a_torque_could_do_is_hidden_and_what_moves_the_whole_arm_is_not():
     hidden = _unseen(here, SimpleNamespace(first=[]))
     assert {"payload", "armature.pivot", "actuator_gain.pivot", "gravity_tilt", "camera_latency"} <= hidden
     assert "base_motion" not in hidden
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "rivals"),
+    [
+        ((0.5, 0.46, 0.04), 2),  # .96 of all that is named is held by the first two
+        ((0.4, 0.2, 0.1), 3),  # .86 by two
+        ((0.99, 0.01, 0.0), 0),  # one alone is no set
+        ((0.0, 0.0, 0.0), 0),
+    ],
+)
+def test_a_set_holds_the_most_probable_causes_that_name_something(probabilities, rivals):
+    names = ("armature", "payload", "gravity_tilt")
+    causes = [
+        Cause((Finding(name, "dynamics", {}, {}),), p, 0.0, None) for name, p in zip(names, probabilities, strict=True)
+    ]
+    nothing = Cause((), 0.3, 0.0, None)
+    assert _ambiguous([nothing, *causes]) == names[:rivals]
