@@ -19,7 +19,7 @@ from torch import Tensor
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.composition import own_values
-from invdyn.models.effects.hidden import tip_motion
+from invdyn.models.effects.hidden import Row, tip_motion
 from invdyn.models.effects.situation import Situation
 from invdyn.models.integrators import INTEGRATORS
 from invdyn.models.shapes import join
@@ -139,7 +139,8 @@ class ArmRow:
             rigid = self.effects.pull(self.parameters, here)
             return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
 
-        return hinge.step(p, drive.body, net, pull, self.dynamics, hidden, q, qd, drive.dt, drive.parts)
+        row = Row(drive.body, self.dynamics, net, pull, drive.dt, drive.parts)
+        return hinge.step(p, row, hidden, q, qd)
 
     def _bristling(self, drive: Drive, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """How far bristles are bent, q and q̇ one row later."""

@@ -32,7 +32,7 @@ from torch import Tensor
 from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import Dynamics, dynamics_for
 from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.hidden import HiddenHinge, Net, Pull, split_link, substeps_for
+from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.passage import Passage
@@ -94,26 +94,14 @@ class Backlash(HiddenHinge):
         j = self.place[0]
         return torch.cat([angles[..., : j + 1], angles[..., j + 2 :]], -1)
 
-    def step(
-        self,
-        p: Values,
-        body: BodyParameters,
-        net: Net,
-        pull: Pull,
-        rigid: Dynamics,
-        hidden: Tensor,
-        q: Tensor,
-        qd: Tensor,
-        dt,
-        n: int,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        arm = _Mechanics(self, rigid, dynamics_for(q.shape[-1] + 1), body, self.chain(p, body), net, pull)
-        j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, n)
+        arm, dt = _Mechanics(self, row, dynamics_for(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
+        j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         none, tight = half <= 0, None
         if bool(none.any()):
-            tight = (torch.zeros_like(hidden), *rk4(partial(arm.held, psi), q, qd, dt, n))
+            tight = (torch.zeros_like(hidden), *rk4(partial(arm.held, psi), q, qd, dt, row.parts))
             if bool(none.all()):
                 return tight
         taken = torch.zeros_like(psi)  # sub-steps; what ends one early leaves the rest of it to the next
@@ -167,41 +155,38 @@ class _Mechanics:
     """An arm with play: what moves it while a stop holds, while none does, and as one strikes."""
 
     hinge: Backlash
-    rigid: Dynamics
+    row: Row
     whole: Dynamics
-    body: BodyParameters
     links: BodyParameters
-    net: Net
-    pull: Pull
 
     def held(self, psi: Tensor, q: Tensor, qd: Tensor, s: float | Tensor) -> Tensor:
         """q̈ (..., K) with the gap at ψ."""
         hinge = self.hinge
         angles, rates = hinge.spread(q, psi), hinge.spread(qd, torch.zeros_like(psi))
-        torque, own = self.net(hinge.turned(angles), qd, s)
-        pulled = self.pull(angles, rates, s)
+        torque, own = self.row.net(hinge.turned(angles), qd, s)
+        pulled = self.row.pull(angles, rates, s)
         torque = torque + (hinge.turned(pulled) if isinstance(pulled, Tensor) else pulled)
-        return self.rigid.forward(q, qd, torque, self.body, own)
+        return self.row.rigid.forward(q, qd, torque, self.row.body, own)
 
     def free(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Accelerations (..., K + 1) of the hinges."""
         hinge = self.hinge
-        torque, own = self.net(hinge.turned(angles), hinge.turned(rates), s)
-        turning = hinge.on_joints(torque) + self.pull(angles, rates, s)
+        torque, own = self.row.net(hinge.turned(angles), hinge.turned(rates), s)
+        turning = hinge.on_joints(torque) + self.row.pull(angles, rates, s)
         return self.whole.forward(angles, rates, turning, self.links, hinge.on_joints(own))
 
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""
         still = torch.zeros_like(psi)
         motion = [self.hinge.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
-        needed = self.whole.inverse(*motion, self.links) - self.pull(*motion[:2], s)
+        needed = self.whole.inverse(*motion, self.links) - self.row.pull(*motion[:2], s)
         return needed[..., self.hinge.place[0] + 1, None]
 
     def impact(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Changes (..., K + 1) of the hinges' rates by an impulse that changes the gap's by one."""
         hinge, unit = self.hinge, torch.zeros_like(angles)
         unit[..., hinge.place[0] + 1] = 1.0
-        own = hinge.on_joints(self.net(hinge.gathered(angles)[0], hinge.gathered(rates)[0], s)[1])
+        own = hinge.on_joints(self.row.net(hinge.gathered(angles)[0], hinge.gathered(rates)[0], s)[1])
         answer = self.whole.response(angles, unit, self.links, own)
         return answer / answer[..., hinge.place[0] + 1, None]
 

@@ -14,7 +14,7 @@ The other effects act on the K joints; forces on points of the arm (:attr:`.Effe
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -34,6 +34,18 @@ Torques as of the rigid arm, at the joints alone, are what they are counted from
 
 Motion = tuple[Tensor, Tensor]
 """Positions of the K tips from the base, m, and their velocities, m/s, (..., K, 2)."""
+
+
+class Row(NamedTuple):
+    """What moves an arm with a hidden hinge in one row of ``dt`` s, (..., 1), in ``parts`` sub-steps or more."""
+
+    body: BodyParameters
+    rigid: Dynamics
+    """Of the K links."""
+    net: Net
+    pull: Pull
+    dt: Tensor
+    parts: int
 
 
 class Hidden(Effect):
@@ -101,20 +113,8 @@ class HiddenHinge(Hidden):
         return torch.cat([values[..., : k + 1], torch.zeros_like(values[..., :1]), values[..., k + 1 :]], -1)
 
     @abstractmethod
-    def step(
-        self,
-        p: Values,
-        body: BodyParameters,
-        net: Net,
-        pull: Pull,
-        rigid: Dynamics,
-        hidden: Tensor,
-        q: Tensor,
-        qd: Tensor,
-        dt,
-        n: int,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later, ``dt`` s in ``n`` or more sub-steps.
+    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later.
 
         By Runge–Kutta of order 4, whatever the model's integrator.
         """

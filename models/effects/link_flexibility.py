@@ -18,9 +18,9 @@ from pyro.distributions import LogNormal, Uniform
 from torch import Tensor
 
 from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.dynamics import dynamics_for
 from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.hidden import HiddenHinge, Net, Pull, split_link, substeps_for
+from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join
@@ -96,43 +96,31 @@ class LinkFlexibility(HiddenHinge):
         k = self.place[0]
         return torch.cat([angles[..., : k + 1], angles[..., k + 2 :]], -1), angles[..., k + 1 : k + 2]
 
-    def step(
-        self,
-        p: Values,
-        body: BodyParameters,
-        net: Net,
-        pull: Pull,
-        rigid: Dynamics,
-        hidden: Tensor,
-        q: Tensor,
-        qd: Tensor,
-        dt,
-        n: int,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        links, whole = self.chain(p, body), dynamics_for(q.shape[-1] + 1)
+        links, whole = self.chain(p, row.body), dynamics_for(q.shape[-1] + 1)
         stiff = torch.isinf(p["stiffness"])
 
         def held(q, qd, s):
-            torque, own = net(q, qd, s)
-            return rigid.forward(q, qd, torque, body, own)
+            torque, own = row.net(q, qd, s)
+            return row.rigid.forward(q, qd, torque, row.body, own)
 
         locked = None
         if bool(stiff.any()):
-            locked = (torch.zeros_like(hidden), *rk4(held, q, qd, dt, n))
+            locked = (torch.zeros_like(hidden), *rk4(held, q, qd, row.dt, row.parts))
             if bool(stiff.all()):
                 return locked
-        parts = substeps_for(dt, FASTEST, n)
+        parts = substeps_for(row.dt, FASTEST, row.parts)
         angles = self.spread(q, hidden[..., :1])
-        stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), dt / parts)
+        stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
 
         def bending(angles, rates, s):
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
-            torque, own = net(q, qd, s)
-            turning = self.spread(torque, -stiffness * hinge - damping * rate) + pull(angles, rates, s)
+            torque, own = row.net(q, qd, s)
+            turning = self.spread(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
             return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
-        angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), dt, parts)
+        angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), row.dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
         bent = (join(hinge, rate), q, qd)
         if locked is None:

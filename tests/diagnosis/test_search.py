@@ -77,11 +77,24 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
 
     Friction that explains a ``large`` gap, in nats, does; here it gains 19.
     """
-    tried = []
-    monkeypatch.setattr(sys.modules[search.__module__], "HOPELESS", large)
-    monkeypatch.setattr(sys.modules[search.__module__], "refine_searched", lambda *given: tried.append(given[2].name))
+    tried, module = [], sys.modules[_extend.__module__]
     bound = setting(recorded(damping), PENDULUM)
-    assert search(bound, *data_path(bound)).ranked[0].complete
+    path, stray = data_path(bound)
+    friction = EFFECTS["viscous_friction"]("pivot")
+    none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (friction,)))
+    pool = Search(considered(bound), {none.key: none}, [], path, stray, aside=path)
+
+    def refined(_, pool, base, best, width, meanwhile):
+        for each in meanwhile:
+            each()
+        pool.add(found)
+
+    monkeypatch.setattr(module, "HOPELESS", large)
+    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
+    monkeypatch.setattr(module, "refine_promising", refined)
+    monkeypatch.setattr(module, "refine_kin", lambda *_: None)
+    _extend(bound, pool, none, 1)
+    assert pool.ranked[0].complete
     assert ("backlash" in tried) is looked
 
 
