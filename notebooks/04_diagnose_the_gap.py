@@ -238,7 +238,7 @@ class BeltDrag(Effect):
 
 BELT = 0.1  # N·m·s/rad
 belt = reality(BeltDrag("shoulder", "elbow"), damping=BELT)
-strange = diagnose(belt, body)
+strange = diagnose(belt, body, most=1)  # to try sets of several, too, takes minutes
 tell(strange)
 print("formula:", strange.outside.description)
 print(f"which predicts each held-out frame better by {strange.outside.gain_per_frame:.2f} nats")
