@@ -4,7 +4,8 @@ Kinds: `commanded` (one effect), `passive`, `none` (a fifth each of them passive
 quarter of the usual size), `two` at once, `unknown_torque` (the command is not told), `outside` (an effect that the
 catalogue lacks), `leave_one_out` (the true effect is to be struck from the catalogue, and with it any other that can
 make the very same recording: no method could say that one is missing). A case follows from (seed, kind, effect) to the
-byte. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by nobody before.
+byte, on one machine. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by
+nobody before.
 
 An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
 body, motion and size drawn again, at most `TRIES` times, from the fourth to the eighth larger by half each time, and

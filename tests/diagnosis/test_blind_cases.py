@@ -60,7 +60,7 @@ def check(case, kind, folder):
 @pytest.fixture
 def hasty(monkeypatch):
     """Cases that hardly show are not drawn anew for long: whole they are all the same."""
-    monkeypatch.setattr(cases, "TRIES", 3)
+    monkeypatch.setattr(cases, "TRIES", 2)
 
 
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
@@ -116,7 +116,7 @@ def test_commands_may_run_faster_than_the_camera():
     assert seen == {"faster", "alike"}
 
 
-def test_a_recording_is_what_was_filmed_and_commanded(monkeypatch):
+def test_a_recording_is_what_was_filmed_and_commanded(monkeypatch, hasty):
     filmed = []
 
     def spy(real, time, effects, noise, seed, film=cases.film):
@@ -137,7 +137,7 @@ def test_a_recording_is_what_was_filmed_and_commanded(monkeypatch):
     np.testing.assert_allclose(case.recording.torques, given, rtol=1e-6)
 
 
-def test_the_visibility_of_an_effect_is_that_of_its_change():
+def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
     case = make_case(3, "commanded", "camera_scale")
     (effect,) = case.answer["effects"]
     off = abs(effect["parameters"]["scale"]["value"] - 1)

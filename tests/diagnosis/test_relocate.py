@@ -33,12 +33,17 @@ def refined_from(**values):
     return refine(here, (effect,), {f"{effect.key}.{n}": v for n, v in start.items()}, none.path, FIRM)
 
 
+@cache
+def right():
+    return refined_from(**TRUE)
+
+
 @pytest.mark.parametrize("start", [(1.62, 0.08), (1.40, 0.2)])
 def test_a_push_is_moved_to_when_it_was(start):
     """From a tenth of a second away Gauss–Newton ends somewhere between."""
     here, none, effect = pushed()
     lost = refined_from(moment=start[0], duration=start[1])
-    found, true = relocated(here, none, effect, lost), refined_from(**TRUE)
+    found, true = relocated(here, none, effect, lost), right()
     assert lost.log_evidence < true.log_evidence - 20
     assert found.log_evidence == pytest.approx(true.log_evidence, abs=0.5)
     assert np.all(np.abs(found.mean - list(TRUE.values())) < 4 * found.sd)
@@ -46,5 +51,4 @@ def test_a_push_is_moved_to_when_it_was(start):
 
 def test_where_it_is_right_it_stays():
     here, none, effect = pushed()
-    right = refined_from(**TRUE)
-    assert relocated(here, none, effect, right) is right
+    assert relocated(here, none, effect, right()) is right()

@@ -285,8 +285,9 @@ def test_the_recorded_row_is_the_row(arm, guide, monkeypatch):
         results.append(particle_filter.run(y))
         particle_filter.run(y)
     assert len(compile_) == 2
-    torch.testing.assert_close(results[0].states, results[1].states)
-    torch.testing.assert_close(results[0].log_evidence, results[1].log_evidence)
+    # In single precision, whose last digits another order of the same sums moves, and every row after moves on.
+    torch.testing.assert_close(results[0].states, results[1].states, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(results[0].log_evidence, results[1].log_evidence, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("seen", [False, True])

@@ -140,7 +140,7 @@ def test_parameters_of_a_linear_model_are_those_of_maximum_likelihood():
 def test_posterior_of_a_parameter_with_a_prior():
     """q(θ) learned beside the filter, against a grid."""
     chain = Chain(*(np.array(x) for x in ([[0.8]], [[0.25]], [[1.0]], [[0.1]], [0.0], [[1.0]])))
-    y = chain.simulate(40, 2)[1]
+    y = chain.simulate(25, 2)[1]
     prior = LogNormal(torch.tensor(-0.5, dtype=torch.float64), torch.tensor(0.5, dtype=torch.float64))
     prior_matrix = prior.expand([1, 1]).to_event(2)
     grid = torch.linspace(-1.6, 0.4, 400, dtype=torch.float64)
@@ -157,7 +157,7 @@ def test_posterior_of_a_parameter_with_a_prior():
     sd = ((weights * (grid - mean) ** 2).sum() ** 0.5).item()
     evidence = (density.logsumexp(0) + (grid[1] - grid[0]).log()).item()
 
-    model = chain.model(40).replace(transition=torch.tensor([[0.8]], dtype=torch.float64))
+    model = chain.model(25).replace(transition=torch.tensor([[0.8]], dtype=torch.float64))
     y = torch.as_tensor(y)
     guide = Corrected(model, y)
     model = model.with_priors(transition=prior_matrix)
