@@ -22,7 +22,7 @@ QUICK = {
     "weak": ["actuator_lag"],
     "two": [("backlash", "camera_roll"), ("inertial_error", "keypoint_offset")],
     "unknown_torque": ["viscous_friction", "camera_scale"],
-    "outside": ["sloshing_payload"],
+    "outside": ["detent"],
     "leave_one_out": ["joint_limit", "gravity_tilt"],
 }
 

@@ -62,7 +62,7 @@ def test_training_closes_the_gap_of_the_published_example():
     guide = Affine(model)
     assert bound(model, guide, y, 4) == pytest.approx(blind, abs=9.0)  # it starts as the bootstrap guide; sd 2.1
     for rate, steps in ((0.03, 120), (0.01, 60)):
-        svi = SVI(model.sequence, guide, Adam({"lr": rate}), loss=VSMC_ELBO(4, 32))
+        svi = SVI(model.sequence, guide, Adam({"lr": rate}), loss=VSMC_ELBO(4, 16))
         for _ in range(steps):
             svi.step(y)
     with torch.no_grad():
