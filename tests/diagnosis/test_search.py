@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 from pendulum import ARM, MANY, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
@@ -46,14 +47,21 @@ def test_friction_is_named():
 
 
 def test_no_more_effects_at_once_than_asked_for():
-    """Where the right one is struck, one leaves something, and two imitate it."""
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
-    start, struck = data_path(bound), {*MANY, *(name for name in EFFECTS if "friction" in name or "drag" in name)}
+    """Where two are at work, both are found, and one alone where no more are asked for, which leaves something."""
+    damped, spring = EFFECTS["viscous_friction"]("pivot"), EFFECTS["joint_stiffness"]("pivot")
+    values = {f"{damped.key}.damping": 0.05, f"{spring.key}.stiffness": 1.0, f"{spring.key}.torque": 0.2}
+    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    bound = setting(record(arm.with_effects(damped, spring).replace(**given), 0)[0], PENDULUM)
+    start, few = data_path(bound), {damped.name, spring.name, "payload", "camera_scale"}
+    struck = [name for name in EFFECTS if name not in few]
     one = search(bound, *start, struck, most=1)
+    assert one.most == 1  # no prior for another beside it
     assert {len(cause.effects) for cause in one.pool.values()} == {0, 1}
     assert not one.ranked[0].complete
-    two = search(bound, *start, struck, most=2)
-    assert max(len(cause.effects) for cause in two.pool.values()) == 2
+    both = search(bound, *start, struck, most=2).ranked[0]
+    assert {effect.key for effect in both.effects} == {damped.key, spring.key}
+    assert both.complete
 
 
 def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
