@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invdyn.diagnosis.blind.cases as cases
+import invdyn.diagnosis.blind.starts as starts
 from invdyn.diagnosis.blind.cases import CATALOGUE, KINDS, effects_of, make_case, planned, write_cases
 from invdyn.diagnosis.blind.outside import OUTSIDE
 from invdyn.diagnosis.blind.sealed import canonical
@@ -59,8 +60,9 @@ def check(case, kind, folder):
 
 @pytest.fixture
 def hasty(monkeypatch):
-    """Cases that hardly show are not drawn anew for long: whole they are all the same."""
+    """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
     monkeypatch.setattr(cases, "TRIES", 2)
+    monkeypatch.setattr(starts, "STEPS", 2)
 
 
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])

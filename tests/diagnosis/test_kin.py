@@ -161,7 +161,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "levels"),
     [
-        ("coulomb_friction", {"torque": 0.15}),
+        pytest.param("coulomb_friction", {"torque": 0.15}, marks=pytest.mark.slow),
         ("stribeck_friction", {"coulomb": 0.1, "static": 0.2, "velocity": 1.0}),
     ],
 )
