@@ -42,7 +42,7 @@ def test_friction_is_named():
     assert [s.log_evidence for s in screened] == sorted((s.log_evidence for s in screened), reverse=True)
     # The screen has it in front already, and would have seen it at its usual size.
     place = [s.effect.key for s in screened].index("viscous_friction.pivot")
-    assert place < 4
+    assert place < 2
     assert screened[place].dprime > 10
 
 
