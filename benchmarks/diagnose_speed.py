@@ -3,15 +3,24 @@
 Imports are not counted: each effect is diagnosed in this process, after one that warms it up.
 
     OMP_NUM_THREADS=1 python benchmarks/diagnose_speed.py [--workers 1 2] [--repeat 3]
+    OMP_NUM_THREADS=1 python benchmarks/diagnose_speed.py --growth        with rows and with candidates, seconds of CPU
 """
 
 import argparse
 import tempfile
 import time
 
+import numpy as np
 import torch
 
 from invdyn.diagnosis import diagnose, save
+from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import considered
+from invdyn.diagnosis.screen import screen
+from invdyn.diagnosis.setting import setting
+from invdyn.diagnosis.substeps import finely_stepped
+from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
@@ -29,9 +38,13 @@ CASES = {
 }
 
 
-def recorded(name: str) -> Recording:
+ROWS = (300, 600, 1200, 2400, 4800)
+SHARES = (0.125, 0.25, 0.5, 1.0)  # of the catalogue
+
+
+def recorded(name: str, duration: float = 6.0) -> Recording:
     """The arm under known random commands, with one effect or none, filmed with 2 mm of noise."""
-    arm = random_arm(ARM, duration=6.0, fps=100, noise=0.002, torque_scale=0.7, commanded=True, seed=3)
+    arm = random_arm(ARM, duration=duration, fps=100, noise=0.002, torque_scale=0.7, commanded=True, seed=3)
     if CASES[name] is not None:
         effect, values = CASES[name]
         given = {f"effect.{effect.key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
@@ -50,13 +63,50 @@ def seconds(recording: Recording, workers: int) -> tuple[float, str]:
     return taken, " + ".join(effect["effect"] for effect in effects) or "no gap"
 
 
+def growth() -> None:
+    """Print seconds of CPU of a whole diagnosis against rows, and of the screen against candidates (one worker)."""
+    print(f"{'rows':>10}{'diagnosis, CPU s':>18}{'exponent':>10}{'screen, CPU s':>16}{'exponent':>10}")
+    before = None
+    for rows in ROWS:
+        recording = recorded("payload", rows / 100)
+        start = time.process_time()
+        diagnose(recording, ARM)
+        now = np.array([rows, time.process_time() - start, screened(recording, 1.0)[1]])
+        grown = np.full(3, np.nan) if before is None else np.log(now / before)
+        whole, part = grown[1:] / grown[0]
+        print(f"{rows:>10}{now[1]:>18.2f}{whole:>10.2f}{now[2]:>16.2f}{part:>10.2f}", flush=True)
+        before = now
+    print(f"\n{'candidates':>10}{'screen of 600 rows, CPU s':>28}")
+    for share in SHARES:
+        print("{:>10}{:>28.2f}".format(*screened(recorded("payload"), share)), flush=True)
+
+
+def screened(recording: Recording, share: float) -> tuple[int, float]:
+    """Candidates, an even share of the catalogue's, and the least seconds of CPU of three screens of them."""
+    bound = setting(recording, ARM)
+    path, _ = data_path(bound)
+    bound = finely_stepped(bound.shaped(path), path)
+    among = [effect for effect in considered(bound) if not is_searched(effect)][:: round(1 / share)]
+    common = unknowns(bound, ())
+    taken = []
+    for _ in range(3):
+        start = time.process_time()
+        screen(bound, bound.model, path, among, common, common.mean)
+        taken.append(time.process_time() - start)
+    return len(among), min(taken)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--growth", action="store_true", help="how it grows with rows and candidates instead")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     seconds(recorded("no gap"), 1)
+    if arguments.growth:
+        growth()
+        return
     heads = "".join(f"{workers:>8} worker(s)" for workers in arguments.workers)
     print(f"{f'seconds, the least of {arguments.repeat}':<24}{heads}")
     for name in CASES:
