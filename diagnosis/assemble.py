@@ -36,12 +36,13 @@ def assembled(
     weighed: Weighed,
     shares: Closed,
     formula: Formula | None,
+    follows: Sequence[str],
     seed: int,
     held_out: str,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
-    ``held_out`` says in words what was.
+    ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
@@ -101,7 +102,7 @@ def assembled(
             bound.typical.numpy(),
             shifts,
             frame_gap,
-            formula.variables if formula else (),
+            follows,
         ),
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
@@ -146,7 +147,7 @@ def assembled(
             (key(s.effect), float(s.log_evidence - _nothing(found))) for s in found.first if s.effect is not None
         ),
         visibility=visibility,
-        method=_method(bound, found, held_out),
+        method=_method(bound, found, weighed, held_out),
         posterior=_posterior(bound, best, weighed, seed),
     )
 
@@ -180,9 +181,14 @@ def _without_hidden(model, path: torch.Tensor) -> torch.Tensor:
 
 
 def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Keys of the causes that together hold most of the probability of all that name one; none for a single one."""
+    """Keys of the causes that together hold most of the probability of all that name one; none for a single one.
+
+    None, either, where there is no gap more probably than one.
+    """
     named = [cause for cause in causes if cause.effects]
     total = sum(cause.probability for cause in named)
+    if any(not cause.effects and cause.probability > 0.5 for cause in causes):
+        return ()
     held, rivals = 0.0, []
     for cause in named:
         if total <= 0 or held > CREDIBLE * total:
@@ -196,15 +202,16 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
     return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
 
 
-def _method(bound: Setting, found: Search, held_out: str) -> dict[str, str]:
-    model = bound.model
+def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> dict[str, str]:
+    model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
         "row, chosen so that the integrator's own error stays a tenth of what can be noticed",
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
         f"at most {found.most} effects",
-        "evidence": "linearised about each cause's own path and parameters, residual torque's size and noise scale "
-        "integrated out; the best confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
+        f"noise scale at its likeliest; {counted or 'none'} confirmed by nested sequential Monte Carlo with parameters "
+        "integrated out",
         "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }

@@ -17,7 +17,7 @@ import torch
 
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.describe import describe
+from invdyn.diagnosis.describe import Formula, describe
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.prior import MOST
@@ -65,9 +65,9 @@ def diagnose(
         workers: processes that may work side by side; this one is one of them.
         progress: called with (done, total, what).
 
-    Raises InputError when the recording does not fit the body, or the held-out one the recording, or when the
-    simulation runs away from the recording whatever torque is added, or ``most`` is not positive. Too few frames are
-    no error but an answer: :attr:`.Diagnosis.not_enough_data`.
+    Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
+    or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive. Too few
+    rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`.
     """
 
     def report(stage: int, what: str) -> None:
@@ -79,10 +79,10 @@ def diagnose(
     report(0, "bind")
     try:
         bound = setting(recording, body, passive=passive)
-        other = None if held_out is None else setting(held_out, body, passive=passive)
     except NotEnoughData as error:
         whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
         return nothing_to_say(whole, body, seed, passive, str(error))
+    other = None if held_out is None else setting(held_out, body, passive=passive)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "
@@ -116,9 +116,10 @@ def diagnose(
     best = weighed.best
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
+    follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, formula, seed, rows)
+    result = assembled(bound, found, weighed, shares, formula, follows, seed, rows)
     report(5, "done")
     return result
 
@@ -133,10 +134,22 @@ def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = 
         raise cannot_follow(bound) from error
 
 
+def _followed(bound: Setting, none: Refined, best: Refined, formula: Formula | None) -> tuple[str, ...]:
+    """Variables that the torque which the simulation lacks follows: those of a formula for all of it, in which a cause
+    is not known. None where the torque is unknown, or all that the best cause changes is how the motion is seen.
+    """
+    moved = any(effect.side == "dynamics" for effect in best.effects)
+    if bound.regime == "unknown_torque" or not (moved or formula):
+        return ()
+    whole = formula if best is none else describe(bound, none, none.path)
+    return whole.variables if whole else formula.variables if formula else ()
+
+
 def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
     """Write diagnosis.json, report.html and posterior.nc into ``folder``, which exists; each whole or not at all.
 
-    By as many processes as there are ``workers``. Raises OSError where they cannot be written.
+    Without a posterior, one that lies there from an earlier diagnosis is removed. By as many processes as there are
+    ``workers``. Raises OSError where they cannot be written.
     """
     folder = Path(folder)
 
@@ -145,5 +158,7 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
         write_report(diagnosis, folder / "report.html")
 
     posterior = diagnosis.posterior
+    if posterior is None:
+        (folder / "posterior.nc").unlink(missing_ok=True)
     parts = [] if posterior is None else [partial(save_posterior, posterior, folder / "posterior.nc")]
     side_by_side([*parts, told], workers)

@@ -100,7 +100,8 @@ class Where:
 class Outside:
     """What the catalogue does not explain.
 
-    `description`: a short formula with its held-out gain, or None; `terms` its terms, name → (coefficient, sd, unit).
+    `description`: a short formula, or None; `terms` its terms, name → (coefficient, sd, unit); `gain_per_frame` the
+    nats that it gains a held-out row.
     """
 
     probability: float
@@ -237,6 +238,7 @@ class Diagnosis:
             "outside_catalogue": {
                 "probability": self.outside.probability,
                 "description": self.outside.description,
+                "gain_per_frame": self.outside.gain_per_frame,
             },
             "not_identifiable": list(self.not_identifiable),
             "shrinkage": {

@@ -1,7 +1,7 @@
 """Which recording would tell causes apart that this one does not.
 
-One sentence for each effect says what brings it out and nothing like it; for a set of rivals those sentences are
-asked for together, those that separate a known pair first.
+One sentence for each effect says what brings it out and nothing like it; of a set of rivals all are asked for, the
+most probable one's first.
 """
 
 from collections.abc import Sequence

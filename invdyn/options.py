@@ -147,7 +147,7 @@ class Diagnosed(Recorded):
     ] = 2
 
     def check(self) -> None:
-        """Raise InputError for an effect that the catalogue does not have, and for torques both 0 and hidden."""
+        """Raise InputError for an unknown effect, torques both 0 and hidden, and a recording that is given twice."""
         from invdyn.models.effects import EFFECTS
         from invdyn.recordings import InputError
 
@@ -156,6 +156,12 @@ class Diagnosed(Recorded):
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
+        given: set[Path] = set()
+        for name in (self.recording, *self.others, *([] if self.held_out is None else [self.held_out])):
+            if Path(name).resolve() in given:
+                option = "--held-out" if name == self.held_out else "--also"
+                raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
+            given.add(Path(name).resolve())
 
     @property
     def struck(self) -> tuple[str, ...]:

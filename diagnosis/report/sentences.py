@@ -184,7 +184,7 @@ def left(diagnosis: Diagnosis) -> list[str]:
     for group in diagnosis.ambiguity_set:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
-            found.append(f"{named(words)} change this recording in the same way: it cannot tell them apart.")
+            found.append(f"{named(words)} all remain probable: this recording does not tell them apart surely.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
 
 

@@ -162,6 +162,8 @@ BAD = {
     "held out is of another body": ((*DIAGNOSE, "--held-out", "hand.csv"), "velocity"),
     "unknown effect": ((*DIAGNOSE, "--without", "magic"), "viscous_friction"),
     "zero and hidden": ((*DIAGNOSE, "--passive", "--hide-torque"), "choose one"),
+    "held out is the recording": ((*DIAGNOSE, "--held-out", "./rec.csv"), "rec.csv: expected another recording"),
+    "a recording twice": ((*DIAGNOSE, "--also", "hand.csv,hand.csv"), "for --also, got one twice"),
     "frames in words": ((*DIAGNOSE, "--frames", "all"), "50:250"),
     "one frame": ((*DIAGNOSE, "--frames", "3:4"), "2 frames"),
     "does not fit": ((*DIAGNOSE, "--frames", "3:5"), "does not fit"),

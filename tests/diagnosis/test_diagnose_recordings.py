@@ -1,0 +1,80 @@
+"""What recordings a diagnosis takes: several at once, with an end that nobody saw, with too little in them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum import ARM, FRICTION, MANY, PENDULUM, recording_of
+
+from invdyn.diagnosis import diagnose, save
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
+from invdyn.simulate import random_arm, record
+
+DAMPING = 0.05
+
+
+def rubbing(seed, rows=80):
+    return replace(recording_of(FRICTION, rows=rows, seed=seed, damping=DAMPING), name=f"rubbing {seed}")
+
+
+def named(found):
+    return [effect.key for effect in found.causes[0].effects]
+
+
+def test_several_have_their_causes_in_common():
+    """Both know the damping better than one does, and nothing follows from one's last row to the other's first."""
+    alone = diagnose(rubbing(0), PENDULUM, without=MANY)
+    both = diagnose([rubbing(0), rubbing(1)], PENDULUM, without=MANY)
+    assert named(both) == ["viscous_friction.pivot"]
+    first, together = (found.causes[0].effects[0].parameters["damping"] for found in (alone, both))
+    assert together.sd < first.sd
+    assert abs(together.mean - DAMPING) < 4 * together.sd
+    assert len(both.tracks.time) == 160
+
+
+def test_an_end_that_nobody_saw_changes_nothing():
+    """Commands go on where the camera has stopped: the answer is that of the rows before."""
+    whole = rubbing(0, rows=110)
+    keypoints = whole.keypoints.copy()
+    keypoints[80:] = np.nan
+    found = diagnose(replace(whole, keypoints=keypoints), PENDULUM, without=MANY)
+    assert named(found) == ["viscous_friction.pivot"]
+    assert len(found.tracks.time) == 80
+    damping = found.causes[0].effects[0].parameters["damping"]
+    assert abs(damping.mean - DAMPING) < 4 * damping.sd
+
+
+def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
+    """And of what the camera does nothing is: no torque is missing."""
+    assert diagnose(rubbing(0), PENDULUM, without=MANY).to_json()["where"]["depends_on"] == ["velocity:pivot"]
+    scaled = recording_of(EFFECTS["camera_scale"](), rows=80, scale=1.1)
+    found = diagnose(scaled, PENDULUM, without=MANY)
+    assert named(found) == ["camera_scale"]
+    assert found.where.depends_on == ()
+
+
+def test_an_arm_at_thirty_frames_a_second_lacks_nothing():
+    """Steps of one row would be wrong by what the camera notices, and some effect would be blamed."""
+    arm = random_arm(ARM, duration=4.0, fps=30, noise=0.002, torque_scale=0.4, commanded=True, seed=2)
+    arm.substeps = 64
+    found = diagnose(record(arm, 2)[0], ARM, without=MANY)
+    assert named(found) == []
+    assert not found.gap.detected
+    assert found.ambiguity_set == ()
+
+
+def test_too_few_rows_are_an_answer_and_leave_no_posterior_of_another(tmp_path):
+    found = diagnose(rubbing(0, rows=12), PENDULUM)
+    assert "12 rows with an observation, a diagnosis needs 20" in found.not_enough_data
+    (tmp_path / "posterior.nc").write_text("an earlier one's")
+    save(found, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["diagnosis.json", "report.html"]
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["not_enough_data"] == found.not_enough_data
+
+
+def test_too_few_rows_held_out_are_an_error_that_names_them():
+    """The recording itself has enough: its diagnosis must not be "not enough data"."""
+    with pytest.raises(InputError, match="rubbing 1: not enough data: 12 rows"):
+        diagnose(rubbing(0), PENDULUM, held_out=rubbing(1, rows=12), without=MANY)
