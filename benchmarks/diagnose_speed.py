@@ -42,9 +42,12 @@ ROWS = (300, 600, 1200, 2400, 4800)
 SHARES = (0.125, 0.25, 0.5, 1.0)  # of the catalogue
 
 
-def recorded(name: str, duration: float = 6.0) -> Recording:
+CALM = 0.3  # effort with which an arm does not begin to whirl, however long: that would take more sub-steps a row
+
+
+def recorded(name: str, duration: float = 6.0, effort: float = 0.7) -> Recording:
     """The arm under known random commands, with one effect or none, filmed with 2 mm of noise."""
-    arm = random_arm(ARM, duration=duration, fps=100, noise=0.002, torque_scale=0.7, commanded=True, seed=3)
+    arm = random_arm(ARM, duration=duration, fps=100, noise=0.002, torque_scale=effort, commanded=True, seed=3)
     if CASES[name] is not None:
         effect, values = CASES[name]
         given = {f"effect.{effect.key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
@@ -68,7 +71,7 @@ def growth() -> None:
     print(f"{'rows':>10}{'diagnosis, CPU s':>18}{'exponent':>10}{'screen, CPU s':>16}{'exponent':>10}")
     before = None
     for rows in ROWS:
-        recording = recorded("payload", rows / 100)
+        recording = recorded("payload", rows / 100, CALM)
         start = time.process_time()
         diagnose(recording, ARM)
         now = np.array([rows, time.process_time() - start, screened(recording, 1.0)[1]])
@@ -78,7 +81,7 @@ def growth() -> None:
         before = now
     print(f"\n{'candidates':>10}{'screen of 600 rows, CPU s':>28}")
     for share in SHARES:
-        print("{:>10}{:>28.2f}".format(*screened(recorded("payload"), share)), flush=True)
+        print("{:>10}{:>28.2f}".format(*screened(recorded("payload", effort=CALM), share)), flush=True)
 
 
 def screened(recording: Recording, share: float) -> tuple[int, float]:

@@ -1,10 +1,11 @@
 """What the catalogue does not explain, as a short formula: sparse regression of the residual torque.
 
-Candidate terms are functions of (θ, θ̇, u, t), each as a torque on one joint: a column of the whitened innovations
-(:mod:`.innovations`), so that noise, gaps and errors in the angles count for what they are worth, unlike in a
-regression of a differentiated signal. Terms are added one by one while the evidence rises by more than their number
+Candidate terms are functions of (θ, θ̇, θ̈, u, t), each as a torque on one joint: a column of the whitened innovations
+(:mod:`.innovations`), so that noise and gaps count for what they are worth, unlike in a regression of a differentiated
+signal. They are taken along the path that the whole recording gives, whose own errors are small beside what varies and
+are not counted. Terms are added one by one while the evidence rises by more than their number
 costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
-end). The gain on held-out rows is measured with coefficients from the others.
+end). The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
 """
 
 from collections.abc import Callable
@@ -30,10 +31,11 @@ Feature = Callable[["Motion", int], np.ndarray]
 
 @dataclass(frozen=True)
 class Motion:
-    """Angles, velocities, commands (T, K) and time (T,) along the data's path."""
+    """Angles, velocities, accelerations, commands (T, K) and time (T,) along the data's path."""
 
     q: np.ndarray
     qd: np.ndarray
+    qdd: np.ndarray
     u: np.ndarray
     t: np.ndarray
 
@@ -62,6 +64,7 @@ LIBRARY: dict[str, tuple[str, str, Feature]] = {
     "max(d{}/dt, 0)": ("velocity", "N·m·s/rad", lambda m, k: np.maximum(m.qd[:, k], 0)),
     "sin({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.sin(m.q[:, k]) * m.qd[:, k]),
     "cos({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.cos(m.q[:, k]) * m.qd[:, k]),
+    "d²{}/dt²": ("acceleration", "N·m·s²/rad", lambda m, k: m.qdd[:, k]),
     "u {}": ("command", "1", lambda m, k: m.u[:, k]),
     "|u {}|": ("command", "1", lambda m, k: np.abs(m.u[:, k])),
     "t d{}/dt": ("time", "N·m/rad", lambda m, k: m.t * m.qd[:, k]),
@@ -123,7 +126,8 @@ def _library(setting: Setting, cause: Refined, path: Tensor):
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))
     u = np.zeros_like(q) if model.command is None else model.command.numpy()
-    motion = Motion(q, qd, u, model.time.numpy() - model.time[0].item())
+    time = model.time.numpy() - model.time[0].item()
+    motion = Motion(q, qd, np.gradient(qd, time, axis=0), u, time)
     terms, features = [], []
     joints = model.body.joint_names
     for joint, acts_on in enumerate(joints):

@@ -56,6 +56,7 @@ def gains(F: np.ndarray, Q: np.ndarray, E: np.ndarray, P0: np.ndarray) -> Gains:
     return Gains(np.linalg.inv(root), F[:, None] @ towards.swapaxes(-1, -2), log_det)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # A column that runs away is one that :mod:`.evidence` leaves out.
 def innovations(
     gained: Gains,
     F: np.ndarray,

@@ -139,6 +139,7 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
     return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # A column that runs away is one that :mod:`.evidence` leaves out.
 def _gram(w: np.ndarray, groups: Sequence[slice] | None) -> np.ndarray:
     """Products (G, J, J) of columns (G, N, J), those that are wanted."""
     if groups is None:

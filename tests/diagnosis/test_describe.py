@@ -8,6 +8,7 @@ from invdyn.diagnosis.describe import _library, describe
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect, Parameter
 
 
@@ -52,3 +53,13 @@ def test_a_cubic_spring_is_put_into_a_formula():
 def test_where_nothing_is_left_there_is_no_formula():
     formula, *_ = described(recording_of(body=ARM, rows=60))
     assert formula is None
+
+
+def test_a_rotor_follows_the_acceleration():
+    inertia = 0.02
+    rotor = EFFECTS["armature"]("elbow")
+    formula, *_ = described(recording_of(rotor, ARM, rows=150, effort=1.0, inertia=inertia))
+    coefficient, _, unit = formula.terms["d²θ[elbow]/dt² on elbow"]
+    assert unit == "N·m·s²/rad"
+    assert formula.variables[0] == "acceleration:elbow"
+    assert inertia / 2 < -coefficient < 2 * inertia  # terms beside it take a part
