@@ -12,6 +12,7 @@ from invdyn.diagnosis.confirm import confirm, posterior
 from invdyn.diagnosis.describe import Formula
 from invdyn.diagnosis.findings import finding, key
 from invdyn.diagnosis.noise import is_noise
+from invdyn.diagnosis.overlap import overlaps
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.promising import FAINT
@@ -106,6 +107,7 @@ def assembled(
         ),
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
+        overlaps=overlaps(bound, rivals, found.first),
         separating_experiment=separating_experiment(
             [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects]
         ),

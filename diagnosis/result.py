@@ -169,7 +169,8 @@ class Diagnosis:
     """All that :func:`.diagnose.diagnose` finds.
 
     `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
-    apart, each as its effects' keys, and `separating_experiment` the recording that would; `not_identifiable` keys of
+    apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.overlap`), and
+    `separating_experiment` the recording that would; `not_identifiable` keys of
     effects that it could not have shown. `screened` has every candidate's key and log evidence against "no gap", best
     first; `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report
     must not change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside`
@@ -195,6 +196,7 @@ class Diagnosis:
     screened: tuple[tuple[str, float], ...]
     visibility: tuple[Visibility, ...]
     method: dict[str, str]
+    overlaps: tuple[tuple[str, str, float], ...] = ()
     not_enough_data: str | None = None
     posterior: az.InferenceData | None = None
 
@@ -234,6 +236,7 @@ class Diagnosis:
                 for cause in self.causes
             ],
             "ambiguity_set": [list(group) for group in self.ambiguity_set],
+            "overlaps": [{"causes": [one, other], "share": share} for one, other, share in self.overlaps],
             "separating_experiment": self.separating_experiment,
             "outside_catalogue": {
                 "probability": self.outside.probability,

@@ -184,8 +184,15 @@ def left(diagnosis: Diagnosis) -> list[str]:
     for group in diagnosis.ambiguity_set:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
-            found.append(f"{named(words)} all remain probable: this recording does not tell them apart surely.")
+            shares = [share for one, other, share in diagnosis.overlaps if {one, other} <= set(group)]
+            alike = "" if not shares else f" (the changes that two of them predict overlap by {_range(shares)})"
+            found.append(f"{named(words)} remain probable: this recording does not tell them apart surely{alike}.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
+
+
+def _range(shares: list[float]) -> str:
+    low, high = percent(min(shares)), percent(max(shares))
+    return low if low == high else f"{low} to {high}"
 
 
 def left_over(diagnosis: Diagnosis) -> str:

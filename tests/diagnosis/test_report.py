@@ -31,7 +31,7 @@ from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import FRAMES
-from invdyn.diagnosis.report.sentences import kind, verdict
+from invdyn.diagnosis.report.sentences import kind, left, verdict
 from invdyn.diagnosis.result import (
     Cause,
     Estimate,
@@ -125,6 +125,16 @@ def test_verdict(case, answer, says):
     sentence = verdict(case()).replace("\u00a0", " ")
     assert says in sentence
     assert sentence.count(". ") == 0
+
+
+def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
+    """Only of those of which that is known."""
+    d = ambiguous()
+    (sentence,) = left(d)
+    assert sentence.endswith("remain probable: this recording does not tell them apart surely.")
+    keys = d.ambiguity_set[0]
+    (sentence,) = left(replace(d, overlaps=((*keys, 0.973), ("payload", "armature.elbow", 0.1))))
+    assert "(the changes that two of them predict overlap by 97\u00a0%)" in sentence
 
 
 def test_verdict_does_not_claim_what_was_not_reached():
