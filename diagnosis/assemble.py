@@ -212,8 +212,8 @@ def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> d
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
         f"at most {found.most} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
-        f"noise scale at its likeliest; {counted or 'none'} confirmed by nested sequential Monte Carlo with parameters "
-        "integrated out",
+        "noise scale at its likeliest (its integral adds the same to each); "
+        f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
         "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }

@@ -7,10 +7,13 @@ import shutil
 from importlib.util import find_spec
 
 import pytest
+from pendulum import FRICTION, MANY, PENDULUM, recording_of
 from reported import KINDS, Page, diagnosis, hostile
 
+from invdyn.diagnosis import diagnose, save
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.report.sentences import verdict
+from invdyn.inference import load_posterior
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +88,23 @@ def test_fits_a_phone(browser, tmp_path, name):
     write_report(KINDS[name](), page)
     opened(browser, page, width=360)
     assert browser.execute_script("return window.innerWidth") == 360
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 360
+    assert browser.get_log("browser") == []
+
+
+def test_what_a_diagnosis_saves_is_opened(browser, tmp_path):
+    """All three files of a real one, which says the same in each."""
+    found = diagnose(recording_of(FRICTION, damping=0.05), PENDULUM, without=MANY)
+    save(found, tmp_path)
+    told = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    assert told == found.to_json()
+    damping = told["causes"][0]["effects"][0]["parameters"]["damping"]
+    drawn = load_posterior(tmp_path / "posterior.nc").posterior["effect.viscous_friction.pivot.damping"]
+    assert abs(float(drawn.mean()) - damping["mean"]) < 3 * damping["sd"]
+    opened(browser, tmp_path / "report.html", width=360)
+    heading = browser.find_element("id", "verdict").text
+    assert heading == verdict(found).replace("\u00a0", " ")
+    assert "viscous friction" in heading
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 360
     assert browser.get_log("browser") == []
 
