@@ -231,15 +231,3 @@ def spans(model: ArmModel) -> list[tuple[float, float]]:
     """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording."""
     first, last = model.time[[0, -1]].tolist()
     return [(float(s), float(min(s + WINDOW, last))) for s in np.arange(first, last - WINDOW / 2, WINDOW / 2)]
-
-
-def bursts(model: ArmModel, response: np.ndarray, times: Sequence[tuple[float, float]]) -> Columns:
-    """K columns for each stretch of time: a constant torque on each joint while it lasts.
-
-    ``response`` (T−1, D, K) is what a unit torque during a row makes of the next state.
-    """
-    time, (starts, stops) = model.time.numpy(), np.array(times).T
-    low, high = time[:-1, None], time[1:, None]
-    overlap = np.clip((np.minimum(high, stops) - np.maximum(low, starts)) / (high - low), 0, 1)  # (T−1, W)
-    g = (response[:, :, None, :] * overlap[:, None, :, None]).reshape(len(response), response.shape[1], -1)
-    return Columns(g, np.zeros((len(time), model.observation_dim, g.shape[-1])))

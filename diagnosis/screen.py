@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, bursts, hypotheses, slopes, spans, unchanged
+from invdyn.diagnosis.bursts import burst_products
+from invdyn.diagnosis.candidates import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -48,17 +49,14 @@ def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisati
     response[:, :K] = 0.0
     about = filter_of(setting, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
 
+    count = int((~setting.observations.isnan()).sum())
+
     def gains_of(times: Sequence[tuple[float, float]]) -> np.ndarray:
         """Twice the nats (3, W) that a burst in each stretch explains, under each size."""
-        parts = [slice(1 + K * i, 1 + K * (i + 1)) for i in range(len(times))]
-        whitened = whiten(setting, about, bursts(model, response, times), parts)
-        index = 1 + np.arange(len(times) * K).reshape(-1, K)
-        gains = []
-        for gram in whitened.gram:
-            A = gram[index[:, :, None], index[:, None, :]] + 1e-9 * np.trace(gram) * np.eye(K)
-            r = gram[index, 0]
-            gains.append(np.einsum("wi,wij,wj->w", r, np.linalg.inv(A), r) * whitened.count / gram[0, 0])
-        return np.stack(gains)
+        own, with_data, data = burst_products(about, response, model.time.numpy(), times)
+        total = data + np.trace(own, axis1=-2, axis2=-1).sum(-1)
+        A = own + 1e-9 * total[:, None, None, None] * np.eye(K)
+        return np.einsum("gwi,gwij,gwj->gw", with_data, np.linalg.inv(A), with_data) * count / data[:, None]
 
     times = spans(model)
     gains = gains_of(times)

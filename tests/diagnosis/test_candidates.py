@@ -10,7 +10,7 @@ from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 from scipy.stats import t as student_t
 
-from invdyn.diagnosis.candidates import STEP, WINDOW, bursts, hypotheses, slopes, spacing, spans, unchanged
+from invdyn.diagnosis.candidates import STEP, hypotheses, slopes, spacing, unchanged
 from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
 from invdyn.diagnosis.pool import considered
@@ -186,27 +186,6 @@ def test_a_push_may_come_in_any_window():
         touched = (time[1:] > start - 0.011) & (time[:-1] < stop + 0.011)  # its edges are ramps, half a step each way
         assert pushed.any()
         assert not pushed[~touched].any()
-
-
-def test_bursts_share_out_the_time():
-    """Windows of a tenth of a second half of which they are apart: inner rows lie in two of them, whole."""
-    model = bound().model
-    T, D, K = model.num_steps, model.state_dim, 2
-    response = np.random.default_rng(0).normal(size=(T - 1, D, K))
-    windows = spans(model)
-    columns = bursts(model, response, windows)
-    time = model.time.numpy()
-    g = columns.g.reshape(T - 1, D, len(windows), K)
-    assert not columns.d.any()
-    starts = [start for start, _ in windows]
-    np.testing.assert_allclose(np.diff(starts), WINDOW / 2)
-    share = g[:, 0, :, 0] / response[:, 0, :1]  # (T−1, W)
-    lengths = np.array([stop - start for start, stop in windows])
-    np.testing.assert_allclose((share * np.diff(time)[:, None]).sum(0), lengths, atol=1e-9)
-    inner = (time[:-1] >= starts[1]) & (time[1:] <= starts[-1])
-    np.testing.assert_allclose(share.sum(1)[inner], 2.0)
-    expected = response[:, :, None, :] * share[:, None, :, None]
-    np.testing.assert_allclose(g, expected, atol=1e-12)
 
 
 # -- unknowns ------------------------------------------------------------------------------------------------------
