@@ -8,7 +8,7 @@ costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thres
 end). The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,10 @@ from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.evidence import regression
+from invdyn.diagnosis.evidence import Regression, regression
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import SHARE
-from invdyn.diagnosis.whiten import SLAB, filter_of, linear_of, whiten
+from invdyn.diagnosis.whiten import SLAB, Whitened, filter_of, linear_of, whiten
 
 MOST = 3
 """Terms in a formula."""
@@ -93,19 +93,18 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
         [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]
     )
     chosen: list[int] = []
-    best = _evidence(whitened, chosen, sd)
+    best = _evidence(whitened, [chosen], sd)[0]
+    cost = np.array([PRODUCT * _is_product(name) for name, *_ in terms])
     while len(chosen) < MOST:
-        gains = [
-            -np.inf if i in chosen else _evidence(whitened, [*chosen, i], sd) - PRODUCT * _is_product(terms[i][0])
-            for i in range(len(terms))
-        ]
-        if max(gains) < best + np.log(len(terms)) + 3:
+        gains = _evidence(whitened, [[*chosen, i] for i in range(len(terms))], sd) - cost
+        gains[chosen] = -np.inf
+        if gains.max() < best + np.log(len(terms)) + 3:
             break
-        chosen, best = [*chosen, int(np.argmax(gains))], max(gains)
+        chosen, best = [*chosen, int(gains.argmax())], gains.max()
     if not chosen:
         return None
-    size = int(np.argmax([_at(whitened, g, chosen, sd).log_evidence[0] for g in range(len(levels))]))
-    fit = _at(whitened, size, chosen, sd)
+    size = int(np.argmax([_at(whitened, g, [chosen], sd).log_evidence[0] for g in range(len(levels))]))
+    fit = _at(whitened, size, [chosen], sd)
     spread = np.sqrt(np.diag(fit.covariance[0]))
     named = {
         terms[i][0]: (float(mean), float(s), terms[i][2])
@@ -144,27 +143,18 @@ def _library(setting: Setting, cause: Refined, path: Tensor):
     return terms, features
 
 
-def _at(whitened, size: int, chosen: list[int], sd: np.ndarray):
-    index = 1 + np.array(chosen, int)[None]
-    p = len(chosen)
-    free = np.full((1, p), -np.inf)
-    return regression(
-        whitened.gram[size],
-        index,
-        np.zeros(1, int),
-        np.zeros((1, p)),
-        sd[chosen][None],
-        free,
-        -free,
-        whitened.count,
-        whitened.log_det[size],
-    )
+def _at(whitened: Whitened, size: int, sets: Sequence[Sequence[int]], sd: np.ndarray) -> Regression:
+    """Regression on each set of terms, all of one length."""
+    of = np.array(sets, int).reshape(len(sets), -1)
+    free = np.full(of.shape, -np.inf)
+    gram, log_det = whitened.gram[size], whitened.log_det[size]
+    none, centre = np.zeros(len(of), int), np.zeros(of.shape)
+    return regression(gram, 1 + of, none, centre, sd[of], free, -free, whitened.count, log_det)
 
 
-def _evidence(whitened, chosen: list[int], sd: np.ndarray) -> float:
-    return float(
-        np.logaddexp.reduce([_at(whitened, g, chosen, sd).log_evidence[0] for g in range(len(whitened.sizes))])
-    )
+def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray) -> np.ndarray:
+    """Log evidence of each set, all sizes of the residual together."""
+    return np.logaddexp.reduce([_at(whitened, g, sets, sd).log_evidence for g in range(len(whitened.sizes))])
 
 
 def _held_out_gain(whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
