@@ -40,8 +40,6 @@ CASES = {
 
 ROWS = (300, 600, 1200, 2400, 4800)
 SHARES = (0.125, 0.25, 0.5, 1.0)  # of the catalogue
-
-
 CALM = 0.3  # effort with which an arm does not begin to whirl, however long: that would take more sub-steps a row
 
 

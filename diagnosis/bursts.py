@@ -43,7 +43,7 @@ def burst_products(
 
     starts, stops = np.array(stretches).T
     first = np.clip(np.searchsorted(time, starts, side="right") - 1, 0, T - 2)
-    length = int((np.searchsorted(time, stops, side="left") - first).max())
+    length = int((np.searchsorted(time[:-1], stops) - first).max())
     first = np.minimum(first, T - 1 - length)  # an earlier row than the burst's does nothing
     G, D, K = len(data), F.shape[-1], response.shape[-1]
     m = np.zeros((len(first), G, D, K))

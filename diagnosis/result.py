@@ -170,11 +170,11 @@ class Diagnosis:
 
     `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
     apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.overlap`), and
-    `separating_experiment` the recording that would; `not_identifiable` keys of
-    effects that it could not have shown. `screened` has every candidate's key and log evidence against "no gap", best
-    first; `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report
-    must not change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside`
-    "outside_catalogue" and an interval's `stop` its "end".
+    `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
+    `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
+    candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
+    In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
+    its "end".
     """
 
     recording: str

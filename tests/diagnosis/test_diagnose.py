@@ -126,3 +126,4 @@ def test_a_set_holds_the_most_probable_causes_that_name_something(probabilities,
     ]
     nothing = Cause((), 0.3, 0.0, None)
     assert _ambiguous([nothing, *causes]) == names[:rivals]
+    assert _ambiguous([replace(nothing, probability=0.6), *causes]) == ()

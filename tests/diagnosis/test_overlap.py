@@ -1,12 +1,13 @@
 """How much alike two effects change a recording."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from pendulum import ARM, recording_of
 
-from invdyn.diagnosis.overlap import overlaps
+from invdyn.diagnosis.overlap import change, overlaps
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.screen import screen
 from invdyn.diagnosis.setting import setting
@@ -41,6 +42,19 @@ def test_twins_change_it_alike_and_others_do_not(name, value, twin, other):
     assert 0.97 < share <= 1 + 1e-9
     ((*_, share),) = overlaps(here, (name, other), found)
     assert share < 0.9
+
+
+def test_what_the_body_could_do_is_taken_out():
+    """Where lengths are known to 3 %, a camera's scale is what they do not explain: that gravity does not scale."""
+    unsure = replace(ARM, uncertainty={"length": 0.03})
+    sizes = []
+    for body in (ARM, unsure):
+        here = setting(recording_of(EFFECTS["camera_scale"](), ARM, rows=100, scale=1.05), body)
+        path, common = data_path(here)[0], unknowns(here, ())
+        scaled = [EFFECTS["camera_scale"]().bound(body)]
+        (found,) = (s for s in screen(here, here.model, path, scaled, common, common.mean) if s.effect)
+        sizes.append(float(np.square(change(here, found)).sum()))
+    assert 0.1 * sizes[0] < sizes[1] < 0.8 * sizes[0]
 
 
 def test_every_two_that_were_screened_are_compared():

@@ -26,3 +26,16 @@ def test_products_within_groups_are_those_of_all():
     np.testing.assert_allclose(some.gram[:, wanted], whole.gram[:, wanted], rtol=1e-12)
     np.testing.assert_array_equal(some.columns, whole.columns)
     assert some.count == whole.count
+
+
+def test_a_column_that_runs_away_is_infinite_without_a_warning():
+    """The others are what they are without it; :mod:`.evidence` leaves out what is not finite."""
+    here = setting(recording_of(body=ARM, rows=30), ARM)
+    about = filter_of(here, here.model, data_path(here)[0], sizes(here.regime)[:1])
+    rng = np.random.default_rng(0)
+    T, D, seen = here.model.num_steps, here.model.state_dim, here.observations.shape[-1]
+    g, d = rng.normal(size=(T - 1, D, 2)), rng.normal(size=(T, seen, 2))
+    g[..., 1] *= 1e200
+    gram = whiten(here, about, Columns(g, d)).gram
+    assert not np.isfinite(gram[0, 2, 2])
+    np.testing.assert_allclose(gram[:, :2, :2], whiten(here, about, Columns(g[..., :1], d[..., :1])).gram, rtol=1e-9)
