@@ -1,14 +1,17 @@
 """Runs of the blind check side by side: every measure that has a target, run by run.
 
 What `invdyn blind` left in each folder (scores.json), as the table of docs/blind_runs.md. With `--together`
-one more column scores all their cases as those of one run, which runs of one and the same code are.
+one more column scores all their cases as those of one run, which runs of one and the same code are. `--all` has
+the measures without a target too, how well probabilities are calibrated, and how long a case took.
 
-python benchmarks/blind_runs.py [--together] FOLDER [FOLDER …]
+python benchmarks/blind_runs.py [--together] [--all] FOLDER [FOLDER …]
 """
 
 import argparse
 import json
 from pathlib import Path
+
+import numpy as np
 
 from invdyn.diagnosis.blind.score import score
 
@@ -35,6 +38,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("folders", nargs="+", type=Path, metavar="FOLDER")
     arguments.add_argument("--together", action="store_true")
+    arguments.add_argument("--all", action="store_true")
     asked = arguments.parse_args()
     runs = [json.loads((folder / "scores.json").read_text()) for folder in asked.folders]
     names = [f"seed {run['about']['seed']}" for run in runs]
@@ -45,9 +49,15 @@ def main() -> None:
     print("|---" * (3 + len(runs)) + "|")
     for kind, said in KINDS.items():
         for measure in runs[-1]["measures"].get(kind, []):
-            if measure["target"] or (kind, measure["name"]) in UNTOLD:
+            if asked.all or measure["target"] or (kind, measure["name"]) in UNTOLD:
                 cells = [_cell(run["measures"].get(kind, []), measure["name"]) for run in runs]
                 print(f"| {said} | {measure['name']} | {measure['target'] or ''} | " + " | ".join(cells) + " |")
+    if asked.all:
+        print()
+        for name, run in zip(names, runs, strict=True):
+            reliability(name, run["calibration"])
+        for name, folder in zip(names, asked.folders, strict=False):
+            durations(name, folder)
 
 
 def together(folders: list[Path]) -> dict:
@@ -59,6 +69,28 @@ def together(folders: list[Path]) -> dict:
             if (said := folder / "diagnoses" / name / "diagnosis.json").exists():
                 found[f"{number}-{name}"] = json.loads(said.read_text())
     return score(answers, found).to_json()
+
+
+def reliability(name: str, calibrations: dict[str, dict]) -> None:
+    """Print how often answers of a probability are right, kind by kind."""
+    for kind, found in calibrations.items():
+        bins = " ".join(f"{b['probability']:.3f} → {b['right']:.3f} of {b['n']};" for b in found["bins"])
+        print(f"{name}, {KINDS[kind]}: Brier {found['brier']:.4f}, ECE {found['ece']:.4f}; {bins}")
+
+
+def durations(name: str, folder: Path) -> None:
+    """Print quantiles of the seconds that cases took, kind by kind."""
+    answers = json.loads((folder / "answers.json").read_text())["answers"]
+    taken: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    for case, answer in answers.items():
+        if (told := folder / "diagnoses" / case / "took.json").exists():
+            seconds = json.loads(told.read_text())["seconds"]
+            taken[answer["kind"]].append(seconds)
+            taken["all"].append(seconds)
+    for kind, seconds in taken.items():
+        if seconds:
+            middle, most, longest = np.quantile(seconds, [0.5, 0.9, 1.0])
+            print(f"{name}, {KINDS[kind]}: {middle:.0f} s in the middle, nine in ten < {most:.0f} s, {longest:.0f} s")
 
 
 def _cell(measures: list[dict], name: str) -> str:

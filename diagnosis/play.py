@@ -123,6 +123,9 @@ def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float =
     gained = play.along_base(widths)
     if max(gained) < least:
         return None
+    # What the narrowest gap explains as well as any, and as the next one, is none of the gap's.
+    if max(gained) < gained[0] + EARNED and gained[1] > gained[0] - EARNED:
+        return None
     start = float(np.log(widths[int(np.argmax(gained))]))
     for step in (0.0, STRIDE, -STRIDE):
         play.score(start + step)

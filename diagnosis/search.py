@@ -214,7 +214,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
         # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
         plain = found.explained and found.top > base.log_evidence + HOPELESS
         enough = max(found.top - HOPELESS, least)
-        driven = _sought(setting, base, [] if plain else gears, enough if found.explained else least)
+        # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
+        fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
+        driven = _sought(setting, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(setting, base, scatter if broken else [], enough)
         for causes in side_by_side([*driven, *late], found.workers):
             for cause in causes:

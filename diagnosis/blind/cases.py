@@ -114,7 +114,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
         if kind == "weak" or met >= ENOUGH or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
             break
     if best is None:
-        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled or diverged in all of {TRIES} tries")
+        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost its mass in {TRIES} tries")
     best[1].answer.update(seed=seed)
     return best[1]
 
@@ -144,7 +144,10 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
     noise = float(f"{noise:.3g}")
     style = _style(rng)
     nominal = World(body)
-    real = play(world_with(true_body, present, yardsticks), nominal, plan, pace(present))
+    world = world_with(true_body, present, yardsticks)
+    if not world.possible:
+        return None
+    real = play(world, nominal, plan, pace(present))
     if _wild(real) or ("joint_coupling" in names and not _unambiguous(real)):
         return None
     answer = {

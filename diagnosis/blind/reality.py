@@ -92,6 +92,11 @@ class World:
         """Register `act(t, model, data)`, called before each step; it adds to `data.qfrc_applied`."""
         self._step_hooks.append(act)
 
+    @property
+    def possible(self) -> bool:
+        """Whether every segment has a mass, and none a negative inertia: a large error of a link may take all of it."""
+        return all(segment.mass > 0 and segment.inertia >= 0 for segment in self.segments)
+
     def hinge(self, joint: int) -> int:
         """Index in qpos and qvel of the hinge that a joint's motor drives."""
         return next(s for s, segment in enumerate(self.segments) if segment.joint == joint and segment.driven)

@@ -193,3 +193,13 @@ def test_the_room_stays_independent():
             names = [alias.name for alias in getattr(node, "names", [])] if hasattr(node, "names") else []
             imported = [source, *names] if isinstance(node, ast.Import | ast.ImportFrom) else []
             assert not [each for each in imported if "effects" in str(each) or "inference" in str(each)]
+
+
+def test_a_body_that_cannot_be_is_drawn_again(monkeypatch):
+    """A link that has lost more than its mass, which grown sizes may take."""
+    monkeypatch.setattr(cases, "WEAK", 10.0)
+    case = make_case(1, "weak", "inertial_error")
+    (effect,) = case.answer["effects"]
+    link = next(each for each in case.body.links if each.name == effect["link"])
+    for name in ("mass", "inertia"):
+        assert effect["parameters"][name]["value"] > -link.nominal(name)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from invdyn.diagnosis.blind.mechanisms import MECHANISMS
 from invdyn.diagnosis.blind.motion import LEAD, play, random_body, random_plan, replay
 from invdyn.diagnosis.blind.reality import World
 from invdyn.models.dynamics import dynamics_for
@@ -87,6 +88,18 @@ def test_a_run_that_diverges_is_nan_and_no_more():
     real = World(body).run(time, lambda row, t, q, qd: 1e4 * np.ones(2), [0.0, 0.0], [0.0, 0.0])
     assert np.isfinite(real.q[0]).all()
     assert np.isnan(real.q[-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("lost", "share", "possible"),
+    [("mass", 0.9, True), ("mass", 1.0, False), ("mass", 1.1, False), ("inertia", 1.0, True), ("inertia", 1.1, False)],
+)
+def test_a_link_without_a_mass_is_no_body(lost, share, possible):
+    body = random_body(np.random.default_rng(0), 2, False)
+    off = dict.fromkeys(("mass", "com", "inertia"), 0.0) | {lost: -share * body.links[1].nominal(lost)}
+    world = World(body)
+    MECHANISMS["inertial_error"](world, 1, **off)
+    assert world.possible is possible
 
 
 def test_without_mujoco_it_says_what_to_install(monkeypatch):

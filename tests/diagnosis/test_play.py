@@ -73,6 +73,25 @@ def test_its_width_is_as_certain_as_its_evidence_is_sharp():
     assert top - (low + high) / 2 == pytest.approx(2.5**2 / 2, rel=0.3)
 
 
+@pytest.mark.parametrize(
+    ("gained", "followed"),
+    [
+        ((50.0, 50.1, 49.9, 45.0), False),
+        ((50.0, 49.0, 20.0, -300.0), False),
+        ((50.0, 40.0, -100.0, -900.0), True),
+        ((50.0, 50.1, 55.0, 45.0), True),
+    ],
+)
+def test_what_the_narrowest_gap_explains_as_well_is_not_followed(monkeypatch, gained, followed):
+    """Nats by width along the base's path: as good at any small one, no gap is needed; a peak at the narrowest is one."""
+    here, none, play = loose_joint()
+    asked = []
+    monkeypatch.setattr(Play, "along_base", lambda _, widths: [none.log_evidence + nats for nats in gained])
+    monkeypatch.setattr(Play, "refined", lambda _, width: asked.append(width))
+    assert refine_play(here, none, play) is None
+    assert bool(asked) is followed
+
+
 @pytest.mark.slow
 def test_wide_play_is_found_from_a_base_that_it_bends():
     """Along the base's path none of the grid's widths shows what the true one explains."""

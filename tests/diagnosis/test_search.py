@@ -107,13 +107,19 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("other", "strays", "looked"),
-    [("viscous_friction", -1.0, True), ("coulomb_friction", -1.0, False), ("viscous_friction", 100.0, False)],
+    ("other", "strays", "ahead", "looked"),
+    [
+        ("viscous_friction", -1.0, 0.0, True),
+        ("viscous_friction", -1.0, 200.0, True),
+        ("coulomb_friction", -1.0, 0.0, False),
+        ("viscous_friction", 100.0, 0.0, False),
+    ],
 )
-def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, strays, looked):
+def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypatch, other, strays, ahead, looked):
     """Where that one leaves something: a spring, which is not in it; however little a grid along its path shows.
 
-    Not where stray detections alone explain more than that one does.
+    Beside one that is far behind another cause it must make good a tenth of that there. Not where stray detections
+    alone explain more than that one does.
     """
     tried, module = [], sys.modules[search.__module__]
     spring = EFFECTS["joint_stiffness"]("pivot")
@@ -124,9 +130,11 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append((given[2].name, given[3])))
     monkeypatch.setattr(module, "refine_promising", lambda *_: None)
     astray = replace(base, effects=(EFFECTS["outliers"]().bound(PENDULUM),), log_evidence=base.log_evidence + strays)
-    found = Search(considered(bound), {c.key: c for c in (none, astray, base)}, [], path, stray)
+    better = replace(base, effects=(spring.bound(PENDULUM),), log_evidence=base.log_evidence + ahead)
+    found = Search(considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
     _extend(bound, found, base, 1)
-    assert (("backlash", -np.inf) in tried) is looked
+    enough = [least for name, least in tried if name == "backlash"]  # others that join the base gain less than a nat
+    assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
 
 
 @pytest.mark.parametrize(
