@@ -12,8 +12,8 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
        (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
-       other effect explains the gap, or a small one; the same for the best single effect where sets of several have
-       overtaken it and leave something
+       other effect explains the gap, or a small one (beside a base far behind the best set, if it may make that
+       good); the same for the best single effect where sets of several have overtaken it and leave something
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
     8  where the best set leaves something after all, refine every effect on what is seen beside the best single one,

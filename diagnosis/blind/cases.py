@@ -114,7 +114,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
         if kind == "weak" or met >= ENOUGH or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
             break
     if best is None:
-        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost its mass in {TRIES} tries")
+        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost mass in {TRIES} tries")
     best[1].answer.update(seed=seed)
     return best[1]
 

@@ -83,7 +83,7 @@ def test_its_width_is_as_certain_as_its_evidence_is_sharp():
     ],
 )
 def test_what_the_narrowest_gap_explains_as_well_is_not_followed(monkeypatch, gained, followed):
-    """Nats by width along the base's path: as good at any small one, no gap is needed; a peak at the narrowest is one."""
+    """Nats by width along the base's path: as good at any small one, no gap is needed; a peak there needs one."""
     here, none, play = loose_joint()
     asked = []
     monkeypatch.setattr(Play, "along_base", lambda _, widths: [none.log_evidence + nats for nats in gained])
