@@ -228,6 +228,10 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
 
 
 def spans(model: ArmModel) -> list[tuple[float, float]]:
-    """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording."""
+    """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording.
+
+    One over the whole of a shorter one.
+    """
     first, last = model.time[[0, -1]].tolist()
-    return [(float(s), float(min(s + WINDOW, last))) for s in np.arange(first, last - WINDOW / 2, WINDOW / 2)]
+    starts = np.arange(first, max(last - WINDOW / 2, first + WINDOW / 4), WINDOW / 2)
+    return [(float(s), float(min(s + WINDOW, last))) for s in starts]

@@ -1,7 +1,10 @@
 """What bursts of torque would explain: two backward passes against one column a burst."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.bursts import burst_products
@@ -74,3 +77,13 @@ def test_stretches_share_out_the_time():
     np.testing.assert_allclose((share * np.diff(time)[:, None]).sum(0), lengths, atol=1e-9)
     inner = (time[:-1] >= starts[1]) & (time[1:] <= starts[-1])
     np.testing.assert_allclose(share.sum(1)[inner], 2.0)
+
+
+@pytest.mark.parametrize(("rows", "number"), [(2, 1), (4, 1), (6, 1), (8, 2), (10, 3)])
+def test_a_short_recording_has_one_stretch_at_least(rows, number):
+    """Of rows at fifty a second, within the recording, from its first row to its last."""
+    model = SimpleNamespace(time=torch.arange(rows).double() / 50)
+    stretches = spans(model)
+    assert len(stretches) == number
+    assert stretches[0][0] == 0.0
+    assert stretches[-1][1] == pytest.approx(model.time[-1].item())

@@ -65,6 +65,14 @@ def test_an_arm_at_thirty_frames_a_second_lacks_nothing():
     assert found.ambiguity_set == ()
 
 
+def test_rows_that_last_no_longer_than_a_push_are_diagnosed():
+    """Forty milliseconds at a thousand frames a second, with all of the catalogue: they show nothing."""
+    arm = random_arm(PENDULUM, duration=0.04, fps=1000, noise=0.0005, torque_scale=0.5, commanded=True, seed=3)
+    found = diagnose(record(arm, 3)[0], PENDULUM)
+    assert not found.not_enough_data
+    assert found.causes[0].effects == ()
+
+
 def test_too_few_rows_are_an_answer_and_leave_no_posterior_of_another(tmp_path):
     found = diagnose(rubbing(0, rows=12), PENDULUM)
     assert "12 rows with an observation, a diagnosis needs 20" in found.not_enough_data
