@@ -15,7 +15,8 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
        other effect explains the gap, or a small one (beside a base far behind the best set, if it may make that
        good); the same for the best single effect where sets of several have overtaken it and leave something
     6  leave effects of the best set out, one by one, while that raises it
-    7  look for a better one in place of each, along the path that the set has found; where there is one, again from 3
+    7  look for a better one in place of each, along the path that the set has found; where there is one, or what is
+       left of the best set has not been in 3 yet, again from 3
     8  where the best set leaves something after all, refine every effect on what is seen beside the best single one,
        and again from 6
 
@@ -92,34 +93,48 @@ def search(
         if best.key in extended or len(best.effects) >= most:
             break
         extended.add(best.key)
-        screened = _extend(setting, found, best, WIDTH[min(len(_others(best)), FORWARD - 1)])
+        screened = _extend(setting, found, best, _width(best))
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
             _overtaken(setting, found, extended)
         _without_older(setting, found, best)
-    _settled(setting, found)
+    _settled(setting, found, extended)
     singles = _singles(found)
     if known and singles and most > 1 and not found.ranked[0].complete:
         base = max(singles, key=found.score)
         best = found.ranked[0]
         refine_every(setting, found, base, _screened(setting, found, base, False)[0])
         if found.ranked[0].key != best.key:
-            _settled(setting, found)
+            _settled(setting, found, extended)
     return found
 
 
-def _settled(setting: Setting, found: Search) -> None:
-    """Leave effects out and exchange them until the best set stays."""
+def _settled(setting: Setting, found: Search, extended: set[str]) -> None:
+    """Leave effects out and exchange them until the best set stays.
+
+    Where it leaves something others may join what was exchanged, and what is left if it has not been ``extended`` yet:
+    a large effect may be reached only by way of several that imitate it, and hide a small one until then.
+    """
     reduce(setting, found)
     while setting.regime != "unknown_torque" and found.ranked[0].effects:
-        best = found.ranked[0]
+        before = found.ranked[0]
         exchange(setting, found)
-        if found.ranked[0].key == best.key:
+        best = found.ranked[0]
+        grows = not best.complete and len(best.effects) < found.most
+        if best.key == before.key and (not grows or best.key in extended):
             break
-        if not found.ranked[0].complete and len(found.ranked[0].effects) < found.most:
-            _extend(setting, found, found.ranked[0], SWAPS)
+        if grows:
+            extended.add(best.key)
+            _extend(setting, found, best, SWAPS if best.key != before.key else _width(best))
         reduce(setting, found)
+        if found.ranked[0].key == before.key:
+            break
+
+
+def _width(base: Refined) -> int:
+    """Candidates that are refined beside a base."""
+    return WIDTH[min(len(_others(base)), FORWARD - 1)]
 
 
 def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:

@@ -12,7 +12,7 @@ from pendulum import ARM, MANY, PENDULUM, recorded, recording_of
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import _extend, _overtaken, search
+from invdyn.diagnosis.search import SWAPS, WIDTH, _extend, _overtaken, _settled, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -164,6 +164,43 @@ def test_the_best_single_effect_that_several_overtook_is_extended_too(monkeypatc
     _overtaken(bound, pool, before)
     assert extended == ([(one, 4)] if looked else [])
     assert (key in before) is (known or looked)
+
+
+@pytest.mark.parametrize(
+    ("complete", "known", "gains", "swapped", "widths"),
+    [
+        (False, False, False, False, [WIDTH[1]]),
+        (False, False, True, False, [WIDTH[1], WIDTH[2]]),  # and then what has joined it
+        (False, True, False, False, []),  # it was extended before
+        (True, False, False, False, []),
+        (False, False, False, True, [SWAPS]),  # what came in place of another
+    ],
+)
+def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gains, swapped, widths):
+    """A large effect that was reached by way of others that imitate it, which are left out then, hides a small one."""
+    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    path, stray = data_path(bound)
+    effects = {e.key: e for e in considered(bound)}
+    limit, payload, gain = (effects[key] for key in ("joint_limit.pivot.upper", "payload", "actuator_gain.pivot"))
+    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (limit,)))
+    sizes = np.where(np.arange(len(none.by_size)) == 0, 0.0 if complete else -100.0, 0.0)
+    one = replace(one, by_size=sizes, log_evidence=none.log_evidence + 500.0)
+    worse = replace(one, effects=(limit, gain), log_evidence=one.log_evidence - 50.0)
+    more = replace(one, effects=(limit, payload), log_evidence=one.log_evidence + 300.0)
+    other = replace(one, effects=(payload,), log_evidence=one.log_evidence + 100.0)
+    module, asked = sys.modules[search.__module__], []
+    pool = Search(considered(bound), {c.key: c for c in (none, one, worse)}, [], path, stray)
+
+    def extend(_, pool, base, width):
+        asked.append(width)
+        if gains:
+            pool.add(more)
+
+    monkeypatch.setattr(module, "_extend", extend)
+    monkeypatch.setattr(module, "reduce", lambda *_: None)
+    monkeypatch.setattr(module, "exchange", lambda _, pool: pool.add(other) if swapped else None)
+    _settled(bound, pool, {"", worse.key, one.key} if known else {"", worse.key})
+    assert asked == widths
 
 
 @pytest.mark.parametrize("kept", [True, False])
