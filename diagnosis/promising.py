@@ -12,7 +12,7 @@ stand for what the ideal form lacks. So is, in :mod:`.kin`, one that leaves some
 A refinement that ends far under its base, which it contains, has lost its way and begins again from the base's path.
 
 With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
-stay larger than the noise whatever it does.
+show that something is left whatever it does.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.cause import Refined, key_of
-from invdyn.diagnosis.pool import LOUD, Search, imitable
+from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.prior import log_prior_of
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.relocate import relocated
@@ -137,11 +137,9 @@ def refine_every(setting: Setting, found: Search, base: Refined, screened: Seque
 def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
     """Refine those added to ``base`` that no torque imitates and that gain less in the screen than one that it does.
 
-    Where the best cause's errors of prediction are larger than the noise at rest, though a torque may do anything: a
-    large effect on what is seen bends the path that the screen is along.
+    For where the best cause's errors of prediction show more, though a torque may do anything: a large effect on what
+    is seen bends the path that the screen is along, and what one on the motion gains, no torque's prior is right about.
     """
-    if found.ranked[0].kappa <= LOUD:
-        return
     nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
     barred = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
     barred = [s for s in barred if nothing + DOUBT < s.log_evidence <= bar]

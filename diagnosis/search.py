@@ -60,6 +60,7 @@ from invdyn.diagnosis.setting import Setting, cannot_follow
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.whiteness import prediction_errors, show_more
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
@@ -214,8 +215,9 @@ def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[
     early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
     refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
     refine_kin(setting, found, len(base.effects) + 1)
-    if not known:
+    if not known and show_more(setting, found.ranked[0], prediction_errors(setting, found.ranked[0])):
         refine_barred(setting, found, base, best)
+        least = -np.inf
     if alone:
         if not found.ranked[0].complete:
             refine_clearing(setting, found, base, best)

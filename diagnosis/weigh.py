@@ -30,13 +30,13 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.pool import LITTLE, LOUD, Search
+from invdyn.diagnosis.pool import LITTLE, Search
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
-from invdyn.diagnosis.whiteness import along_motion, correlation, in_concert, loudness, prediction_errors
+from invdyn.diagnosis.whiteness import CHANCE, along_motion, prediction_errors, show_more
 from invdyn.models.effects.joint_limit import have_room
 
 NEAR = 3.0
@@ -44,14 +44,8 @@ NEAR = 3.0
 CONFIRMED = 2
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
-ALIKE, CHANCE = 0.1, 2.0
-"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
-standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
-catalogue's."""
 ALONG = 0.05
 """Share of the errors beyond a half, and beyond chance, from which on they lie along the motion."""
-COMPANY = 0.25
-"""Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +83,8 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
-    if loudness(bound, cause) > LOUD or not credible(bound, cause):
-        return 0.0
     errors = prediction_errors(bound, cause)
-    alike, chance = correlation(errors)
-    if alike > ALIKE + CHANCE * chance:
-        return 0.0
-    company, chance = in_concert(bound, cause)
-    if company > COMPANY + CHANCE * chance:
+    if show_more(bound, cause, errors) or not credible(bound, cause):
         return 0.0
     if bound.regime == "unknown_torque":
         return 1.0

@@ -29,6 +29,7 @@ import torch
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.jumps import calm
+from invdyn.diagnosis.pool import LOUD
 from invdyn.diagnosis.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.setting import Setting
 from invdyn.inference.initialise import jitter
@@ -39,6 +40,22 @@ DRAWS = 8
 """Recordings that are drawn for their noise."""
 AMPLE = 3.0
 """Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
+
+ALIKE, CHANCE = 0.1, 2.0
+"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
+standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
+catalogue's."""
+COMPANY = 0.25
+"""Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
+
+
+def show_more(setting: Setting, cause: Refined, errors: np.ndarray) -> bool:
+    """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
+    if loudness(setting, cause) > LOUD:
+        return True
+    alike, chance = correlation(errors)
+    company, by_chance = in_concert(setting, cause)
+    return alike > ALIKE + CHANCE * chance or company > COMPANY + CHANCE * by_chance
 
 
 def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import LOUD, Search, considered
+from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.promising import (
     FAILED,
     HALF,
@@ -42,12 +42,10 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE)
     refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
-    # Errors larger than the noise under any torque: what is seen is something else, however little the screen says.
-    for kappa, more in ((LOUD - 0.1, []), (LOUD + 0.1, ["camera_roll"])):
-        tried.clear()
-        loud = Search(considered(bound), {"": replace(none, kappa=kappa)}, [], path, stray)
-        refine_barred(bound, loud, none, screened)
-        assert tried == more
+    # Where something is left under any torque, what is seen is something else, however little the screen says.
+    tried.clear()
+    refine_barred(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened)
+    assert tried == ["camera_roll"]
 
 
 @pytest.mark.parametrize(("second", "refined"), [(400.0, 1), (600.0, 2)])

@@ -11,6 +11,7 @@ from pendulum import ARM, MANY, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
+from invdyn.diagnosis.promising import HOPELESS
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.search import SWAPS, WIDTH, _extend, _overtaken, _settled, search
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -77,6 +78,23 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
         assert ("backlash" in tried) is looked
         if torques is None:
             assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, left):
+    """Where errors of prediction show that something is left, what a torque's prior is wrong about is no bar to it."""
+    module, asked = sys.modules[search.__module__], []
+    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, bound.loose, rounds=1)
+    monkeypatch.setattr(module, "show_more", lambda *_: left)
+    monkeypatch.setattr(module, "refine_promising", lambda *_: None)
+    monkeypatch.setattr(module, "refine_barred", lambda *_: asked.append("barred"))
+    monkeypatch.setattr(module, "idle", lambda _: none.log_evidence + 500.0)
+    monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
+    _extend(bound, Search(considered(bound), {"": none}, [], path, stray), none, 1)
+    assert asked[0] == ("barred" if left else 500)
+    assert set(asked[left:]) == {-HOPELESS if left else 500}
 
 
 @pytest.mark.parametrize(("damping", "large", "looked"), [(0.0, 10.0, True), (0.05, 10.0, False), (0.05, 60.0, True)])

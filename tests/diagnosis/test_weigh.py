@@ -14,9 +14,9 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import upper_bound
-from invdyn.diagnosis.weigh import ALIKE, CHANCE, COMPANY, _alone, credible, only, weigh
+from invdyn.diagnosis.weigh import _alone, credible, only, weigh
 from invdyn.diagnosis.whiten import log_prior, sizes
-from invdyn.diagnosis.whiteness import correlation, prediction_errors
+from invdyn.diagnosis.whiteness import ALIKE, CHANCE, COMPANY, correlation, prediction_errors, show_more
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -104,7 +104,7 @@ def test_keypoints_that_stray_as_one_and_stops_that_meet_leave_something(monkeyp
     bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    pool, module = Search([], {"": none}, [], path, False), sys.modules[_alone.__module__]
+    pool, module = Search([], {"": none}, [], path, False), sys.modules[show_more.__module__]
     for company, left in ((COMPANY, False), (COMPANY + CHANCE * 0.1 + 0.01, True)):
         monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
         assert (_alone(bound, pool, right) == 0.0) is left
