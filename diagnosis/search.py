@@ -7,13 +7,10 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
        values those that no screen tells the size of (``Effect.scan``), then sets of several by a beam search
        (:mod:`.together`)
-    3  given the best set so far, screen every effect that could be added, the first one also along the simulation's
-       own path; refine the most promising ones
+    3  given the best set so far, screen every effect that could be added and refine the most promising (:mod:`.extend`)
     4  where one has become two, drop the older and look for a better one in its place
-    5  again from 3, until nothing that is added raises the posterior; effects whose parameters are searched
-       (:mod:`.noise`) come with each screen, but play after it, alone or beside one that does not stick, where no
-       other effect explains the gap, or a small one (beside a base far behind the best set, if it may make that
-       good); the same for the best single effect where sets of several have overtaken it and leave something
+    5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
+       of several have overtaken it and leave something
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, or what is
        left of the best set has not been in 3 yet, again from 3
@@ -28,41 +25,28 @@ Everything that was refined stays in the pool, so that what the data cannot tell
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.exchange import SWAPS, exchange, free_beside, reduce, without
+from invdyn.diagnosis.exchange import SWAPS, exchange, reduce, without
+from invdyn.diagnosis.extend import extend, others, screened_with
 from invdyn.diagnosis.kin import refine_kin
-from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, led
 from invdyn.diagnosis.pool import MISTAKES, Search, considered
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import (
-    HOPELESS,
-    SHARE,
-    attempt,
-    idle,
-    refine_barred,
-    refine_clearing,
-    refine_every,
-    refine_promising,
-)
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, refine_every
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.scan import scan
-from invdyn.diagnosis.screen import Screened, screen, screen_in_halves
+from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting, cannot_follow
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
-from invdyn.diagnosis.whiteness import prediction_errors, show_more
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.hidden import HiddenHinge
 
 WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
@@ -94,7 +78,7 @@ def search(
         if best.key in extended or len(best.effects) >= most:
             break
         extended.add(best.key)
-        screened = _extend(setting, found, best, _width(best))
+        screened = extend(setting, found, best, _width(best))
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)
@@ -105,7 +89,7 @@ def search(
     if known and singles and most > 1 and not found.ranked[0].complete:
         base = max(singles, key=found.score)
         best = found.ranked[0]
-        refine_every(setting, found, base, _screened(setting, found, base, False)[0])
+        refine_every(setting, found, base, screened_with(setting, found, base, False)[0])
         if found.ranked[0].key != best.key:
             _settled(setting, found, extended)
     return found
@@ -127,7 +111,7 @@ def _settled(setting: Setting, found: Search, extended: set[str]) -> None:
             break
         if grows:
             extended.add(best.key)
-            _extend(setting, found, best, SWAPS if best.key != before.key else _width(best))
+            extend(setting, found, best, SWAPS if best.key != before.key else _width(best))
         reduce(setting, found)
         if found.ranked[0].key == before.key:
             break
@@ -135,7 +119,7 @@ def _settled(setting: Setting, found: Search, extended: set[str]) -> None:
 
 def _width(base: Refined) -> int:
     """Candidates that are refined beside a base."""
-    return WIDTH[min(len(_others(base)), FORWARD - 1)]
+    return WIDTH[min(len(others(base)), FORWARD - 1)]
 
 
 def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:
@@ -168,7 +152,7 @@ def _without_older(setting: Setting, found: Search, best: Refined) -> None:
     base = found.pool.get(newer.key) or attempt(without, setting, grown, older, setting.loose)
     if base is not None:
         found.add(base)
-        _extend(setting, found, base, SWAPS)
+        extend(setting, found, base, SWAPS)
 
 
 def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
@@ -177,12 +161,12 @@ def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
     """
     singles = _singles(found)
-    if found.ranked[0].complete or len(_others(found.ranked[0])) < 2 or not singles:
+    if found.ranked[0].complete or len(others(found.ranked[0])) < 2 or not singles:
         return
     base = max(singles, key=found.score)
     if base.key not in extended:
         extended.add(base.key)
-        _extend(setting, found, base, WIDTH[1])
+        extend(setting, found, base, WIDTH[1])
 
 
 def _mistaken(setting: Setting, found: Search) -> None:
@@ -200,110 +184,9 @@ def _mistaken(setting: Setting, found: Search) -> None:
             return
 
 
-def _extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
-    """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
-    taken = {effect.key for effect in base.effects}
-    free = [e for e in found.candidates if e.key not in taken]
-    known = setting.regime != "unknown_torque"
-    alone = known and not _others(base)
-    screened, best = _screened(setting, found, base, alone)
-    found.first = found.first or best
-    # What changes the scatter need not wait for what else explains the gap: how much that is worth, the screen says.
-    promised = found.top if base.complete or not known else max(found.top, best[0].log_evidence)
-    least = -np.inf if known else idle(screened)
-    gears, scatter = _searchable(setting, found, base, free)
-    early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
-    refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
-    refine_kin(setting, found, len(base.effects) + 1)
-    if not known and show_more(setting, found.ranked[0], prediction_errors(setting, found.ranked[0])):
-        refine_barred(setting, found, base, best)
-        least = -np.inf
-    if alone:
-        if not found.ranked[0].complete:
-            refine_clearing(setting, found, base, best)
-        for effect in (e for e in free if e.scan):
-            if found.ranked[0].complete:
-                break
-            if (cause := attempt(scan, setting, base, effect, found.top - HOPELESS)) is not None:
-                found.add(cause)
-    if not base.complete:
-        broken = not early or found.top < promised - HOPELESS / 2
-        # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
-        plain = found.explained and found.top > base.log_evidence + HOPELESS
-        enough = max(found.top - HOPELESS, least)
-        # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
-        fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
-        driven = _sought(setting, base, [] if plain else gears, enough if found.explained else max(fair, least))
-        late = _sought(setting, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers):
-            for cause in causes:
-                found.add(cause)
-    return screened
-
-
-def _screened(setting: Setting, found: Search, base: Refined, alone: bool) -> tuple[list[Screened], list[Screened]]:
-    """The screen beside ``base`` along its path, and, of the first effect (``alone``), each where it does best."""
-    straight, common = free_beside(found, base.effects), unknowns(setting, base.effects)
-    if base.effects:
-        model, path, point = base.model, base.path, base.mean
-    else:
-        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
-        model, path, point = setting.model, found.path, common.mean
-    few = base.complete and bool(base.effects)
-    # A screen takes as long as what it screens is much: in two halves, or along two paths.
-    if alone and not few:
-        parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers)
-        return screened, _aside(screened, other)
-    screened = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
-    return screened, screened
-
-
-def _searchable(
-    setting: Setting, found: Search, base: Refined, free: Sequence[Effect]
-) -> tuple[list[Effect], list[Effect]]:
-    """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
-    others = _others(base)
-    # Where joints stick, too, play takes minutes; and beside what explains less than stray detections do, they come
-    # first.
-    slips = len(others) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
-    slips = slips and (not others or base.log_evidence > found.cleaned - HOPELESS)
-    searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
-    gears = [e for e in searched if isinstance(e, HiddenHinge)]
-    return gears if slips else [], [e for e in searched if e not in gears]
-
-
-def _sought(
-    setting: Setting, base: Refined, effects: Sequence[Effect], enough: float
-) -> list[Callable[[], list[Refined]]]:
-    """Searches of ``effects`` beside ``base``, each given up under ``enough`` nats, for :func:`side_by_side`."""
-
-    def searched(effect: Effect) -> list[Refined]:
-        cause = attempt(refine_searched, setting, base, effect, enough)
-        return [] if cause is None else [cause]
-
-    return [partial(searched, effect) for effect in effects]
-
-
-def _others(cause: Refined) -> list[Effect]:
-    """A cause's effects but those that leave stray detections."""
-    return [effect for effect in cause.effects if effect.name not in MISTAKES]
-
-
 def _singles(found: Search) -> list[Refined]:
     """Causes of one effect, but for those that leave stray detections."""
-    return [cause for cause in found.pool.values() if len(_others(cause)) == 1]
-
-
-def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:
-    """Effects, and none, stand where they do best: along the data's path, or ``aside``, along the simulation's own.
-
-    A large residual lets the arm follow the data, noise and all: what the camera makes of them shows beside a path
-    that does not, and so does a small inertia, which acceleration brings out.
-    """
-    other = {s.effect and s.effect.key: s for s in aside}
-    best = [max(s, other[s.effect and s.effect.key], key=lambda s: s.log_evidence) for s in along]
-    return sorted(best, key=lambda s: -s.log_evidence)
+    return [cause for cause in found.pool.values() if len(others(cause)) == 1]
 
 
 def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> None:

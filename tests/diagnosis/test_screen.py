@@ -8,12 +8,12 @@ import torch
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.candidates import WINDOW
+from invdyn.diagnosis.extend import _aside
 from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import screen, screen_in_halves, windows
-from invdyn.diagnosis.search import _aside
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import spread, unknowns
 from invdyn.diagnosis.whiten import linear_of
