@@ -48,7 +48,8 @@ def main() -> None:
     print("| kind | measure | aimed at | " + " | ".join(names) + " |")
     print("|---" * (3 + len(runs)) + "|")
     for kind, said in KINDS.items():
-        for measure in runs[-1]["measures"].get(kind, []):
+        known = {m["name"]: m for run in runs for m in run["measures"].get(kind, [])}
+        for measure in known.values():
             if asked.all or measure["target"] or (kind, measure["name"]) in UNTOLD:
                 cells = [_cell(run["measures"].get(kind, []), measure["name"]) for run in runs]
                 print(f"| {said} | {measure['name']} | {measure['target'] or ''} | " + " | ".join(cells) + " |")
@@ -74,6 +75,8 @@ def together(folders: list[Path]) -> dict:
 def reliability(name: str, calibrations: dict[str, dict]) -> None:
     """Print how often answers of a probability are right, kind by kind."""
     for kind, found in calibrations.items():
+        if not found["bins"]:
+            continue
         bins = " ".join(f"{b['probability']:.3f} → {b['right']:.3f} of {b['n']};" for b in found["bins"])
         print(f"{name}, {KINDS[kind]}: Brier {found['brier']:.4f}, ECE {found['ece']:.4f}; {bins}")
 

@@ -78,20 +78,23 @@ def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisati
 
 def blocks(
     model: ArmModel, effects: Sequence[Effect], path: Tensor, times: Sequence[tuple[float, float]] = ()
-) -> Iterator[tuple[list[Hypothesis], Columns, list[int]]]:
-    """Effects' hypotheses and columns side by side, in blocks that memory holds; and each hypothesis' first column."""
+) -> Iterator[tuple[list[Hypothesis], list[Columns], list[int]]]:
+    """Effects' hypotheses and columns, in blocks that memory holds; and each hypothesis' first column, side by side.
+
+    One block without any where there are no effects.
+    """
     plain = unchanged(model, path)
     found, pieces, first, count = [], [], [], 0
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, plain, times)
         if count and count + columns.g.shape[-1] > BLOCK:
-            yield found, beside(pieces), first
+            yield found, pieces, first
             found, pieces, first, count = [], [], [], 0
         found += mine
         first += [count] * len(mine)
         pieces.append(columns)
         count += columns.g.shape[-1]
-    yield found, beside(pieces), first
+    yield found, pieces, first
 
 
 def beside(pieces: Sequence[Columns]) -> Columns:
@@ -213,9 +216,10 @@ def screen(
     about = filter_of(setting, model, path, levels, linear)
     if not times and any("moment" in effect.located for effect in effects):
         times = windows(setting, model, path, linear)
-    for found, columns, first in blocks(quick, effects, path, times):
+    for found, pieces, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
-        whitened = whiten(setting, about, beside([columns, rest]), [slice(1 + o[0], 2 + o[-1]) for o in own])
+        columns = beside([*pieces, rest])
+        whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights

@@ -73,6 +73,8 @@ def together(
         candidates: all effects considered, for the prior.
     """
     single = [s for s in screened if s.effect is not None][:BEST]
+    if len(single) < 2:
+        return []
     temper = tempered(single[0].log_evidence - next(s.log_evidence for s in screened if s.effect is None))
     parts, pieces, start = [], [], 1
     for each in single:

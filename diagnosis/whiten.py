@@ -142,7 +142,7 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
 @np.errstate(over="ignore", invalid="ignore")  # A column that runs away is one that :mod:`.evidence` leaves out.
 def _gram(w: np.ndarray, groups: Sequence[slice] | None) -> np.ndarray:
     """Products (G, J, J) of columns (G, N, J), those that are wanted."""
-    if groups is None:
+    if not groups:
         return np.swapaxes(w, -1, -2) @ w
     count = w.shape[-1]
     gram = np.zeros((len(w), count, count))

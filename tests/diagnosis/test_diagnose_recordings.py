@@ -73,6 +73,16 @@ def test_rows_that_last_no_longer_than_a_push_are_diagnosed():
     assert found.causes[0].effects == ()
 
 
+@pytest.mark.parametrize("known", [(), ("viscous_friction",)])
+@pytest.mark.parametrize("uncertain", [False, True])
+def test_a_catalogue_may_have_one_effect_or_none(known, uncertain):
+    """Who knows which one it is asks how far it closes the gap; with none, all that is missing lies outside."""
+    body = replace(PENDULUM, uncertainty={"mass": 0.05}) if uncertain else PENDULUM
+    found = diagnose(rubbing(0), body, without=[name for name in EFFECTS if name not in known])
+    assert named(found) == [f"{name}.pivot" for name in known]
+    assert (found.outside.probability > 0.9) is not bool(known)
+
+
 def test_too_few_rows_are_an_answer_and_leave_no_posterior_of_another(tmp_path):
     found = diagnose(rubbing(0, rows=12), PENDULUM)
     assert "12 rows with an observation, a diagnosis needs 20" in found.not_enough_data
