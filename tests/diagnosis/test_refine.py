@@ -59,7 +59,7 @@ def test_an_unknown_torque_tells_nothing_of_masses():
     """Its rough prior alone would: five per cent of doubt were twenty per cent less mass, and no effect plausible."""
     effect = EFFECTS["camera_yaw"]()
     doubted = replace(ARM, uncertainty={"mass": 0.05})
-    moved = random_arm(ARM, duration=4.0, fps=60, noise=0.0001, torque_scale=1.0, commanded=True, seed=1)
+    moved = random_arm(ARM, duration=2.0, fps=60, noise=0.0001, torque_scale=1.0, commanded=True, seed=1)
     values = {"effect.camera_yaw.angle": 0.15, "effect.camera_yaw.distance": 1.5}
     seen = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
     recording = record(moved.with_effects(effect).replace(**seen), 1)[0]
