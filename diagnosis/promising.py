@@ -138,7 +138,7 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
     """Refine those added to ``base`` that no torque imitates and that gain less in the screen than one that it does.
 
     For where the best cause's errors of prediction show more, though a torque may do anything: a large effect on what
-    is seen bends the path that the screen is along, and what one on the motion gains, no torque's prior is right about.
+    is seen bends the path that the screen is along, and what one on the motion gains is the torque's prior's mistake.
     """
     nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
     barred = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
