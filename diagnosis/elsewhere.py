@@ -6,12 +6,20 @@ size s of the residual (:mod:`.whiten`), linear in z ~ N(0, I), and an unknown n
 a regression (:mod:`.evidence`). A cause that explained the first recording, and for which a residual surely gains
 evidence here (:func:`.pool.leaves`), imitated there what else was at work: two recordings move otherwise.
 
+No camera sees by how many whole turns a joint has been turned, but a spring, a cable and a stop feel it: what rests at
+−3.5 rad in one recording rests at 2.8 rad in another whose angles begin in the next turn.
+
+A camera does not see by how many whole turns a joint has been turned, while a spring, a cable and a stop feel them:
+what rests at −3.5 rad in one recording may rest at 2.8 rad in another, whose angles begin in another turn.
+
 Shapes: T rows, D states.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
@@ -27,6 +35,8 @@ from invdyn.recordings import InputError
 
 MOST = 50
 """Gauss–Newton steps, at most."""
+TELLS = 1e-6
+"""rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
 
 
 def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> Refined:
@@ -37,23 +47,26 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
     where no path can be followed.
     """
     model, size = cause.carried_to(other), best_size(setting, cause)
-    quiet, begun = other.with_residual(max(size, FIRM), model), lifted(model, start)
     rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
 
-    def along(start: Tensor, *, by_itself: bool) -> Tensor:
-        start = start if by_itself else led(other, model, start, size)
-        return gauss_newton_path(quiet, other.observations, start, MOST, CLOSE)
+    def along(begun: Refined, *, by_itself: bool) -> Refined:
+        start = begun.path if by_itself else led(other, begun.model, begun.path, size)
+        quiet = other.with_residual(max(size, FIRM), begun.model)
+        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST, CLOSE))
 
-    def score(there: Refined) -> float:
-        found = attempt(scores, other, there, rows)
+    def score(there: Refined | None) -> float:
+        found = None if there is None else attempt(scores, other, there, rows)
         total = np.nan if found is None else found.score[seen].sum()
         return float(total) if np.isfinite(total) else -np.inf
 
-    own = attempt(along, begun, by_itself=True)
-    paths = [own, attempt(along, begun, by_itself=False)]
+    begun = cause.moved_to(model, lifted(model, start))
+    starts = [begun, *turned(begun)]
+    tried = [attempt(along, each, by_itself=True) for each in starts]
+    best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
+    begun, own = starts[best], tried[best]
+    tried = [own, attempt(along, begun, by_itself=False)]
     if model.effects.abrupt and own is not None:
-        paths.append(attempt(along, own, by_itself=False))
-    tried = [cause.moved_to(model, path) for path in paths if path is not None]
+        tried.append(attempt(along, own, by_itself=False))
     worth = [score(each) for each in tried]
     if not np.isfinite(worth).any():
         raise InputError(
@@ -61,6 +74,28 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
             "at each joint: hold out a calmer recording of the same arm, or none"
         )
     return tried[int(np.argmax(worth))]
+
+
+@torch.no_grad()
+def turned(there: Refined) -> list[Refined]:
+    """A cause on a recording, a whole turn of one joint away, either way, where its torques tell, and no encoder does.
+
+    None where it is all the same to them, as it is to gravity and friction.
+    """
+    model, path, found = there.model, there.path, []
+    if model.emission_model.num_encoders:
+        return found
+    rows, joints = torch.arange(len(path)), model.body.num_joints
+    after = model.transition_mean(path, rows)
+    for turn in math.tau * torch.eye(joints, dtype=path.dtype):
+        step = torch.cat([path.new_zeros(path.shape[-1] - 2 * joints), turn, torch.zeros_like(turn)])
+        if not torch.allclose(model.transition_mean(path + step, rows) - step, after, rtol=0.0, atol=TELLS):
+            begin = model.parameters["initial.angle"]
+            found += [
+                there.moved_to(model.replace(**{"initial.angle": begin + way * turn}), path + way * step)
+                for way in (1, -1)
+            ]
+    return found
 
 
 def leaves_there(other: Setting, none: Refined, cause: Refined) -> bool:
