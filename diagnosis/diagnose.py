@@ -125,11 +125,12 @@ def diagnose(
 
 
 def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
-    """The setting in sub-steps short enough along the data's path, and the search from there."""
+    """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
         path, stray = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
-        return bound, search(bound, path, stray, without, workers, most)
+        found = search(bound, path, stray, without, workers, most)
+        return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
     except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
         raise cannot_follow(bound) from error
 

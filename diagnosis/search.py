@@ -5,8 +5,8 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
 
     1  "no effect" by itself; where detections are stray, what leaves them, before anything else
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
-       values those that no screen tells the size of (``Effect.scan``), then sets of several by a beam search
-       (:mod:`.together`)
+       values those that no screen tells the size of (``Effect.scan``), it in shorter sub-steps (:mod:`.substeps`), then
+       sets of several by a beam search (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added and refine the most promising (:mod:`.extend`)
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
@@ -44,6 +44,7 @@ from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import Setting, cannot_follow
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.diagnosis.substeps import shortened
 from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
@@ -79,6 +80,8 @@ def search(
             break
         extended.add(best.key)
         screened = extend(setting, found, best, _width(best))
+        if known and not best.effects:
+            setting = shortened(setting, found)
         if known and not best.effects and not found.ranked[0].complete:
             _several(setting, found, screened)
             reduce(setting, found)

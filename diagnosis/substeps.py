@@ -4,6 +4,10 @@ An error that no row shows adds up over a recording, and whatever takes shorter 
 play does, gains what all others lose by it. The error e_t (D,) of row t is the difference to twice as many sub-steps
 along a path. As an input into the state it changes the whitened innovations by a column w (:mod:`.innovations`), and
 log evidence by ½ |w|² on average; with next to no residual, which would take the error along.
+
+That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`), but
+not always where friction falls with speed: such a motion is unstable, and what is lost at one turn grows until the
+next. What leaves something then may leave nothing in shorter ones.
 """
 
 from copy import copy
@@ -13,6 +17,9 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
+from invdyn.diagnosis.pool import FEW, Search
+from invdyn.diagnosis.promising import attempt
+from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import SPIKE, filter_of, whiten
 from invdyn.inference.initialise import SUBSTEPS
@@ -21,6 +28,8 @@ LOST = 0.5
 """Nats that errors of integration may cost."""
 MOST = 2
 """Times as many sub-steps as errors in an angle ask for: |w|² falls by a thousand with that, but on wild paths."""
+SHORTER = (2, 4)
+"""Times as many sub-steps that an effect whose force jumps is refined in, where it leaves something."""
 
 
 def finely_stepped(setting: Setting, path: Tensor) -> Setting:
@@ -49,3 +58,23 @@ def finely_stepped(setting: Setting, path: Tensor) -> Setting:
         if 0.5 * whiten(setting, about, Columns(error, nothing)).gram[0, 1, 1] <= LOST:
             break
     return setting.in_substeps(count)
+
+
+def shortened(setting: Setting, found: Search) -> Setting:
+    """The setting in shorter sub-steps where the best effect gains by them, if its force jumps and it leaves something.
+
+    It is kept as it is there, in its ideal form.
+    """
+    best = found.ranked[0]
+    if best.complete or len(best.effects) != 1 or not best.model.effects.abrupt:
+        return setting
+    ideal = [effect for effect in found.candidates if effect.key == best.key]
+    for times in SHORTER:
+        there = setting.in_substeps(times * best.model.substeps_taken)
+        cause = attempt(refine, there, ideal, best.values, found.path, setting.loose)
+        if cause is not None and cause.log_evidence > best.log_evidence + FEW:
+            found.add(cause)
+            setting = there
+        if found.ranked[0].complete:
+            break
+    return setting

@@ -3,12 +3,16 @@
 from dataclasses import replace
 from functools import cache
 
-from pendulum import ARM
+import numpy as np
+import pytest
+from pendulum import ARM, PENDULUM, recording_of
 
+from invdyn.diagnosis import substeps
 from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.pool import FEW, Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
-from invdyn.diagnosis.substeps import MOST, finely_stepped
+from invdyn.diagnosis.substeps import MOST, finely_stepped, shortened
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
@@ -40,3 +44,60 @@ def test_errors_of_integration_cost_no_evidence():
 def test_a_limbs_own_torque_takes_errors_along():
     here = setting(replace(seen(), torques=None), ARM).in_substeps(1)
     assert finely_stepped(here, data_path(here)[0]) is here
+
+
+@pytest.mark.parametrize(
+    ("key", "complete", "gains", "taken"),
+    [
+        ("stribeck_friction.pivot", False, (0.0, 0.0), 1),
+        ("stribeck_friction.pivot", False, (2 * FEW, 0.0), 2),
+        ("stribeck_friction.pivot", False, (0.0, 2 * FEW), 4),  # half as long steps may not be enough
+        ("stribeck_friction.pivot", False, (2 * FEW, 4 * FEW), 4),
+        ("stribeck_friction.pivot", True, (2 * FEW, 0.0), 1),  # it leaves nothing
+        ("viscous_friction.pivot", False, (2 * FEW, 0.0), 1),  # its force does not jump
+        ("coulomb_friction.pivot+stribeck_friction.pivot", False, (2 * FEW, 0.0), 1),
+    ],
+)
+def test_what_jumps_and_leaves_something_is_refined_in_shorter_steps(monkeypatch, key, complete, gains, taken):
+    bound = setting(recording_of(rows=120), PENDULUM).in_substeps(4)
+    path, stray = data_path(bound)
+    effects = {e.key: e for e in considered(bound)}
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    mine = [effects[each].softened() or effects[each] for each in key.split("+")]
+    cause = refine(bound, mine, {}, path, LOOSE, rounds=1)
+    assert cause.model.substeps_taken == 4
+    left = np.where(np.arange(len(none.by_size)) == 0, 0.0 if complete else -100.0, 0.0)
+    cause = replace(cause, by_size=left, log_evidence=none.log_evidence + 100.0)
+    tried = []
+
+    def refined(there, effects, values, start, size):
+        assert start is path
+        assert [effect.softness for effect in effects] == [0]
+        tried.append(there.model.substeps)
+        gain = gains[len(tried) - 1]
+        return replace(cause, effects=tuple(effects), model=there.model, log_evidence=cause.log_evidence + gain)
+
+    monkeypatch.setattr(substeps, "refine", refined)
+    found = Search(list(effects.values()), {c.key: c for c in (none, cause)}, [], path, stray)
+    there = shortened(bound, found)
+    assert there.model.substeps == 4 * taken
+    assert found.ranked[0].model.substeps == 4 * taken
+    assert found.top == cause.log_evidence + (max(gains) if taken > 1 else 0.0)
+    assert tried == ([8, 16] if not complete and key == "stribeck_friction.pivot" else [])
+
+
+def test_shorter_steps_end_where_nothing_is_left(monkeypatch):
+    bound = setting(recording_of(rows=120), PENDULUM).in_substeps(4)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    effects = {e.key: e for e in considered(bound)}
+    friction = refine(bound, (effects["coulomb_friction.pivot"],), {}, path, LOOSE, rounds=1)
+    spike = np.arange(len(none.by_size)) == 0
+    leaves = replace(friction, by_size=np.where(spike, -100.0, 0.0), log_evidence=none.log_evidence + 100.0)
+    complete = replace(leaves, by_size=np.where(spike, 0.0, -100.0), log_evidence=leaves.log_evidence + 50.0)
+    tried = []
+    monkeypatch.setattr(substeps, "refine", lambda there, *_: tried.append(there.model.substeps) or complete)
+    found = Search(list(effects.values()), {c.key: c for c in (none, leaves)}, [], path, stray)
+    assert shortened(bound, found).model.substeps == 8
+    assert tried == [8]
+    assert found.ranked[0] is complete
