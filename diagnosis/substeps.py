@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
-from invdyn.diagnosis.pool import FEW, Search
+from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
@@ -61,7 +61,7 @@ def finely_stepped(setting: Setting, path: Tensor) -> Setting:
 
 
 def shortened(setting: Setting, found: Search) -> Setting:
-    """The setting in shorter sub-steps where the best effect gains by them, if its force jumps and it leaves something.
+    """The setting, in shorter sub-steps where the best effect, whose force jumps, leaves something but nothing in them.
 
     It is kept as it is there, in its ideal form.
     """
@@ -72,9 +72,8 @@ def shortened(setting: Setting, found: Search) -> Setting:
     for times in SHORTER:
         there = setting.in_substeps(times * best.model.substeps_taken)
         cause = attempt(refine, there, ideal, best.values, found.path, setting.loose)
-        if cause is not None and cause.log_evidence > best.log_evidence + FEW:
+        # What leaves something all the same gains little by them, and all that comes after would take as much longer.
+        if cause is not None and cause.complete and cause.log_evidence > best.log_evidence:
             found.add(cause)
-            setting = there
-        if found.ranked[0].complete:
-            break
+            return there
     return setting

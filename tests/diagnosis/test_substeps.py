@@ -9,7 +9,7 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import substeps
 from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import FEW, Search, considered
+from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, Setting, setting
 from invdyn.diagnosis.substeps import MOST, finely_stepped, shortened
@@ -47,18 +47,18 @@ def test_a_limbs_own_torque_takes_errors_along():
 
 
 @pytest.mark.parametrize(
-    ("key", "complete", "gains", "taken"),
+    ("key", "complete", "finer", "taken"),
     [
-        ("stribeck_friction.pivot", False, (0.0, 0.0), 1),
-        ("stribeck_friction.pivot", False, (2 * FEW, 0.0), 2),
-        ("stribeck_friction.pivot", False, (0.0, 2 * FEW), 4),  # half as long steps may not be enough
-        ("stribeck_friction.pivot", False, (2 * FEW, 4 * FEW), 4),
-        ("stribeck_friction.pivot", True, (2 * FEW, 0.0), 1),  # it leaves nothing
-        ("viscous_friction.pivot", False, (2 * FEW, 0.0), 1),  # its force does not jump
-        ("coulomb_friction.pivot+stribeck_friction.pivot", False, (2 * FEW, 0.0), 1),
+        ("stribeck_friction.pivot", False, (False, False), None),
+        ("stribeck_friction.pivot", False, (True, True), 2),
+        ("stribeck_friction.pivot", False, (False, True), 4),  # half as long steps are not short enough
+        ("stribeck_friction.pivot", True, (True, True), None),  # it leaves nothing
+        ("viscous_friction.pivot", False, (True, True), None),  # its force does not jump
+        ("coulomb_friction.pivot+stribeck_friction.pivot", False, (True, True), None),
     ],
 )
-def test_what_jumps_and_leaves_something_is_refined_in_shorter_steps(monkeypatch, key, complete, gains, taken):
+@pytest.mark.parametrize("gain", [50.0, -50.0])
+def test_what_jumps_may_leave_nothing_in_shorter_steps(monkeypatch, key, complete, finer, taken, gain):
     bound = setting(recording_of(rows=120), PENDULUM).in_substeps(4)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
@@ -66,38 +66,29 @@ def test_what_jumps_and_leaves_something_is_refined_in_shorter_steps(monkeypatch
     mine = [effects[each].softened() or effects[each] for each in key.split("+")]
     cause = refine(bound, mine, {}, path, LOOSE, rounds=1)
     assert cause.model.substeps_taken == 4
-    left = np.where(np.arange(len(none.by_size)) == 0, 0.0 if complete else -100.0, 0.0)
-    cause = replace(cause, by_size=left, log_evidence=none.log_evidence + 100.0)
+    spike = np.arange(len(none.by_size)) == 0
+    left, nothing = np.where(spike, -100.0, 0.0), np.where(spike, 0.0, -100.0)
+    cause = replace(cause, by_size=nothing if complete else left, log_evidence=none.log_evidence + 100.0)
     tried = []
 
-    def refined(there, effects, values, start, size):
+    def refined(there, given, values, start, size):
         assert start is path
-        assert [effect.softness for effect in effects] == [0]
+        assert values == cause.values
+        assert [effect.softness for effect in given] == [0]
+        by_size = nothing if finer[len(tried)] else left
         tried.append(there.model.substeps)
-        gain = gains[len(tried) - 1]
-        return replace(cause, effects=tuple(effects), model=there.model, log_evidence=cause.log_evidence + gain)
+        evidence = cause.log_evidence + gain
+        return replace(cause, effects=tuple(given), model=there.model, by_size=by_size, log_evidence=evidence)
 
     monkeypatch.setattr(substeps, "refine", refined)
     found = Search(list(effects.values()), {c.key: c for c in (none, cause)}, [], path, stray)
     there = shortened(bound, found)
-    assert there.model.substeps == 4 * taken
-    assert found.ranked[0].model.substeps == 4 * taken
-    assert found.top == cause.log_evidence + (max(gains) if taken > 1 else 0.0)
-    assert tried == ([8, 16] if not complete and key == "stribeck_friction.pivot" else [])
-
-
-def test_shorter_steps_end_where_nothing_is_left(monkeypatch):
-    bound = setting(recording_of(rows=120), PENDULUM).in_substeps(4)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE, rounds=1)
-    effects = {e.key: e for e in considered(bound)}
-    friction = refine(bound, (effects["coulomb_friction.pivot"],), {}, path, LOOSE, rounds=1)
-    spike = np.arange(len(none.by_size)) == 0
-    leaves = replace(friction, by_size=np.where(spike, -100.0, 0.0), log_evidence=none.log_evidence + 100.0)
-    complete = replace(leaves, by_size=np.where(spike, 0.0, -100.0), log_evidence=leaves.log_evidence + 50.0)
-    tried = []
-    monkeypatch.setattr(substeps, "refine", lambda there, *_: tried.append(there.model.substeps) or complete)
-    found = Search(list(effects.values()), {c.key: c for c in (none, leaves)}, [], path, stray)
-    assert shortened(bound, found).model.substeps == 8
-    assert tried == [8]
-    assert found.ranked[0] is complete
+    asked = not complete and key == "stribeck_friction.pivot"
+    if taken and gain > 0:
+        assert there.model.substeps == found.ranked[0].model.substeps == 4 * taken
+        assert found.ranked[0].complete
+        assert tried == [8, 16][: taken // 2]
+    else:
+        assert there is bound
+        assert found.ranked[0] is cause
+        assert tried == ([8, 16] if asked else [])
