@@ -18,6 +18,7 @@ import torch
 from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import Formula, describe
+from invdyn.diagnosis.enough import too_little
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.prior import MOST
@@ -67,7 +68,8 @@ def diagnose(
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
     or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive. Too few
-    rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`.
+    rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
+    a large torque could be missing and not show (:mod:`.enough`).
     """
 
     def report(stage: int, what: str) -> None:
@@ -91,6 +93,8 @@ def diagnose(
         )
     report(1, "screen and refine")
     bound, found = _searched(bound, without, workers, most)
+    if (reason := too_little(bound, found)) is not None:
+        return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
     if other is not None:
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
     report(2, "confirm")
