@@ -147,6 +147,33 @@ def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gai
     assert asked == widths
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
+    """An unknown torque takes errors of integration along, and is left in its own."""
+    recording = recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05)
+    bound = setting(recording if known else replace(recording, torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    module, asked = sys.modules[search.__module__], []
+
+    def extend(setting, found, base, _):
+        asked.append((base.key, setting.model.substeps))
+        if not base.effects:
+            none = found.pool[""]
+            friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
+            left = np.where(np.arange(len(none.by_size)) == 0, -100.0, 0.0)
+            found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=left))
+
+    monkeypatch.setattr(module, "extend", extend)
+    monkeypatch.setattr(module, "shortened", lambda setting, _: setting.in_substeps(7))
+    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
+    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    search(bound, path, stray, MANY)
+    own = bound.model.substeps
+    assert own != 7
+    assert asked == ([("", own), ("viscous_friction.pivot", 7)] if known else [("", own)])
+
+
 @pytest.mark.parametrize(
     ("truth", "twin", "parameter", "value"),
     [
