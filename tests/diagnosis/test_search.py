@@ -164,7 +164,11 @@ def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeyp
             found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=left))
 
     monkeypatch.setattr(module, "extend", extend)
-    monkeypatch.setattr(module, "shortened", lambda setting, _: setting.in_substeps(7))
+    def shortened(setting, _):
+        assert known
+        return setting.in_substeps(7)
+
+    monkeypatch.setattr(module, "shortened", shortened)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
     for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
         monkeypatch.setattr(module, name, lambda *_: None)
