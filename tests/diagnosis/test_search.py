@@ -164,6 +164,7 @@ def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeyp
             found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=left))
 
     monkeypatch.setattr(module, "extend", extend)
+
     def shortened(setting, _):
         assert known
         return setting.in_substeps(7)
