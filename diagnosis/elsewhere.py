@@ -9,9 +9,6 @@ evidence here (:func:`.pool.leaves`), imitated there what else was at work: two 
 No camera sees by how many whole turns a joint has been turned, but a spring, a cable and a stop feel it: what rests at
 −3.5 rad in one recording rests at 2.8 rad in another whose angles begin in the next turn.
 
-A camera does not see by how many whole turns a joint has been turned, while a spring, a cable and a stop feel them:
-what rests at −3.5 rad in one recording may rest at 2.8 rad in another, whose angles begin in another turn.
-
 Shapes: T rows, D states.
 """
 

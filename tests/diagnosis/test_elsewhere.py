@@ -52,7 +52,7 @@ def test_of_paths_elsewhere_one_with_unknown_scores_is_none(monkeypatch):
         return unknown if len(tried) == 1 else known
 
     monkeypatch.setattr(elsewhere, "scores", scored)
-    assert carried(here, cause, other, start).path is tried[1].path
+    assert carried(here, cause, other, start) is tried[1]
     monkeypatch.setattr(elsewhere, "scores", lambda *_: unknown)
     with pytest.raises(InputError, match="cannot follow it"):
         carried(here, cause, other, start)
