@@ -10,7 +10,7 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
     3  given the best set so far, screen every effect that could be added and refine the most promising (:mod:`.extend`)
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
-       of several have overtaken it and leave something, or are three and more
+       of several have overtaken it, but for one other beside it that leaves nothing
     6  leave effects of the best set out, one by one, while that raises it
     7  look for a better one in place of each, along the path that the set has found; where there is one, or what is
        left of the best set has not been in 3 yet, again from 3
@@ -51,9 +51,6 @@ from invdyn.models.effects.base import Effect
 
 WIDTH, SETS = (10, 4, 5, 5), 2
 """Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
-
-MANY = 3
-"""Effects from which on a set that leaves nothing may stand for two that have not been tried."""
 
 FORWARD = len(WIDTH)
 """Effects that are added one by one, at least, if there may be so many."""
@@ -162,14 +159,16 @@ def _without_older(setting: Setting, found: Search, best: Refined) -> None:
 
 
 def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
-    """Where several have overtaken the best single effect, extend that one, too, unless they are two and leave nothing.
+    """Where several have overtaken the best single effect, extend that one, too, unless it is one of two that suffice.
 
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
     """
-    singles, several = _singles(found), len(others(found.ranked[0]))
-    if several < (MANY if found.ranked[0].complete else 2) or not singles:
+    singles, best = _singles(found), found.ranked[0]
+    if len(others(best)) < 2 or not singles:
         return
     base = max(singles, key=found.score)
+    if best.complete and len(others(best)) == 2 and others(base)[0].key in {effect.key for effect in best.effects}:
+        return
     if base.key not in extended:
         extended.add(base.key)
         extend(setting, found, base, WIDTH[1])

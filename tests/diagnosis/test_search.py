@@ -19,6 +19,8 @@ from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
+KEY = "joint_limit.pivot.upper"
+
 
 @cache
 def searched(name=None, *where, left_out=(), **values) -> Search:
@@ -82,20 +84,22 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("number", "gain", "complete", "known", "looked"),
+    ("overtaking", "gain", "complete", "known", "looked"),
     [
-        (2, 50.0, False, False, True),
-        (2, 50.0, False, True, False),  # it was extended before
-        (2, -50.0, False, False, False),  # it is the best, and the next to be extended
-        (2, 50.0, True, False, False),
-        (3, 50.0, True, False, True),  # two that nobody has tried might be enough
+        (("viscous_friction.pivot",), 50.0, False, False, True),
+        (("viscous_friction.pivot",), 50.0, False, True, False),  # it was extended before
+        (("viscous_friction.pivot",), -50.0, False, False, False),  # it is the best, and the next to be extended
+        (("viscous_friction.pivot",), 50.0, True, False, True),  # beside it, another might do better
+        ((KEY,), 50.0, False, False, True),
+        ((KEY,), 50.0, True, False, False),
+        ((KEY, "viscous_friction.pivot"), 50.0, True, False, True),  # and here one might be enough
     ],
 )
 def test_the_best_single_effect_that_several_overtook_is_extended_too(
-    monkeypatch, number, gain, complete, known, looked
+    monkeypatch, overtaking, gain, complete, known, looked
 ):
-    """Two that imitate others whatever their sizes must not stand in the way of what is beside one of them."""
-    extended, key = [], "joint_limit.pivot.upper"
+    """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
+    extended, key = [], KEY
     bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
@@ -103,7 +107,7 @@ def test_the_best_single_effect_that_several_overtook_is_extended_too(
     spike = np.arange(len(none.by_size)) == 0
     none, one = replace(none, log_evidence=0.0), replace(one, log_evidence=100.0)
     worse = replace(one, effects=(effects["payload"],), log_evidence=90.0)
-    more = (effects["payload"], effects[key], effects["viscous_friction.pivot"])[:number]
+    more = (effects["payload"], *(effects[each] for each in overtaking))
     both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
     monkeypatch.setattr(sys.modules[search.__module__], "extend", lambda *given: extended.append(given[2:]))
     pool = Search(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
