@@ -8,7 +8,8 @@ reach:
 
     closed = Σ (with − without) / Σ (floor − without)
 
-Its interval comes from a moving-block bootstrap of the rows (Künsch 1989), as neighbouring errors are alike.
+Its interval comes from a bootstrap of the rows in blocks, as neighbouring errors are alike, and in a circle, so that
+the first and last rows count as often as others (Politis & Romano 1992).
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 
 BLOCK = 0.4
-"""s, length of the bootstrap's blocks."""
+"""s, length of the bootstrap's blocks; half of the rows, if those are fewer."""
 DRAWS = 1000
 LATER = 4.0
 """Factor by which a parameter's standard deviation grows where the rows that show it are missing; by 1.2 elsewhere."""
@@ -112,10 +113,11 @@ def closed(without: Scores, with_cause: Scores, rows: np.ndarray, time: np.ndarr
     }
     if gap.sum() <= 0:
         return Closed(None, None, per_frame)
-    length = max(1, round(BLOCK / np.median(np.diff(time[use]))))
-    count = max(1, int(np.ceil(len(gain) / length)))
-    starts = np.random.default_rng(seed).integers(max(len(gain) - length, 0) + 1, size=(DRAWS, count))
-    index = np.minimum((starts[..., None] + np.arange(length)).reshape(DRAWS, -1), len(gain) - 1)
+    count = len(gain)
+    longest = BLOCK / np.median(np.diff(time[use])) if count > 1 else 1
+    length = max(1, min(round(longest), count // 2))
+    starts = np.random.default_rng(seed).integers(count, size=(DRAWS, -(-count // length)))
+    index = ((starts[..., None] + np.arange(length)) % count).reshape(DRAWS, -1)
     total = gap[index].sum(1)
     shares = gain[index].sum(1)[total > 0] / total[total > 0]
     low, high = np.quantile(np.minimum(shares, 1.0), [0.05, 0.95]) if len(shares) else (np.nan, np.nan)

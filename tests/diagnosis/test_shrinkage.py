@@ -113,6 +113,20 @@ def test_the_interval_covers():
     assert width == pytest.approx(0.9, abs=3 / np.sqrt(240))
 
 
+@pytest.mark.parametrize("rows", [24, 200])
+def test_the_interval_holds_the_share_whichever_rows_close_it(rows):
+    """The first and last ones count as often as others; and few rows are no single block."""
+    zero, gap, end = np.zeros(rows), np.ones(rows), rows // 8
+    for ends in (0.0, 1.0):
+        gain = np.full(rows, 1 - ends)
+        gain[:end] = gain[-end:] = ends
+        scores = Scores(zero, gap), Scores(gain, gap)
+        result = closed(*scores, np.ones(rows, bool), 0.02 * np.arange(rows), 0)
+        low, high = result.interval
+        assert low < result.share < high
+        assert (low + high) / 2 == pytest.approx(result.share, abs=0.1)
+
+
 def test_share_of_known_scores():
     time = 0.1 * np.arange(20)
     rows = np.arange(20) >= 5
