@@ -2,8 +2,8 @@
 
 Candidate terms are functions of (θ, θ̇, θ̈, u, t), each as a torque on one joint: a column of the whitened innovations
 (:mod:`.innovations`), so that noise and gaps count for what they are worth, unlike in a regression of a differentiated
-signal. They are taken along the path that the whole recording gives, whose own errors are small beside what varies and
-are not counted. Terms are added one by one while the evidence rises by more than their number
+signal. They are taken half-way from row to row, along the path that the whole recording gives, whose own errors are
+small beside what varies and are not counted. Terms are added one by one while the evidence rises by more than their number
 costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
 end). The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
 """
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from invdyn.diagnosis.candidates import Columns
@@ -26,12 +27,15 @@ MOST = 3
 PRODUCT = 5.0
 """Nats by which a term of two factors must be better than one of a single: on a short arc sin θ is nearly a number."""
 
+STEADY = 1e-6
+"""1/s, decay of a torque that stays as it is from one row to the next."""
+
 Feature = Callable[["Motion", int], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Angles, velocities, accelerations, commands (T, K) and time (T,) along the data's path."""
+    """Angles, velocities, accelerations, commands (T − 1, K) and time (T − 1,) between rows of the data's path."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -78,10 +82,11 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     terms, features = _library(setting, cause, path)
     linear = linear_of(setting, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
-    response = linear.F[:, :, :K].copy()  # a torque on joint j, from row to row
-    response[:, :K] = 0.0
+    decay = torch.full_like(cause.model.parameters["torque.decay"], STEADY)
+    response = linear_of(setting, cause.model.replace(**{"torque.decay": decay}), path).F[:, :, :K].copy()
+    response[:, :K] = 0.0  # a torque on joint j, from row to row
     g = np.stack(
-        [response[:, :, joint] * feature[:-1, None] for (_, joint, _, _), feature in zip(terms, features, strict=True)],
+        [response[:, :, joint] * feature[:, None] for (_, joint, _, _), feature in zip(terms, features, strict=True)],
         -1,
     )
     d = np.zeros((len(path), setting.observations.shape[-1], len(terms)))
@@ -121,12 +126,13 @@ def _is_product(name: str) -> bool:
 
 
 def _library(setting: Setting, cause: Refined, path: Tensor):
-    """Terms (name, joint that the torque acts on, unit, variable) and their features (T,)."""
+    """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))
-    u = np.zeros_like(q) if model.command is None else model.command.numpy()
     time = model.time.numpy() - model.time[0].item()
-    motion = Motion(q, qd, np.gradient(qd, time, axis=0), u, time)
+    u = np.zeros_like(q) if model.command is None else model.command.numpy()
+    qdd = np.diff(qd, axis=0) / np.diff(time)[:, None]
+    motion = Motion(*((x[1:] + x[:-1]) / 2 for x in (q, qd)), qdd, u[:-1], (time[1:] + time[:-1]) / 2)
     terms, features = [], []
     joints = model.body.joint_names
     for joint, acts_on in enumerate(joints):

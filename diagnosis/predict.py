@@ -111,11 +111,19 @@ def smoothed(setting: Setting, cause: Refined) -> GaussianSmoother:
 
 
 def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray, Tensor]:
-    """Mean and sd (T, K) of the residual torque, N·m; and the smoothed path (T, D)."""
+    """Mean and sd (T, K) of the residual torque, N·m; and the smoothed path (T, D).
+
+    Of a row it is what acts until the next one, in the mean: the state's torque has decayed by a third until then at 50
+    rows a second, and is that much larger than what it stands for where that does not decay.
+    """
     smoother = smoothed(setting, cause)
-    K = cause.model.body.num_joints
+    K, torque = cause.model.body.num_joints, cause.model.torque
     variance = smoother.covariance().diagonal(dim1=-2, dim2=-1)[:, :K]
-    return smoother.path[:, :K].numpy(), variance.clamp_min(0).sqrt().numpy(), smoother.path
+    one = torch.ones_like(smoother.path[:, :K])
+    steps = torch.cat([cause.model.dt[1:], cause.model.dt[-1:]])[:, None]
+    acts = ((one + torque.mean(one, steps, cause.model.parameters)) / 2).numpy()
+    mean, sd = smoother.path[:, :K].numpy(), variance.clamp_min(0).sqrt().numpy()
+    return acts * mean, acts * sd, smoother.path
 
 
 @torch.no_grad()

@@ -1,6 +1,7 @@
 """A formula for what the catalogue lacks."""
 
 import numpy as np
+import pytest
 from pendulum import ARM, recording_of
 from pyro.distributions import Normal
 
@@ -45,9 +46,20 @@ def test_a_cubic_spring_is_put_into_a_formula():
     terms, features = _library(here, none, none.path)
     values = {name: feature for (name, *_), feature in zip(terms, features, strict=True)}
     said = sum(c * values[name] for name, (c, *_) in formula.terms.items() if name.endswith(" on elbow"))
-    acted = -stiffness * here.model.split(none.path)[1][:, 1].numpy() ** 3
+    angle = here.model.split(none.path)[1][:, 1].numpy()
+    acted = -stiffness * ((angle[1:] + angle[:-1]) / 2) ** 3
     assert np.linalg.norm(said - acted) < 0.3 * np.linalg.norm(acted)
     assert 0 < sd < abs(coefficient) / 3
+
+
+def test_a_coefficient_is_that_of_the_torque():
+    """Alone, and as large: a residual that decays between rows, or a motion taken at their beginning, would be off."""
+    damping = 0.3
+    rubbing = recording_of(EFFECTS["viscous_friction"]("elbow"), ARM, rows=100, effort=1.0, damping=damping)
+    formula, *_ = described(rubbing)
+    assert list(formula.terms) == ["dθ[elbow]/dt on elbow"]
+    coefficient, sd, _ = formula.terms["dθ[elbow]/dt on elbow"]
+    assert -coefficient == pytest.approx(damping, rel=0.05)
 
 
 def test_where_nothing_is_left_there_is_no_formula():

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import DAMPING, at_best, causes
+from pendulum import DAMPING, PENDULUM, at_best, causes, path_of, recording_of
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.predict import replay, replay_rms, residual, scores, smoothed
+from invdyn.diagnosis.refine import refine
+from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import unknowns
 
 
@@ -71,6 +73,16 @@ def test_residual_torque_is_what_the_simulation_lacks():
     assert np.corrcoef(mean[:, 0], missing)[0, 1] > 0.8
     after, _, _ = residual(here, cause)
     assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((mean**2).mean())
+
+
+def test_residual_torque_is_as_large_as_what_is_missing():
+    """A command that is told .4 N·m too small, all the time."""
+    arm = recording_of(rows=80, effort=1.0)
+    here = setting(replace(arm, torques=arm.torques - 0.4), PENDULUM)
+    none = refine(here, (), {}, path_of(here), LOOSE)
+    mean, sd, _ = residual(here, none)
+    assert (sd[10:-10] < 0.25).all()
+    assert mean[10:-10].mean() == pytest.approx(0.4, rel=0.04)
 
 
 def test_replay_follows_once_the_cause_is_in():
