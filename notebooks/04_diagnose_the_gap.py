@@ -53,9 +53,9 @@ fore = Link("forearm", joint="elbow", tip="wrist", length=0.25, mass=1.0)
 body = Body("bench arm", [upper, fore], gravity=(0.0, -9.81))
 
 
-def reality(effect, **values):
-    """Two seconds of the arm with one effect, under known commands; 50 frames/s, 2 mm of noise."""
-    arm = random_arm(body, duration=2.0, fps=50, noise=0.002, commanded=True).with_effects(effect)
+def reality(effect, duration=2.0, **values):
+    """Two seconds or so of the arm with one effect, under known commands; 50 frames/s, 2 mm of noise."""
+    arm = random_arm(body, duration=duration, fps=50, noise=0.002, commanded=True).with_effects(effect)
     named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
     return record(arm.replace(**named))[0]
 
@@ -237,7 +237,7 @@ class BeltDrag(Effect):
 
 
 BELT = 0.1  # N·m·s/rad
-belt = reality(BeltDrag("shoulder", "elbow"), damping=BELT)
+belt = reality(BeltDrag("shoulder", "elbow"), duration=1.2, damping=BELT)  # later it whirls the elbow around
 strange = diagnose(belt, body, most=1)  # to try sets of several, too, takes minutes
 tell(strange)
 print("formula:", strange.outside.description)
