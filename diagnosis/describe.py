@@ -3,8 +3,8 @@
 Candidate terms are functions of (θ, θ̇, θ̈, u, t), each as a torque on one joint: a column of the whitened innovations
 (:mod:`.innovations`), so that noise and gaps count for what they are worth, unlike in a regression of a differentiated
 signal. They are taken half-way from row to row, along the path that the whole recording gives, whose own errors are
-small beside what varies and are not counted. Terms are added one by one while the evidence rises by more than their number
-costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
+small beside what varies and are not counted. Terms are added one by one while the evidence rises by more than their
+number costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
 end). The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
 """
 

@@ -5,8 +5,8 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
 
     1  "no effect" by itself; where detections are stray, what leaves them, before anything else
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
-       values those that no screen tells the size of (``Effect.scan``), it in shorter sub-steps (:mod:`.substeps`), then
-       sets of several by a beam search (:mod:`.together`)
+       values those that no screen tells the size of (``Effect.scan``), and it in shorter sub-steps (:mod:`.substeps`);
+       then, or where it is not what it is called (:mod:`.credible`), sets of several in a beam (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added and refine the most promising (:mod:`.extend`)
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
@@ -32,6 +32,7 @@ from functools import partial
 from torch import Tensor
 
 from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.credible import credible
 from invdyn.diagnosis.exchange import SWAPS, exchange, reduce, without
 from invdyn.diagnosis.extend import extend, others, screened_with
 from invdyn.diagnosis.kin import refine_kin
@@ -82,7 +83,7 @@ def search(
         screened = extend(setting, found, best, _width(best))
         if known and not best.effects:
             setting = shortened(setting, found)
-        if known and not best.effects and not found.ranked[0].complete:
+        if known and not best.effects and not _enough(setting, found.ranked[0]):
             _several(setting, found, screened)
             reduce(setting, found)
             _overtaken(setting, found, extended)
@@ -96,6 +97,11 @@ def search(
         if found.ranked[0].key != best.key:
             _settled(setting, found, extended)
     return found
+
+
+def _enough(setting: Setting, cause: Refined) -> bool:
+    """Whether a cause leaves nothing, by effects that are what they are called."""
+    return cause.complete and credible(setting, cause)
 
 
 def _settled(setting: Setting, found: Search, extended: set[str]) -> None:

@@ -29,15 +29,13 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
-from invdyn.diagnosis.noise import is_searched
+from invdyn.diagnosis.credible import credible
 from invdyn.diagnosis.pool import LITTLE, Search
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
-from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.diagnosis.whiteness import CHANCE, along_motion, prediction_errors, show_more
-from invdyn.models.effects.joint_limit import have_room
 
 NEAR = 3.0
 """Nats behind the best within which causes are confirmed by SMC, and how many at most."""
@@ -62,20 +60,6 @@ class Weighed:
     def best(self) -> Refined:
         """The most probable cause, whatever is left besides it."""
         return next(iter(self.causes.values()))[0]
-
-
-def credible(bound: Setting, cause: Refined) -> bool:
-    """Whether what was found of each effect is what its name says, and is not as large as anything may be."""
-    mean, sd = cause.values, dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
-    for effect in cause.effects:
-        parameters = effect.parameters(bound.model.scale)
-        names = {p.name: f"{effect.key}.{p.name}" for p in parameters}
-        own = [{name: known[key] for name, key in names.items()} for known in (mean, sd)]
-        if not effect.credible(*own, bound.model.scale):
-            return False
-        if is_searched(effect) and any(at_far_end(p, own[0][p.name]) for p in parameters):
-            return False
-    return have_room(cause.effects, mean, bound.model.scale)
 
 
 def _alone(bound: Setting, found: Search, cause: Refined) -> float:

@@ -58,7 +58,7 @@ def test_a_coefficient_is_that_of_the_torque():
     rubbing = recording_of(EFFECTS["viscous_friction"]("elbow"), ARM, rows=100, effort=1.0, damping=damping)
     formula, *_ = described(rubbing)
     assert list(formula.terms) == ["dθ[elbow]/dt on elbow"]
-    coefficient, sd, _ = formula.terms["dθ[elbow]/dt on elbow"]
+    coefficient, *_ = formula.terms["dθ[elbow]/dt on elbow"]
     assert -coefficient == pytest.approx(damping, rel=0.05)
 
 
