@@ -7,8 +7,7 @@ import pyro
 import pytest
 import torch
 
-# One thread: the suite shares its machine, and sums do not depend on how work was split.
-torch.set_num_threads(1)
+torch.set_num_threads(1)  # for what is made before a module's first test, too; see `_seeded`
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -31,7 +30,12 @@ def data_folder() -> Path:
 
 @pytest.fixture(autouse=True)
 def _seeded():
-    """Every test starts from the same seed and an empty parameter store."""
+    """Every test starts from the same seed, an empty parameter store and one thread, whatever those before it left.
+
+    One: the suite shares its machine, where two threads for small arrays take twenty times as long; and sums do not
+    depend on how work was split.
+    """
+    torch.set_num_threads(1)
     torch.manual_seed(0)
     pyro.clear_param_store()
 
