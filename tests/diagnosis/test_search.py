@@ -154,6 +154,33 @@ def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gai
     assert asked == widths
 
 
+def add_friction(found, complete):
+    """A best single effect, far ahead, that leaves nothing or something."""
+    none = found.pool[""]
+    friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
+    by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
+    found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=by_size))
+
+
+@pytest.mark.parametrize(
+    ("complete", "named", "looked"),
+    [(True, True, False), (True, False, True), (False, True, True)],
+)
+def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monkeypatch, complete, named, looked):
+    """Stribeck friction at more than all speeds may stand for dry friction and viscous, and leave nothing."""
+    bound = setting(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    module, asked = sys.modules[search.__module__], []
+    monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
+    monkeypatch.setattr(module, "credible", lambda *_: named)
+    monkeypatch.setattr(module, "shortened", lambda setting, _: setting)
+    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
+    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    search(bound, path, stray, MANY)
+    assert ("_several" in asked) is ("_overtaken" in asked) is looked
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
     """An unknown torque takes errors of integration along, and is left in its own."""
@@ -165,10 +192,7 @@ def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeyp
     def extend(setting, found, base, _):
         asked.append((base.key, setting.model.substeps))
         if not base.effects:
-            none = found.pool[""]
-            friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
-            left = np.where(np.arange(len(none.by_size)) == 0, -100.0, 0.0)
-            found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=left))
+            add_friction(found, False)
 
     monkeypatch.setattr(module, "extend", extend)
 

@@ -22,7 +22,7 @@ def failing(problem, **_):
 @pytest.fixture
 def simulated(folder, run):
     """A second of a simulated arm, as rec.csv and truth.csv."""
-    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--truth", "truth.csv", "--duration", 0.5, "--seed", 1)
+    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--truth", "truth.csv", "--duration", 0.8, "--seed", 1)
     return folder
 
 

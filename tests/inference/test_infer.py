@@ -226,7 +226,7 @@ def test_lengths_are_learned():
 
 
 def test_other_torque_processes_and_families():
-    recording, truth = record(TIME[:30])
+    recording, truth = record(TIME[:40])
     matern = {"emission.keypoint_scale": 0.005, "torque.scale": 3.0, "torque.lengthscale": 0.2}
     for options in (
         {"torque": Matern32(), "settings": matern},

@@ -124,10 +124,10 @@ def arm(steps=20):
 # -- learning ----------------------------------------------------------------------------------
 def test_parameters_of_a_linear_model_are_those_of_maximum_likelihood():
     chain = Chain(*(np.array(x) for x in ([[0.8]], [[0.25]], [[1.0]], [[0.1]], [0.0], [[1.0]])))
-    y = chain.simulate(40, 2)[1]
+    y = chain.simulate(60, 2)[1]
     grid = np.linspace(0.3, 0.99, 70)
     best = grid[np.argmax([kalman(Chain(np.array([[a]]), *list(vars(chain).values())[1:]), y)[0] for a in grid])]
-    model = chain.model(40).replace(transition=torch.tensor([[0.2]], dtype=torch.float64)).learn(["transition"])
+    model = chain.model(60).replace(transition=torch.tensor([[0.2]], dtype=torch.float64)).learn(["transition"])
     y = torch.as_tensor(y)
     guide = Corrected(model, y)
     for rate, steps in ((0.1, 30), (0.02, 30)):
@@ -169,7 +169,7 @@ def test_posterior_of_a_parameter_with_a_prior():
 
     guide.parameters = parameters
     loss = VSMC_ELBO(10, 2)
-    for rate, steps in ((0.05, 50), (0.01, 40)):
+    for rate, steps in ((0.05, 80), (0.01, 80)):
         svi = SVI(model.sequence, guide, Adam({"lr": rate}), loss=loss)
         for _ in range(steps):
             svi.step(y)

@@ -99,10 +99,6 @@ def test_chunks_hold_no_graph_of_the_other_rows():
     assert nodes(None, 80) - nodes(None, 40) > 400
 
 
-DRAWS = 120
-"""Gradients whose mean is held against the exact one, each over a thousand filters."""
-
-
 def crude():
     """One-dimensional chain, three rows, two particles: much resampling, and a guide that is off."""
     chain = random_chain(4, dim=1, size=1, noise=0.5)
@@ -128,7 +124,7 @@ def test_stop_gradient_estimates_the_gradient_of_the_evidence():
     for gradient in ("stop-gradient", "dropped"):
         loss = VSMC_ELBO(2, 1000, ess_threshold=1.0, resampling="multinomial", gradient=gradient)
         draws = []
-        for _ in range(DRAWS):
+        for _ in range(200):
             value = loss.log_evidence(model, guide, y).exp().mean()
             draws.append(torch.autograd.grad(value, pyro.param("transition"))[0].item())
         found[gradient] = np.mean(draws), np.std(draws) / len(draws) ** 0.5
@@ -159,7 +155,7 @@ def test_score_estimates_the_gradient_of_the_bound():
     for gradient in ("score", "dropped"):
         loss = VSMC_ELBO(2, 1000, ess_threshold=1.0, resampling="multinomial", gradient=gradient)
         draws = []
-        for _ in range(DRAWS):
+        for _ in range(200):
             value = loss.log_evidence(model, guide, y).mean()
             draws.append(torch.autograd.grad(value, pyro.param("guide.offset"))[0][0].item())
         found[gradient] = np.mean(draws), np.hypot(np.std(draws) / len(draws) ** 0.5, spread)
