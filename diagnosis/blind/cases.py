@@ -8,8 +8,9 @@ byte, on one machine. Seeds below 10,000 are for development, 1,000,000 and abov
 nobody before.
 
 An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
-body, motion and size drawn again, at most `TRIES` times, from the fourth to the eighth larger by half each time, and
-then no more: a gear's play seldom shows. The answer has d′ of every effect.
+body, motion and sizes drawn again, at most `TRIES` times, and from the fourth on that effect is larger by half for each
+draw that hardly met it, five times at most: a gear's play seldom shows, and what stands beside it has its usual size.
+The answer has d′ of every effect.
 """
 
 import json
@@ -35,7 +36,7 @@ KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outsi
 TRIES = 16
 ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
 WEAK = 0.25
-GROWING, LARGEST = 1.5, 1.5**5
+GROWING, LARGEST, USUAL = 1.5, 1.5**5, 2  # larger by so much each time, up to; draws of usual size before the last
 
 TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
 NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
@@ -101,14 +102,16 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
     while names is None:
         lot = tuple(str(name) for name in rng.choice(known, number, replace=False)) if number else ()
         names = lot if _agree(lot) else None
-    best = None
+    best, strength = None, np.full(len(names), WEAK if kind == "weak" else 1.0)
     for attempt in range(TRIES):
-        strength = WEAK if kind == "weak" else min(GROWING ** max(0, attempt - 2), LARGEST)
         stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
         case = _attempt(stream, kind, names, strength)
         if case is None:
             continue
-        met = min((each["dprime"] for each in case.answer["effects"]), default=np.inf)
+        shown = np.array([each["dprime"] for each in case.answer["effects"]])
+        if attempt >= USUAL:
+            strength = np.where(shown < ENOUGH, np.minimum(strength * GROWING, LARGEST), strength)
+        met = float(shown.min(initial=np.inf))
         if best is None or met > best[0]:
             best = met, case
         if kind == "weak" or met >= ENOUGH or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
@@ -123,7 +126,7 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: float) -> Case | None:
+def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: Sequence[float]) -> Case | None:
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
@@ -138,7 +141,7 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
     if _wild(plain):
         return None
     yardsticks = scene(true_body, plan, plain)
-    present = [drawn(rng, name, yardsticks, strength) for name in names]
+    present = [drawn(rng, name, yardsticks, much) for name, much in zip(names, strength, strict=True)]
     seed = tuple(int(word) for word in rng.integers(2**31, size=4))
     noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
     noise = float(f"{noise:.3g}")

@@ -3,6 +3,7 @@
 import ast
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -203,3 +204,25 @@ def test_a_body_that_cannot_be_is_drawn_again(monkeypatch):
     link = next(each for each in case.body.links if each.name == effect["link"])
     for name in ("mass", "inertia"):
         assert effect["parameters"][name]["value"] > -link.nominal(name)
+
+
+@pytest.mark.parametrize(
+    ("draws", "strengths"),
+    [
+        ([(5, 100)] * 10, [1, 1, 1, *(1.5**n for n in range(1, 6)), 1.5**5, 1.5**5]),  # met or not, up to the largest
+        ([(5, 100)] * 5 + [None] * 3 + [(100, 100)], [1, 1, 1, 1.5, 2.25, *[1.5**3] * 4]),  # that whirl, say nothing
+    ],
+)
+def test_only_what_is_hardly_met_is_made_larger(monkeypatch, draws, strengths):
+    """What stands beside it has its usual size in all draws."""
+    asked = []
+
+    def attempted(_, kind, names, strength):
+        asked.append(tuple(strength))
+        met = draws[len(asked) - 1] if len(asked) <= len(draws) else (100, 100)
+        return met and SimpleNamespace(answer={"effects": [{"dprime": float(each)} for each in met]})
+
+    monkeypatch.setattr(cases, "_attempt", attempted)
+    make_case(1, "two", ("backlash", "inertial_error"))
+    assert [first for first, _ in asked[: len(draws)]] == pytest.approx(strengths)
+    assert {other for _, other in asked} == {1.0}
