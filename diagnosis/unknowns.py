@@ -103,9 +103,9 @@ def spread(parameter: Parameter) -> float:
 
 
 def lower_bound(parameter: Parameter) -> float:
-    """Smallest value that a parameter may have: its prior's edge, or ``FAR`` from its centre."""
+    """Smallest value that a parameter may have: its ``least``, its prior's edge, or ``FAR`` from its centre."""
     far = centre(parameter) - _far(parameter) * spread(parameter)
-    return max(far, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
+    return max(far, parameter.least, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
 
 
 def upper_bound(parameter: Parameter) -> float:

@@ -64,6 +64,7 @@ class Parameter:
             as a frequency.
         grid: values at which a screen evaluates a parameter that the effect does not follow in a straight line from
             ``absent`` on, spread as the prior is.
+        least: no smaller value is plausible, whatever tail the prior has on the other side.
 
     A parameter without ``absent`` and ``grid`` is one of the effect's :attr:`Effect.located`.
     """
@@ -73,6 +74,7 @@ class Parameter:
     prior: Distribution
     absent: float | None = 0.0
     grid: tuple[float, ...] = ()
+    least: float = -math.inf
 
 
 DYNAMICS = ("body", "command", "force", "friction", "inertia", "interval")

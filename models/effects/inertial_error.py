@@ -1,12 +1,15 @@
 """A link whose mass, centre of mass and inertia are not those of the body file."""
 
-from pyro.distributions import Normal
+from pyro.distributions import Normal, StudentT
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
 from invdyn.models.effects.scale import Scale
 
-LEAST = 0.02  # of the file's mass and inertia that is always left
+LEAST = 0.02
+"""Of the file's mass and inertia that is always left."""
+LOST = 0.8
+"""Of them that may plausibly be missing: arms without mass explain whatever there is. Twice as much may be there."""
 
 
 class InertialError(Effect):
@@ -22,10 +25,11 @@ class InertialError(Effect):
         mass, length, inertia = (
             value[self.place[0]].item() for value in (scale.body.mass, scale.body.length, scale.body.inertia)
         )
+        turning = max(inertia, mass * length**2 / 12)
         return (
-            Parameter("mass", "kg", Normal(0.0, 0.2 * mass)),
+            Parameter("mass", "kg", StudentT(3.0, 0.0, 0.15 * mass), least=-LOST * mass),
             Parameter("com", "m", Normal(0.0, 0.1 * length)),
-            Parameter("inertia", "kg·m²", Normal(0.0, 0.2 * max(inertia, mass * length**2 / 12))),
+            Parameter("inertia", "kg·m²", StudentT(3.0, 0.0, 0.15 * turning), least=-LOST * turning),
         )
 
     def body(self, p: Values, body: BodyParameters) -> BodyParameters:

@@ -241,6 +241,20 @@ def test_of_what_may_be_any_size_much_is_plausible():
     assert upper_bound(play) == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize("key", ["inertial_error.upper_arm", "actuator_gain.elbow"])
+def test_a_file_may_be_wrong_by_more_than_a_factor_of_two(key):
+    """Upward: arms without mass, and motors that give nothing, would explain whatever there is."""
+    setting = bound()
+    for each in chosen(key)[0].parameters(setting.model.scale):
+        if each.name == "com":
+            continue
+        whole = each.least / -0.8
+        assert lower_bound(each) == each.least < 0
+        assert upper_bound(each) > 2 * whole
+        lost = each.prior.log_prob(torch.tensor(0.0)) - each.prior.log_prob(torch.tensor(whole))
+        assert 4.0 < float(lost) < 6.0  # 12 where it was a Gaussian, which asks more of 1.5 than two other effects do
+
+
 def test_sets_of_values_are_the_single_ones():
     """Means of many parameter sets at once are those of one after the other; lengths and masses reach the body."""
     here, path = bound(unsure=True), followed()
