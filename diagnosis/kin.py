@@ -11,12 +11,15 @@ from torch import Tensor
 
 from invdyn.diagnosis import period
 from invdyn.diagnosis.cause import Refined, key_of
+from invdyn.diagnosis.load import nearest_load
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, softer
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.inertial_error import InertialError
+from invdyn.models.effects.payload import Payload
 
 TWINS = (
     ("actuator_delay", "camera_latency", ("delay", "latency")),
@@ -48,6 +51,7 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
             _refine_twins(setting, found, cause, mine)
             _refine_wider(setting, found, cause, mine)
             _refine_narrower(setting, found, cause, mine)
+            _refine_load(setting, found, cause, mine)
     least, none = found.top - HOPELESS, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
@@ -122,6 +126,20 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         if max(off) > ALLOWED or _followed(found, cause, mine, narrow, _softness(mine)):
             continue
         refine_instead(setting, found, cause, mine, *_as_soft(setting, cause, mine, narrow, values), [cause.path])
+
+
+def _refine_load(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine a cause with a payload in place of an error of the last link that may be one (:mod:`.load`)."""
+    payload = next((e for e in found.candidates if isinstance(e, Payload)), None)
+    last = setting.model.body.num_joints - 1
+    if payload is None or not isinstance(mine, InertialError) or mine.place != (last,):
+        return
+    there = found.pool.get(_in_place(cause, mine, payload))
+    if payload.key in cause.key.split("+") or (there and there.log_evidence > cause.log_evidence - ALIKE):
+        return
+    mass, off = nearest_load(cause, mine, payload, setting.model.scale)
+    if off < ALLOWED and not _followed(found, cause, mine, payload):
+        refine_instead(setting, found, cause, mine, payload, {"mass": mass}, [cause.path])
 
 
 def _softness(effect: Effect) -> str:
