@@ -22,7 +22,7 @@ from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.exchange import free_beside
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.noise import is_searched
-from invdyn.diagnosis.pool import MISTAKES, Search
+from invdyn.diagnosis.pool import MISTAKES, Search, others
 from invdyn.diagnosis.promising import (
     HOPELESS,
     SHARE,
@@ -126,11 +126,6 @@ def _sought(
         return [] if cause is None else [cause]
 
     return [partial(searched, effect) for effect in effects]
-
-
-def others(cause: Refined) -> list[Effect]:
-    """A cause's effects but those that leave stray detections."""
-    return [effect for effect in cause.effects if effect.name not in MISTAKES]
 
 
 def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:

@@ -113,6 +113,11 @@ class Search:
             self.pool[cause.key] = cause
 
 
+def others(cause: Refined) -> list[Effect]:
+    """A cause's effects but those that leave stray detections."""
+    return [effect for effect in cause.effects if effect.name not in MISTAKES]
+
+
 def leaves(cause: Refined, none: Refined) -> bool:
     """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside ``none``.
 

@@ -10,7 +10,8 @@ An effect therefore does not become likelier by acting at more joints, and a sec
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.whiten`).
 
 Three effects at once are rarer than one that the catalogue lacks, which several together imitate well: of k ≥ 3 that
-are found, a share P(k)/(P(k) + P(lacking)), P(lacking) = .03, is believed; the rest is "outside the catalogue".
+are found, a share P(k)/(P(k) + P(lacking)), P(lacking) = .03, is believed; the rest is "outside the catalogue". Stray
+detections and exchanged labels are not counted: they imitate no motion, and stand beside what is lacking, too.
 
 Reality's friction is not quite the catalogue's, and the larger an effect, the more nats that small difference is worth.
 Evidence is therefore raised to a power ζ (a coarsened posterior: Miller & Dunson 2019, "Robust Bayesian inference via

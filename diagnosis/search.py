@@ -34,10 +34,10 @@ from torch import Tensor
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.credible import credible
 from invdyn.diagnosis.exchange import SWAPS, exchange, reduce, without
-from invdyn.diagnosis.extend import extend, others, screened_with
+from invdyn.diagnosis.extend import extend, screened_with
 from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.paths import FIRM, led
-from invdyn.diagnosis.pool import MISTAKES, Search, considered
+from invdyn.diagnosis.pool import MISTAKES, Search, considered, others
 from invdyn.diagnosis.prior import MOST
 from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, refine_every
 from invdyn.diagnosis.refine import refine

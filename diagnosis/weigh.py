@@ -1,8 +1,9 @@
 """Probabilities of causes: the best confirmed by SMC, all weighed by tempered evidence, prior and what they leave.
 
 Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`), and within it the share s_c of
-residuals that are next to nothing: little is left once the cause is in; less where so many effects are more likely to
-imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" among the causes,
+residuals that are next to nothing: little is left once the cause is in; less where so many effects, stray detections
+not counted, are more likely to imitate one that the catalogue lacks (:func:`.prior.believed`). With "no gap" among
+the causes,
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
@@ -30,7 +31,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.credible import credible
-from invdyn.diagnosis.pool import LITTLE, Search
+from invdyn.diagnosis.pool import LITTLE, Search, others
 from invdyn.diagnosis.predict import best_size
 from invdyn.diagnosis.prior import another, believed
 from invdyn.diagnosis.setting import Setting
@@ -83,7 +84,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     # Thousandths of a typical torque are nothing to look for a cause of, though "no gap" is more than that.
     least = levels[1] if cause.effects else levels[0]
     little = levels <= max(least, LITTLE * best_size(bound, found.pool[""]))
-    return believed(len(cause.effects)) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
+    return believed(len(others(cause))) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
 def weigh(bound: Setting, found: Search, seed: int) -> Weighed:

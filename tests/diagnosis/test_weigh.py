@@ -11,6 +11,7 @@ from pendulum import PENDULUM, recorded, recording_of
 from invdyn.diagnosis.credible import credible
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import LOUD, Search, considered
+from invdyn.diagnosis.prior import believed
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
@@ -46,6 +47,24 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) < 0.01
     plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
     assert _alone(bound, Search([], {"": plain}, [], none.path, False), plain) < 0.01  # but it is more than no gap
+
+
+def test_stray_detections_are_none_of_the_many_that_imitate_another_effect():
+    """Of three in the motion a third is believed, of two beside stray detections all."""
+    bound = setting(recording_of(), PENDULUM)
+    none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
+    by_name = {effect.name: effect for effect in considered(bound)}
+
+    def share(*names):
+        effects = tuple(by_name[name] for name in names)
+        parameters = [(e, p) for e in effects for p in e.parameters(bound.model.scale)]
+        mean = np.array([0.1 * float(p.prior.stddev) for _, p in parameters])
+        known = {"names": tuple(f"{e.key}.{p.name}" for e, p in parameters), "covariance": 1e-8 * np.eye(len(mean))}
+        cause = replace(none, effects=effects, mean=mean, **known)
+        return _alone(bound, Search([], {"": none}, [], none.path, False), cause)
+
+    assert share("viscous_friction", "armature", "outliers") > 0.9
+    assert share("viscous_friction", "armature", "payload") == pytest.approx(believed(3), rel=0.05)
 
 
 def test_what_is_not_credible_explains_a_part_only():
