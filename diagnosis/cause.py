@@ -31,7 +31,7 @@ class Refined:
         path: (T, D) its own.
         model: with the parameters at their means.
         noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
-        noise_log: what their integral added to the log evidence.
+        noise_log: what their integral added to the log evidence, by effect's key.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
         about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
         learned: (p,) λ: along each principal direction, how many times more the data say of parameters than the prior.
@@ -49,7 +49,7 @@ class Refined:
     model: ArmModel
     noise: dict[str, float]
     noise_sd: dict[str, float]
-    noise_log: float
+    noise_log: dict[str, float]
     plausible: bool = True
     about: np.ndarray | None = None
     learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -83,6 +83,20 @@ class Refined:
     def searched(self) -> dict:
         """What :func:`refine` needs to know of parameters that were searched."""
         return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
+
+    def less(self, setting: Setting, effect: Effect) -> "Refined":
+        """The same path and parameters without one of the effects whose parameters were searched, nothing refined."""
+        rest = tuple(other for other in self.effects if other.key != effect.key)
+        names = {f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)}
+        kept = {n: v for n, v in self.model.parameters.items() if n.removeprefix(PREFIX) not in names}
+        return replace(
+            self,
+            effects=rest,
+            model=setting.model.with_effects(*rest).replace(**kept),
+            noise={n: v for n, v in self.noise.items() if n not in names},
+            noise_sd={n: v for n, v in self.noise_sd.items() if n not in names},
+            noise_log={key: v for key, v in self.noise_log.items() if key != effect.key},
+        )
 
     def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
         """The same cause with another model and path."""

@@ -100,7 +100,8 @@ def confirm(
     if before is not None:
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
-    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top] + cause.noise_log
+    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top]
+    rest += sum(cause.noise_log.values())
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 

@@ -85,7 +85,7 @@ class Play:
             columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
             whitened = whiten(setting, filter_of(setting, model, path, levels), columns)
             evidence = np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)])
-            gained.append(float(logsumexp(evidence + log_prior(levels))) + base.noise_log)
+            gained.append(float(logsumexp(evidence + log_prior(levels))) + sum(base.noise_log.values()))
         return gained
 
     def refined(self, width: float) -> Refined:
@@ -140,7 +140,8 @@ def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float =
     cause = play.best
     width = cause.noise[play.name]
     integral = log_prior_of([parameter], np.array([width])) + 0.5 * float(np.log(2 * np.pi * variance))
-    noise_log, noise_sd = base.noise_log + integral, base.noise_sd | {play.name: width * float(np.sqrt(variance))}
+    noise_log = base.noise_log | {effect.key: integral}
+    noise_sd = base.noise_sd | {play.name: width * float(np.sqrt(variance))}
     evidence, by_size = cause.log_evidence + integral, cause.by_size + integral
     found = replace(cause, log_evidence=evidence, by_size=by_size, noise_log=noise_log, noise_sd=noise_sd)
     if not found.names:

@@ -53,7 +53,7 @@ def refine(
     path: Tensor,
     size: float,
     *,
-    noise_log: float = 0.0,
+    noise_log: Mapping[str, float] | None = None,
     noise_sd: Mapping[str, float] | None = None,
     enough: float = -np.inf,
     doubtful: float = -np.inf,
@@ -63,13 +63,15 @@ def refine(
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``enough`` nats
     after two rounds is left as it is. Parameters of effects that are searched stay where ``values`` has them;
-    ``noise_log`` is what their integral adds to the log evidence, ``noise_sd`` their standard deviations.
+    ``noise_log`` is what their integral adds to the log evidence, by effect's key, ``noise_sd`` their standard
+    deviations.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
     noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
     noise = {name: float(values[name]) for name in noise}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
+    integrated = dict(noise_log or {})
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
     among = unknowns(setting, effects)
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
@@ -91,7 +93,7 @@ def refine(
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
-        by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + noise_log
+        by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
             raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
@@ -109,7 +111,7 @@ def refine(
             here,
             noise,
             spread,
-            noise_log,
+            integrated,
             learned=learned(top.covariance[0], among.sd),
             far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )

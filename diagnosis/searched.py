@@ -3,9 +3,15 @@
 The evidence of those on the scatter is looked at on a grid, along the base's path and with what the base has left free
 integrated out at each point; from the best point on it is climbed, along a path of its own, and its curvature at the
 top is their integral's width (Laplace).
+
+Several of them take each other's part: noise that grows with speed has many stray detections until those are counted
+too, and while they are called that it hardly grows. So each is looked for again beside the others, from its grid on, in
+turns, until none gains (coordinate ascent).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from itertools import cycle, islice
 
 import numpy as np
 import torch
@@ -23,6 +29,9 @@ from invdyn.diagnosis.whiten import filter_of, linear_of, log_prior, sizes, whit
 from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects.base import Effect
 
+TURNS, MUCH = 4, 50.0
+"""Times that each of several is looked for again, at most, and nats that the last has to gain beside them for that."""
+
 
 def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
     """``base`` and an effect whose parameters are searched.
@@ -31,8 +40,31 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     """
     if not is_noise(effect):
         return refine_play(setting, base, effect, enough)
+    best = _added(setting, base, effect, max(base.log_evidence + EARNED, enough))
+    if best is None or best.log_evidence < base.log_evidence + MUCH:
+        return best
+    turns = [*(each for each in base.effects if is_noise(each)), effect]
+    last = effect
+    for each in islice(cycle(turns), TURNS * len(turns)):
+        if each is last:
+            break  # every other one has had its turn since
+        again = _added(setting, best.less(setting, each), each, -np.inf, best.noise)
+        if again is not None and again.log_evidence > best.log_evidence + EARNED:
+            best, last = again, each
+    return best
+
+
+def _added(
+    setting: Setting, base: Refined, effect: Effect, least: float, values: Mapping[str, float] | None = None
+) -> Refined | None:
+    """``base`` and an effect on the scatter, from the best point of its grid or, where there are any, its ``values``.
+
+    None if that stays under ``least`` nats.
+    """
     parameters, points = grid(effect, setting.model.scale)
     names = [f"{effect.key}.{p.name}" for p in parameters]
+    if values is not None:
+        points = [*points, tuple(values[name] for name in names)]
     known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
     common, levels = unknowns(setting, base.effects), sizes(setting.regime)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
@@ -55,7 +87,7 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
 
     gained = [(score(np.log(point)) - log_prior_of(parameters, np.array(point)), point) for point in points]
     top, start = max(gained)
-    if top < max(base.log_evidence + EARNED, enough) - base.noise_log:
+    if top < least - sum(base.noise_log.values()):
         return None
     # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
     # most detections stray; a limb's own torque is as large as it was found.
@@ -68,7 +100,8 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     path, some, tangents = cause.path, _telling(cause, levels), slopes_along(cause.model, cause.path)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
-    noise_log = base.noise_log + integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    own = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    noise_log = base.noise_log | {effect.key: own}
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
     spreads = np.exp(start) * np.sqrt(np.diag(covariance))

@@ -19,6 +19,8 @@ from invdyn.inference.gauss_newton import slopes_along
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
+SLOPE, SLOPES = "effect.varying_noise.slope", torch.tensor([5.0], dtype=torch.float64)
+
 
 def test_stray_detections_are_counted():
     recording = recorded(0.0, rows=100)
@@ -36,6 +38,47 @@ def test_stray_detections_are_counted():
     assert abs(cause.noise["outliers.scale"] - 0.06) < 4 * cause.noise_sd["outliers.scale"] < 0.12
     assert cause.log_evidence > refine(here, (), {}, path, LOOSE).log_evidence + 50
     assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
+
+
+@pytest.mark.parametrize("order", [("outliers", "varying_noise"), ("varying_noise", "outliers")])
+def test_noise_that_grows_with_speed_and_stray_detections_make_room_for_each_other(order):
+    """Whichever comes first takes the other's part as well, and gives it up: half of the detections stray, or none."""
+    arm = random_arm(PENDULUM, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True)
+    recording, _ = record(arm.with_effects(EFFECTS["varying_noise"]()).replace(**{SLOPE: SLOPES}), 1)
+    rng = np.random.default_rng(3)
+    stray = rng.random(len(recording.time)) < 0.02
+    stray[:3] = False
+    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.1, size=recording.keypoints.shape)
+    here = setting(replace(recording, keypoints=points), PENDULUM)
+    path, _ = data_path(here)
+    none = refine(here, (), {}, path, LOOSE)
+    cause = none.moved_to(none.model, path)
+    for name in order:
+        cause = refine_searched(here, cause, EFFECTS[name]().bound(PENDULUM))
+    found, sd = cause.noise, cause.noise_sd
+    assert abs(found["varying_noise.slope"] - SLOPES.item()) < 4 * sd["varying_noise.slope"] < SLOPES.item()
+    assert abs(found["outliers.rate"] - stray.mean()) < 4 * sd["outliers.rate"] < 0.06
+    assert set(cause.noise_log) == set(order)
+    known = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in found.items()}
+    assert {name: cause.model.parameters[name] for name in known} == known
+
+
+def test_one_of_several_that_were_searched_may_be_left_out_as_it_is():
+    """The rest keep path, parameters, spreads and what their integrals added."""
+    here, _, cause = causes()
+    both = tuple(EFFECTS[name]().bound(PENDULUM) for name in ("outliers", "varying_noise"))
+    noise = {"outliers.rate": 0.02, "outliers.scale": 0.1, "varying_noise.slope": 3.0}
+    noise_log = {"outliers": -4.0, "varying_noise": -3.0}
+    effects, values = (*cause.effects, *both), cause.values | noise
+    whole = refine(here, effects, values, cause.path, LOOSE, noise_log=noise_log)
+    bare = refine(here, effects, values, cause.path, LOOSE)
+    assert whole.log_evidence == pytest.approx(bare.log_evidence - 7.0, abs=1e-6)
+    less = whole.less(here, both[0])
+    assert less.noise == {"varying_noise.slope": 3.0}
+    assert less.noise_log == {"varying_noise": -3.0}
+    assert [e.key for e in less.effects] == [e.key for e in whole.effects if e.name != "outliers"]
+    assert [e.key for e in less.model.effects] == [e.key for e in less.effects]
+    assert all(less.model.parameters[name] is whole.model.parameters[name] for name in less.model.parameters)
 
 
 @pytest.mark.parametrize("effect", [EFFECTS["outliers"](), EFFECTS["label_swap"]("elbow", "wrist")], ids=str)
