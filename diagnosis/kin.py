@@ -1,4 +1,4 @@
-"""Relatives of what was found: effects that stand in for it exactly, contain it or are part of it; its softer form.
+"""Relatives of what was found: effects that stand in for it, contain it or are part of it; its softer form.
 
 A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
 shift; and of effects that change a period alone (:mod:`.period`) it sees what a little of them does, not that much more
@@ -18,8 +18,11 @@ from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.inertial_error import InertialError
+from invdyn.models.effects.link_flexibility import LinkFlexibility
 from invdyn.models.effects.payload import Payload
+from invdyn.models.effects.soft_tissue import SoftTissue
 
 TWINS = (
     ("actuator_delay", "camera_latency", ("delay", "latency")),
@@ -52,6 +55,7 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
             _refine_wider(setting, found, cause, mine)
             _refine_narrower(setting, found, cause, mine)
             _refine_load(setting, found, cause, mine)
+            _refine_bent(setting, found, cause, mine)
     least, none = found.top - HOPELESS, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
@@ -140,6 +144,27 @@ def _refine_load(setting: Setting, found: Search, cause: Refined, mine: Effect) 
     mass, off = nearest_load(cause, mine, payload, setting.model.scale)
     if off < ALLOWED and not _followed(found, cause, mine, payload):
         refine_instead(setting, found, cause, mine, payload, {"mass": mass}, [cause.path])
+
+
+def _refine_bent(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+    """Refine the best cause with a link that bends in place of soft tissue at its tip, which looks much like it.
+
+    A screen sees a fifth of what the bend explains: it is a small part of the path, until it has one of its own.
+    """
+    if not isinstance(mine, SoftTissue) or setting.regime == "unknown_torque" or cause is not found.ranked[0]:
+        return
+    bent = next((e for e in found.candidates if isinstance(e, LinkFlexibility) and e.place == mine.place), None)
+    if bent is None or any(isinstance(effect, Hidden) for effect in cause.effects if effect is not mine):
+        return
+    there = found.pool.get(_in_place(cause, mine, bent))
+    if (there and there.log_evidence > cause.log_evidence) or _followed(found, cause, mine, bent):
+        return
+    stiffness, damping = bent.parameters(setting.model.scale)
+    for start in stiffness.grid[1::2]:  # from one that is too stiff Gauss–Newton finds no softer one
+        values = {"stiffness": start, "damping": damping.grid[0]}
+        refine_instead(setting, found, cause, mine, bent, values, [found.path])
+        if (there := found.pool.get(_in_place(cause, mine, bent))) is not None and there.complete:
+            break
 
 
 def _softness(effect: Effect) -> str:

@@ -14,6 +14,7 @@ from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm
 
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
@@ -83,6 +84,36 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     arrived = Search(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
     refine_kin(bound, arrived, 1)
     assert not arrived.relatives
+
+
+@pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
+def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
+    """In place of tissue at its own tip, in the best cause alone, and once."""
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
+    truth = EFFECTS["link_flexibility"]("forearm").bound(ARM)
+    stiffness, damping = truth.parameters(random_arm(ARM, duration=0.1, fps=50).scale)
+    values = {"stiffness": stiffness.grid[2], "damping": damping.grid[0]}
+    bound = setting(recording_of(truth, body=ARM, rows=100, **values), ARM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    tissue = refine(bound, (EFFECTS["soft_tissue"]("wrist", *form),), {}, path, LOOSE)
+    elsewhere = refine(bound, (EFFECTS["soft_tissue"]("elbow", *form),), {}, path, LOOSE)
+    best = replace(tissue, log_evidence=max(tissue.log_evidence, none.log_evidence + 20))
+    found = Search(considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.pool[truth.key]
+    assert found.ranked[0] is cause
+    assert cause.log_evidence > tissue.log_evidence + 10
+    assert cause.values[f"{truth.key}.stiffness"] == pytest.approx(values["stiffness"], rel=0.1)
+    relatives = dict(found.relatives)
+    assert relatives[truth.key] == best.log_evidence
+    refine_kin(bound, found, 1)
+    assert found.relatives == relatives
+    other = replace(elsewhere, log_evidence=best.log_evidence)
+    for pool in ((none, other), (replace(none, log_evidence=best.log_evidence + 100), best)):
+        found = Search(considered(bound), {c.key: c for c in pool}, [], path, stray)
+        refine_kin(bound, found, 1)
+        assert truth.key not in found.pool
 
 
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
