@@ -11,6 +11,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from threading import Thread
 
 from invdyn.models import Body, BodyError
 from invdyn.recordings import InputError, Recording, read_keypoint_csv, write_text
@@ -52,8 +53,16 @@ def serve(jobs: Iterable[str], reply: Callable[[dict], None]) -> None:
             reply({"seconds": time.monotonic() - start})
 
 
+def _end_with(parent: int) -> None:
+    """End this process once its parent is gone, in the middle of a case too: nobody would read the answer."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
+
+
 def main() -> None:
     """Serve stdin. Whatever prints does so to stderr: stdout is the pipe for replies."""
+    Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
 

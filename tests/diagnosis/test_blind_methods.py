@@ -1,6 +1,12 @@
 """Methods that a blind run asks: a command for each case, and a process that goes from case to case."""
 
+import os
+import signal
+import subprocess
 import sys
+import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -62,3 +68,41 @@ def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
         assert "exit code 3" in method(tmp_path / "bad", tmp_path)
         assert method(tmp_path / "good", tmp_path) is None
     assert method._process is None
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_who_asks_may_be_killed_in_the_middle_of_a_case(folders):
+    """The process that diagnoses ends, too: here it waits for ever for a file that nobody writes."""
+    case, out = folders
+    os.mkfifo(case / "case.json")
+    asks = "from pathlib import Path; from invdyn.diagnosis.blind.methods import Ours; Ours()"
+    with subprocess.Popen([sys.executable, "-c", f"{asks}(Path({str(case)!r}), Path({str(out)!r}))"]) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        _until(lambda: children.read_text().split())
+        child = Path("/proc", children.read_text().split()[0])
+        _until(lambda: b"apart" in (child / "cmdline").read_bytes())
+        writer = _opened_by_a_reader(case / "case.json")
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+    _until(lambda: not (child / "cmdline").exists() or not (child / "cmdline").read_bytes())
+    os.close(writer)
+
+
+def _opened_by_a_reader(fifo):
+    """The write end of a pipe in the file system, open as soon as somebody reads it."""
+    found = []
+
+    def opened():
+        with suppress(OSError):
+            found.append(os.open(fifo, os.O_WRONLY | os.O_NONBLOCK))
+        return found
+
+    _until(opened)
+    return found[0]
+
+
+def _until(true, patience=60.0):
+    end = time.monotonic() + patience
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.1)
