@@ -38,7 +38,6 @@ def nearest_load(cause: Refined, error: InertialError, payload: Payload, scale: 
         return float(apart @ precision @ apart)
 
     (parameter,) = payload.parameters(scale)
-    best = minimize_scalar(
-        off, bounds=(0.0, upper_bound(parameter)), method="bounded", options={"xatol": 1e-4 * found[0]}
-    )
+    most = upper_bound(parameter)
+    best = minimize_scalar(off, bounds=(0.0, most), method="bounded", options={"xatol": 1e-5 * most})
     return float(best.x), float(np.sqrt(max(best.fun, 0.0)))
