@@ -53,7 +53,7 @@ def reduce(setting: Setting, found: Search) -> None:
 def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Refined | None:
     """A set without one of its effects, from its path and values, under a residual of ``size``; None if it is no gain.
 
-    Of what was integrated over several that were searched, nobody knows the part of one: the others are searched anew.
+    Several that were searched may have left a part to each other: without one, the others are searched anew.
     """
     rest = tuple(e for e in whole.effects if e is not effect)
     searched = [e for e in rest if is_searched(e)]

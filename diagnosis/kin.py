@@ -149,7 +149,7 @@ def _refine_load(setting: Setting, found: Search, cause: Refined, mine: Effect) 
 def _refine_bent(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
     """Refine the best cause with a link that bends in place of soft tissue at its tip, which looks much like it.
 
-    A screen sees a fifth of what the bend explains: it is a small part of the path, until it has one of its own.
+    A screen sees little of what a bend explains along a path of its own: once, beside a stop, 67 nats of 184.
     """
     if not isinstance(mine, SoftTissue) or setting.regime == "unknown_torque" or cause is not found.ranked[0]:
         return

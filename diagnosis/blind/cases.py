@@ -36,7 +36,7 @@ KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outsi
 TRIES = 16
 ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
 WEAK = 0.25
-GROWING, LARGEST, USUAL = 1.5, 1.5**5, 2  # larger by so much each time, up to; draws of usual size before the last
+USUAL, GROWING, LARGEST = 3, 1.5, 1.5**5  # draws of usual size; factor from then on, each time, and altogether
 
 TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
 NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
@@ -109,7 +109,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
         if case is None:
             continue
         shown = np.array([each["dprime"] for each in case.answer["effects"]])
-        if attempt >= USUAL:
+        if attempt + 1 >= USUAL:
             strength = np.where(shown < ENOUGH, np.minimum(strength * GROWING, LARGEST), strength)
         met = float(shown.min(initial=np.inf))
         if best is None or met > best[0]:

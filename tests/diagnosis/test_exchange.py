@@ -93,7 +93,7 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
 
 
 def test_what_is_left_of_two_that_were_searched_is_searched_anew():
-    """Of what was integrated over both nobody knows the part of one: it would be there without a spread."""
+    """Beside the other it may have had another size and spread; none of the other's integral stays."""
     bound = setting(recorded(), PENDULUM)
     seen = bound.observations.clone()
     seen[[11, 30, 52, 63]] += 0.1

@@ -22,13 +22,19 @@ from invdyn.simulate import random_arm, record
 SLOPE, SLOPES = "effect.varying_noise.slope", torch.tensor([5.0], dtype=torch.float64)
 
 
+def with_stray(recording, share, width):
+    """A recording with a share of its frames' detections off by so much, m, and which; the first place the arm."""
+    rng = np.random.default_rng(3)
+    stray = rng.random(len(recording.time)) < share
+    stray[:3] = False
+    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, width, size=recording.keypoints.shape)
+    return replace(recording, keypoints=points), stray
+
+
 def test_stray_detections_are_counted():
     recording = recorded(0.0, rows=100)
-    rng = np.random.default_rng(3)
-    stray = rng.random(100) < 0.08
-    stray[:3] = False  # the first frames place the arm
-    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.06, size=(100, 1, 2))
-    here = setting(replace(recording, keypoints=points), PENDULUM)
+    astray, stray = with_stray(recording, 0.08, 0.06)
+    here = setting(astray, PENDULUM)
     clean = setting(recording, PENDULUM)
     path = path_of(clean)
     outliers = EFFECTS["outliers"]().bound(PENDULUM)
@@ -45,11 +51,8 @@ def test_noise_that_grows_with_speed_and_stray_detections_make_room_for_each_oth
     """Whichever comes first takes the other's part as well, and gives it up: half of the detections stray, or none."""
     arm = random_arm(PENDULUM, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True)
     recording, _ = record(arm.with_effects(EFFECTS["varying_noise"]()).replace(**{SLOPE: SLOPES}), 1)
-    rng = np.random.default_rng(3)
-    stray = rng.random(len(recording.time)) < 0.02
-    stray[:3] = False
-    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.1, size=recording.keypoints.shape)
-    here = setting(replace(recording, keypoints=points), PENDULUM)
+    astray, stray = with_stray(recording, 0.02, 0.1)
+    here = setting(astray, PENDULUM)
     path, _ = data_path(here)
     none = refine(here, (), {}, path, LOOSE)
     cause = none.moved_to(none.model, path)
@@ -97,11 +100,8 @@ def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
     given = {"effect.joint_stiffness.pivot.stiffness": 2.0, "effect.joint_stiffness.pivot.torque": 1.0}
     given = {name: torch.tensor([value], dtype=torch.float64) for name, value in given.items()}
     recording = record(arm.with_effects(spring).replace(**given), 0)[0]
-    rng = np.random.default_rng(3)
-    stray = rng.random(len(recording.time)) < 0.05
-    stray[:3] = False
-    points = recording.keypoints + stray[:, None, None] * rng.normal(0.0, 0.3, size=recording.keypoints.shape)
-    here = setting(replace(recording, keypoints=points), PENDULUM)
+    astray, stray = with_stray(recording, 0.05, 0.3)
+    here = setting(astray, PENDULUM)
     path, far = data_path(here)
     assert far
     none = refine(here, (), {}, path, LOOSE)
