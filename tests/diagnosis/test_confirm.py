@@ -26,6 +26,9 @@ def test_smc_evidence_of_a_linear_chain_is_exact():
     other_sizes = none.log_evidence - at_best(here, none)[0]
     assert confirmed.log_evidence == pytest.approx(exact + other_sizes, abs=1e-4)
     assert confirmed.log_evidence_sd < 1e-4
+    # What an integral over parameters that were searched added is in both evidences.
+    added = replace(none, log_evidence=none.log_evidence - 7, by_size=none.by_size - 7, noise_log={"outliers": -7.0})
+    assert confirm(here, added, filters=4).log_evidence == pytest.approx(confirmed.log_evidence - 7)
 
 
 def test_smc_agrees_with_the_linearised_evidence():

@@ -61,6 +61,13 @@ def test_play_is_searched_and_found():
     assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.1)
     assert cause.path.shape[-1] == none.path.shape[-1] + 2
     assert refine_play(here, none, play, cause.log_evidence + 100) is None
+    # Its evidence has the width integrated out, and what an integral added to the base's is in that of each width.
+    there = widths(here, none, play).refined(cause.noise["backlash.pivot.width"])
+    assert set(cause.noise_log) == {"backlash.pivot"}
+    assert cause.log_evidence - cause.noise_log["backlash.pivot"] == pytest.approx(there.log_evidence, abs=2.0)
+    lower = replace(none, noise_log={"outliers": -7.0})
+    pairs = zip(*(widths(here, base, play).along_base([0.02, 0.06]) for base in (none, lower)), strict=True)
+    assert [one - other for one, other in pairs] == pytest.approx([7.0, 7.0])
 
 
 def test_its_width_is_as_certain_as_its_evidence_is_sharp():
