@@ -47,15 +47,17 @@ def assembled(
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
-    asked = [none] if best is none else [none, best]
-    left = side_by_side([partial(residual, bound, cause) for cause in asked], found.workers)
-    (before, before_sd, _), (after, after_sd, path) = left[0], left[-1]
+    after, after_sd, path = residual(bound, best)
     _, q, qd = best.model.split(path)
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    runs = [(model, _without_hidden(model, path)), (best.model, path)]
-    played = side_by_side([partial(replay, *run, bound.starts) for run in runs], found.workers)
-    replays = dict(zip(("nominal", "corrected"), played, strict=True))
-    frame_gap = scores(bound, best).score - scores(bound, none).score
+    parts = [  # what takes longest first
+        partial(replay, best.model, path, bound.starts),
+        partial(replay, model, _without_hidden(model, path), bound.starts),
+        partial(residual, bound, none),
+        *(partial(scores, bound, cause) for cause in (none, best)),
+    ]
+    corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
+    replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
     moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
     shifts = (
         np.sqrt((moved**2).sum(-1).mean(0))

@@ -30,6 +30,9 @@ WINDOW = 0.1
 STEP = 0.5
 """Of a secant, in standard deviations of the prior."""
 
+MANY = 64
+"""Parameter sets at once, at most: more take no less time each, and memory that is new each time."""
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -73,6 +76,13 @@ def changes(
 
     ``plain`` (T−1, D) is f without it.
     """
+    parts = [_changed(model, effect, sets[i : i + MANY], path, plain) for i in range(0, len(sets), MANY)]
+    return parts[0] if len(parts) == 1 else tuple(torch.cat(each) for each in zip(*parts, strict=True))
+
+
+def _changed(
+    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+) -> tuple[Tensor, Tensor]:
     rows = torch.arange(len(path))
     names = sets[0].keys()
     values = {

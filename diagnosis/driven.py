@@ -9,6 +9,7 @@ A gap forgets what was before as soon as there is contact: :mod:`invdyn.models.s
 Shapes: T rows, D states without the hinge, S parameter sets.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -48,12 +49,12 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
         return (moved(shifted, rows[some]) - rest[:, some]) / nudge.sum()
 
     slopes = _between(torch.stack([slope(nudge) for nudge in torch.diag(nudges)], -1), some, len(rows))
-    A, b = slopes[..., hidden, :], rest[..., hidden]
-    psi = torch.linalg.solve(torch.eye(len(nudges), dtype=path.dtype) - A[:, 0], b[:, 0])
-    for t in range(path.shape[1]):
-        path[:, t, hidden] = psi
-        if t < len(rows):
-            psi = (A[:, t] @ psi.unsqueeze(-1)).squeeze(-1) + b[:, t]
+    A, b = slopes[..., hidden, :].numpy(), rest[..., hidden].numpy()
+    psi = np.empty((len(rows) + 1, *b[:, 0].shape))
+    psi[0] = np.linalg.solve(np.eye(len(nudges)) - A[:, 0], b[:, 0, :, None])[..., 0]
+    for t in range(len(rows)):
+        psi[t + 1] = (A[:, t] @ psi[t, :, :, None])[..., 0] + b[:, t]
+    path[..., hidden] = torch.as_tensor(psi).movedim(0, 1)
     return path, rest + (slopes @ path[:, :-1, hidden].unsqueeze(-1)).squeeze(-1)
 
 

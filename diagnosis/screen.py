@@ -34,8 +34,8 @@ beyond it, in twice the nats."""
 
 BLOCK = 200
 """Columns that are whitened together."""
-HINGED = 10
-"""It is a longer chain in more sub-steps, about rest and two nudges."""
+HINGED, BEGUN = 10, 20
+"""It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
 
 
 def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
@@ -259,15 +259,25 @@ def screen_in_halves(
     workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
-    costly = sorted(effects, key=lambda effect: -_cost(effect.bound(model.body), model))
-    halves = [[*costly[::4], *costly[3::4]], [*costly[1::4], *costly[2::4]]] if len(effects) > 1 else [effects]
+    halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
     one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
     return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
 
 
+def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
+    """Effects in two halves that cost alike: the costliest first, each to where less is (Graham 1969); one in one."""
+    halves: list[list[Effect]] = [[] for _ in costs[:2]]
+    filled = [0] * len(halves)
+    for effect, cost in sorted(costs, key=lambda each: -each[1]):
+        lighter = filled.index(min(filled))
+        halves[lighter].append(effect)
+        filled[lighter] += cost
+    return halves
+
+
 def _cost(effect: Effect, model: ArmModel) -> int:
-    """Columns of an effect; those of a hidden hinge take as long as ``HINGED`` of another's."""
+    """Columns of an effect, and ``BEGUN`` for any; those of a hidden hinge take as long as ``HINGED`` of another's."""
     parameters = effect.parameters(model.scale)
     straight = sum(not p.grid for p in parameters)
     points = math.prod(len(p.grid) or 1 for p in parameters)
-    return points * (straight or len(parameters) + 1) * (HINGED if isinstance(effect, HiddenHinge) else 1)
+    return BEGUN + points * (straight or len(parameters) + 1) * (HINGED if isinstance(effect, HiddenHinge) else 1)

@@ -26,7 +26,7 @@ from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.whiten import filter_of, linear_of, log_prior, sizes, whiten
-from invdyn.inference.gauss_newton import slopes_along
+from invdyn.inference.gauss_newton import seen_as, seen_rows, slopes_along
 from invdyn.models.effects.base import Effect
 
 TURNS, MUCH = 4, 50.0
@@ -69,15 +69,16 @@ def _added(
     common, levels = unknowns(setting, base.effects), sizes(setting.regime)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     model, path, some = base.model.with_effects(effect), base.path, _telling(base, levels)
-    # What changes the scatter alone leaves the slopes as they are, whatever its parameters.
+    # What changes the scatter alone leaves the motion and all slopes as they are, whatever its parameters.
     tangents = slopes_along(base.model, path)
+    moving = linear_of(setting, base.model, path, tangents)
     most = np.array([upper_bound(p) for p in parameters])
 
     def by_size(values: np.ndarray) -> np.ndarray:
         """Log evidence with ``some`` sizes of the residual, and their prior weights."""
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
         here = model.replace(**given)
-        linear = linear_of(setting, here, path, tangents)
+        linear = seen_as(moving, seen_rows(here, path, setting.observations), tangents[1])
         whitened = whiten(setting, filter_of(setting, here, path, levels[some], linear), columns)
         return np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)]) + log_prior(levels)[some]
 
@@ -98,6 +99,7 @@ def _added(
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     path, some, tangents = cause.path, _telling(cause, levels), slopes_along(cause.model, cause.path)
+    moving = linear_of(setting, cause.model, path, tangents)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
     own = integral - (score(start) - log_prior_of(parameters, np.exp(start)))

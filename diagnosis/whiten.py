@@ -21,7 +21,7 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.inference.gauss_newton import Linearisation, Slopes, linearise
 from invdyn.inference.square_root import square
 from invdyn.models import ArmModel
-from invdyn.models.missing import gaussian_rows, times
+from invdyn.models.missing import times
 
 SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
@@ -81,15 +81,11 @@ class Filter:
         sizes: (G,) of the residual.
         linear: the model about the path.
         gained: the filter's gains.
-        whitening: (T, O) or (T, O, O) of what is seen; zero where missing.
-        normaliser: (T,) log densities of what is seen where it is expected.
     """
 
     sizes: np.ndarray
     linear: Linearisation
     gained: Gains
-    whitening: np.ndarray
-    normaliser: np.ndarray
 
 
 def filter_of(
@@ -97,8 +93,6 @@ def filter_of(
 ) -> Filter:
     """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
     linear = linear or linear_of(setting, model, path)
-    with torch.no_grad():
-        whitening, normaliser = gaussian_rows(model.emission(path, torch.arange(len(path))), setting.observations)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
@@ -110,7 +104,7 @@ def filter_of(
         ahead = np.setdiff1d(np.arange(1, len(path)), setting.starts)
         covariance[:, ahead[:, None], np.arange(joints), np.arange(joints)] += late.numpy()[ahead - 1] ** 2
     filtered = gains(linear.F, covariance[:, 1:], linear.E, covariance[:, 0])
-    return Filter(levels, linear, filtered, whitening.numpy(), normaliser.numpy())
+    return Filter(levels, linear, filtered)
 
 
 def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
@@ -128,14 +122,14 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
         linear.e,
         linear.m0,
         columns.g,
-        times(torch.as_tensor(about.whitening), torch.as_tensor(columns.d)).numpy(),
+        times(linear.rows.whitening, torch.as_tensor(columns.d)).numpy(),
     )
     rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
     if not rows_seen.all():
         w = w[:, rows_seen]
     # The regression counts −½ log 2π for each observation, as the normaliser does.
     seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
-    row_log_det = about.gained.log_det - about.normaliser - 0.5 * np.log(2 * np.pi) * seen
+    row_log_det = about.gained.log_det - linear.rows.normaliser - 0.5 * np.log(2 * np.pi) * seen
     return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
 
 

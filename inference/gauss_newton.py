@@ -37,7 +37,10 @@ NUDGE, JUMP = 1e-6, 1e-6
 
 @dataclass
 class Linearisation:
-    """A model along a path, in deviations from it; shapes as in :mod:`.square_root`, plus constants (…)."""
+    """A model along a path, in deviations from it; shapes as in :mod:`.square_root`, plus constants (…).
+
+    ``rows`` are what E and e were made of, if by tangents.
+    """
 
     F: np.ndarray
     a: np.ndarray
@@ -47,6 +50,7 @@ class Linearisation:
     m0: np.ndarray
     log_constant: np.ndarray
     V: np.ndarray | None = None
+    rows: "SeenRows | None" = None
 
 
 @dataclass
@@ -100,30 +104,52 @@ def prior_chain(model: StateSpaceModel, path: Tensor, root: Tensor | None = None
 
 
 @dataclass
+class SeenRows:
+    """What is seen, whitened about where a path has it.
+
+    Attributes:
+        whitening: W, as :func:`.missing.gaussian_rows` has it.
+        e: (…, T, O) by what rows are off, zero where missing.
+        normaliser: (…, T) log densities where nothing is off.
+    """
+
+    whitening: Tensor
+    e: np.ndarray
+    normaliser: np.ndarray
+
+    @property
+    def log_constant(self) -> np.ndarray:
+        """(…): of all rows."""
+        return self.normaliser.sum(-1)
+
+
+@torch.no_grad()
+def seen_rows(model: StateSpaceModel, path: Tensor, observations: Tensor) -> SeenRows:
+    """What ``model`` says of ``observations`` (T, O) along ``path`` (…, T, D)."""
+    emission = model.emission(path, torch.arange(path.shape[-2]))
+    whitening, constant = gaussian_rows(emission, observations)
+    seen = explained(emission, observations)
+    residual = torch.where(torch.isnan(seen), 0.0, seen - getattr(emission, "base_dist", emission).loc)
+    return SeenRows(whitening, times(whitening, residual.unsqueeze(-1)).squeeze(-1).numpy(), constant.numpy())
+
+
+@dataclass
 class Deviations:
-    """By what a path is off: fields of a :class:`Linearisation`, and W, which whitens what is seen."""
+    """By what a path is off: fields of a :class:`Linearisation`."""
 
     a: np.ndarray
     L: np.ndarray
-    e: np.ndarray
     m0: np.ndarray
-    log_constant: np.ndarray
-    whitening: Tensor
+    rows: SeenRows
 
 
 @torch.no_grad()
 def deviations(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Deviations:
     """What ``model`` says of ``path`` (…, T, D), without slopes: a quarter or less of :func:`linearise`'s work."""
-    rows = torch.arange(path.shape[-2])
-    transition = model.transition(path[..., :-1, :], rows[1:])
-    emission = model.emission(path, rows)
+    transition = model.transition(path[..., :-1, :], torch.arange(1, path.shape[-2]))
     L, m0 = prior_chain(model, path, gaussian_moments(transition)[1])
-    whitening, constant = gaussian_rows(emission, observations)
-    seen = explained(emission, observations)
-    residual = torch.where(torch.isnan(seen), 0.0, seen - getattr(emission, "base_dist", emission).loc)
-    e = times(whitening, residual.unsqueeze(-1)).squeeze(-1)
-    pieces = (gaussian_mean(transition) - path[..., 1:, :], L, e, m0, constant.sum(-1))
-    return Deviations(*(piece.numpy() for piece in pieces), whitening)
+    a = gaussian_mean(transition) - path[..., 1:, :]
+    return Deviations(a.numpy(), L.numpy(), m0.numpy(), seen_rows(model, path, observations))
 
 
 Slopes = tuple[Tensor, Tensor]
@@ -170,8 +196,14 @@ def linearise(
     """
     here = known or deviations(model, path, observations)
     F, H = (each.expand(*path.shape[:-2], *each.shape[-3:]) for each in slopes or slopes_along(model, path))
-    E = times(here.whitening, H)
-    return Linearisation(F.numpy(), here.a, here.L, E.numpy(), here.e, here.m0, here.log_constant)
+    E = times(here.rows.whitening, H).numpy()
+    return Linearisation(F.numpy(), here.a, here.L, E, here.rows.e, here.m0, here.rows.log_constant, rows=here.rows)
+
+
+def seen_as(linear: Linearisation, rows: SeenRows, H: Tensor) -> Linearisation:
+    """``linear`` of a model that moves alike, but takes what is seen for ``rows``; H (…, T, O, D) are its slopes."""
+    E = times(rows.whitening, H).numpy()
+    return replace(linear, E=E, e=rows.e, log_constant=rows.log_constant, rows=rows)
 
 
 def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
@@ -297,15 +329,15 @@ def _ascend(
     return path, torch.as_tensor(merit), torch.as_tensor(done), linear
 
 
-def log_joint(linear: Linearisation | Deviations) -> np.ndarray:
-    """Log p(x̄, y) (…) of the path that a model was linearised along by tangents: exact, whatever lies beside it."""
-    driven = np.concatenate([linear.m0[..., None, :], linear.a], -2)
-    still = np.diagonal(linear.L, axis1=-2, axis2=-1) == 0
+def log_joint(here: Deviations) -> np.ndarray:
+    """Log p(x̄, y) (…) of a path: exact, whatever lies beside it."""
+    driven = np.concatenate([here.m0[..., None, :], here.a], -2)
+    still = np.diagonal(here.L, axis1=-2, axis2=-1) == 0
     with np.errstate(all="ignore"):  # a path may have run away, or have no density
-        own = np.linalg.solve(linear.L + still[..., None] * np.eye(driven.shape[-1]), driven[..., None])[..., 0]
-        squares = (own**2).sum((-2, -1)) + (linear.e**2).sum((-2, -1))
-        volume = log_abs_det(linear.L).sum(-1) + 0.5 * math.log(2 * math.pi) * driven.shape[-2] * driven.shape[-1]
-        return np.where(still.any((-2, -1)), -np.inf, linear.log_constant - volume - 0.5 * squares)
+        own = np.linalg.solve(here.L + still[..., None] * np.eye(driven.shape[-1]), driven[..., None])[..., 0]
+        squares = (own**2).sum((-2, -1)) + (here.rows.e**2).sum((-2, -1))
+        volume = log_abs_det(here.L).sum(-1) + 0.5 * math.log(2 * math.pi) * driven.shape[-2] * driven.shape[-1]
+        return np.where(still.any((-2, -1)), -np.inf, here.rows.log_constant - volume - 0.5 * squares)
 
 
 def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:

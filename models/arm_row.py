@@ -22,7 +22,7 @@ from invdyn.models.effects.composition import own_values
 from invdyn.models.effects.hidden import Row, tip_motion
 from invdyn.models.effects.situation import Situation
 from invdyn.models.integrators import INTEGRATORS
-from invdyn.models.shapes import join
+from invdyn.models.shapes import by_column, join
 
 Clock = tuple[Tensor, Tensor]
 """A row's time, and that since the first one, s, (..., 1)."""
@@ -58,7 +58,7 @@ class ArmRow:
 
     def transition_mean(self, state: Tensor, t: int | Tensor) -> Tensor:
         """E[x_t | x_{t−1} = state], shape (..., D)."""
-        z, q, qd = self.split(state)
+        z, q, qd = self.split(by_column(state))
         z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
         z_next = self.torque.mean(z, self._step(t), self.parameters)
         drive = self._drive(z, z_next, t)

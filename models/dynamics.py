@@ -18,7 +18,7 @@ from invdyn.models.body import BodyParameters
 from invdyn.models.euler_lagrange import ARGUMENTS, MOVING, torch_functions
 from invdyn.models.planar import Dynamics
 from invdyn.models.recursive import RecursiveDynamics
-from invdyn.models.shapes import common
+from invdyn.models.shapes import common, stacked
 
 __all__ = ["Dynamics", "RecursiveDynamics", "SymbolicDynamics", "dynamics_for"]
 
@@ -106,7 +106,7 @@ class SymbolicDynamics(Dynamics):
     def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
         self._check(q=q)
-        return _stack(self._full_shape("keypoints", p, phi=q)).unflatten(-1, (self.num_joints, 2))
+        return stacked(self._full_shape("keypoints", p, phi=q)).unflatten(-1, (self.num_joints, 2))
 
     def _evaluate(self, name: str, p: BodyParameters, **joint: Tensor) -> list:
         """Outputs of a generated expression; `phi` and `w` are given as q and qd."""
@@ -148,7 +148,7 @@ class SymbolicDynamics(Dynamics):
 
 def _joint_torque(force: Sequence[Tensor]) -> Tensor:
     """Aᵀ F: each joint carries the generalised forces of its own link and of all further out, (..., K)."""
-    return _stack(list(accumulate(reversed(force)))[::-1])
+    return stacked(list(accumulate(reversed(force)))[::-1])
 
 
 def _link_forces(tau: Tensor) -> list[Tensor]:
@@ -166,12 +166,7 @@ def _accelerations(M: list[list[Tensor]], force: list[Tensor], own_inertia: Tens
                 M[k - 1][k - 1] = M[k - 1][k - 1] + own
                 M[k - 1][k] = M[k][k - 1] = M[k][k - 1] - own
     phidd = _solve(M, force)
-    return _stack([phidd[0], *(outer - inner for inner, outer in pairwise(phidd))])
-
-
-def _stack(columns: Sequence[Tensor]) -> Tensor:
-    same = len({column.shape for column in columns}) == 1
-    return torch.stack(columns if same else torch.broadcast_tensors(*columns), -1)
+    return stacked([phidd[0], *(outer - inner for inner, outer in pairwise(phidd))])
 
 
 def _solve(M: list[list[Tensor]], y: list[Tensor]) -> list[Tensor]:

@@ -23,6 +23,26 @@ def join(*pieces: Tensor) -> Tensor:
     return torch.cat(pieces, -1)
 
 
+def by_column(values: Tensor) -> Tensor:
+    """The same (..., n), each of its columns in one piece of memory.
+
+    Work on one column, or on all with factors (..., 1), takes half the time then; with others laid out by row, longer.
+    """
+    return values.movedim(-1, 0).contiguous().movedim(0, -1)
+
+
+def stacked(columns: Sequence[Tensor]) -> Tensor:
+    """(..., n) of n columns (...) that broadcast, laid out :func:`by_column`."""
+    if len({column.shape for column in columns}) > 1:
+        columns = torch.broadcast_tensors(*columns)
+    return torch.stack(list(columns)).movedim(0, -1)
+
+
+def joined_by_column(*pieces: Tensor) -> Tensor:
+    """What :func:`join` gives, laid out :func:`by_column`."""
+    return stacked([column for piece in pieces for column in piece.unbind(-1)])
+
+
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:
     """Matrix (..., P, D) times vector (..., D) → (..., P), broadcasting the leading dimensions."""
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)

@@ -36,7 +36,7 @@ from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
 from invdyn.models.passage import Passage
-from invdyn.models.shapes import join
+from invdyn.models.shapes import join, joined_by_column
 
 ROTOR_SHARE = 0.5
 WIDTHS = tuple(0.003 * 1.7**n for n in range(9))
@@ -81,18 +81,18 @@ class Backlash(HiddenHinge):
     def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The joint's angle is the rotor's and the gap's together."""
         j = self.place[0]
-        return join(q[..., :j], q[..., j : j + 1] - hinge, hinge, q[..., j + 1 :])
+        return joined_by_column(q[..., :j], q[..., j : j + 1] - hinge, hinge, q[..., j + 1 :])
 
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """The inverse of :meth:`spread`."""
         j = self.place[0]
         rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
-        return torch.cat([angles[..., :j], rotor + hinge, angles[..., j + 2 :]], -1), hinge
+        return joined_by_column(angles[..., :j], rotor + hinge, angles[..., j + 2 :]), hinge
 
     def turned(self, angles: Tensor) -> Tensor:
         """The rotor's, as what a joint has of its own is on the motor's side of its play."""
         j = self.place[0]
-        return torch.cat([angles[..., : j + 1], angles[..., j + 2 :]], -1)
+        return joined_by_column(angles[..., : j + 1], angles[..., j + 2 :])
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""

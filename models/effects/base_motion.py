@@ -9,6 +9,7 @@ from torch import Tensor
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.effects.situation import Situation, View
+from invdyn.models.shapes import join, joined_by_column
 
 LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at most
 
@@ -37,7 +38,7 @@ class BaseMotion(Effect):
 
     def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
         """(A_x, A_y) sin(2πft + φ), the one that is closest; the larger of A_x and A_y is positive."""
-        sine, cosine = _parts(values)
+        sine, cosine = (join(values[f"{part}_x"], values[f"{part}_y"]) for part in ("sine", "cosine"))
         phase = torch.atan2(2 * (sine * cosine).sum(-1), (sine**2 - cosine**2).sum(-1)) / 2
         amplitude = sine * phase.cos().unsqueeze(-1) + cosine * phase.sin().unsqueeze(-1)
         larger = amplitude.gather(-1, amplitude.abs().argmax(-1, keepdim=True))
@@ -61,13 +62,8 @@ class BaseMotion(Effect):
         return view.points + _shift(p, view.elapsed).unsqueeze(-2)
 
 
-def _parts(p: Values) -> tuple[Tensor, Tensor]:
-    sine = torch.cat(torch.broadcast_tensors(p["sine_x"], p["sine_y"]), -1)
-    return sine, torch.cat(torch.broadcast_tensors(p["cosine_x"], p["cosine_y"]), -1)
-
-
 def _shift(p: Values, elapsed: Tensor) -> Tensor:
     """b(t), (..., 2) m."""
-    sine, cosine = _parts(p)
     angle = 2 * math.pi * p["frequency"] * elapsed
-    return sine * angle.sin() + cosine * angle.cos()
+    sine, cosine = angle.sin(), angle.cos()
+    return joined_by_column(*(p[f"sine_{axis}"] * sine + p[f"cosine_{axis}"] * cosine for axis in "xy"))

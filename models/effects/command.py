@@ -50,7 +50,7 @@ class Command:
 
     def row(self, t: int | Tensor) -> tuple[Tensor, Tensor]:
         """Mean and slope of the row that leads into row ``t``, (..., K), beside states (..., K)."""
-        rows = [value[..., t - 1, :] for value in (self.mean, self.slope)]
+        rows = [value.movedim(-1, 0)[..., t - 1].movedim(0, -1) for value in (self.mean, self.slope)]
         single = isinstance(t, int) or t.ndim == 0
         return tuple(row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
 

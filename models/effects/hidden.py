@@ -23,7 +23,7 @@ from invdyn.models.body import BodyParameters
 from invdyn.models.dynamics import Dynamics, dynamics_for
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
-from invdyn.models.shapes import join
+from invdyn.models.shapes import join, joined_by_column
 
 Net = Callable[[Tensor, Tensor, float | Tensor], tuple[Tensor, Tensor | None]]
 """(q, q̇, fraction of the step) → the torques on the joints and the joints' own inertias (or None), (..., K)."""
@@ -110,7 +110,7 @@ class HiddenHinge(Hidden):
         if values is None:
             return None
         k = self.place[0]
-        return torch.cat([values[..., : k + 1], torch.zeros_like(values[..., :1]), values[..., k + 1 :]], -1)
+        return joined_by_column(values[..., : k + 1], torch.zeros_like(values[..., :1]), values[..., k + 1 :])
 
     @abstractmethod
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -23,7 +23,7 @@ from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
 from invdyn.models.integrators import rk4
-from invdyn.models.shapes import join
+from invdyn.models.shapes import join, joined_by_column
 
 FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
 """Hz, of the outer half and what it carries, swinging on the spring with the inner half held."""
@@ -89,12 +89,12 @@ class LinkFlexibility(HiddenHinge):
     def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The hinge's angle stands after its link's joint."""
         k = self.place[0]
-        return join(q[..., : k + 1], hinge, q[..., k + 1 :])
+        return joined_by_column(q[..., : k + 1], hinge, q[..., k + 1 :])
 
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """The inverse of :meth:`spread`."""
         k = self.place[0]
-        return torch.cat([angles[..., : k + 1], angles[..., k + 2 :]], -1), angles[..., k + 1 : k + 2]
+        return joined_by_column(angles[..., : k + 1], angles[..., k + 2 :]), angles[..., k + 1 : k + 2]
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from invdyn.models.body import BodyParameters
 from invdyn.models.planar import Dynamics
+from invdyn.models.shapes import stacked
 
 
 @dataclass
@@ -49,7 +50,9 @@ class Situation:
 
     def at(self, joint: int, value: Tensor) -> Tensor:
         """A generalised force (..., 1) at one joint, as (..., K)."""
-        return torch.nn.functional.pad(value, (joint, self.q.shape[-1] - joint - 1))
+        value = value[..., 0]
+        nothing = value.new_zeros(()).expand_as(value)
+        return stacked([value if k == joint else nothing for k in range(self.q.shape[-1])])
 
     def at_tip(self, link: int, force: Tensor) -> Tensor:
         """Jᵀ F of a force (..., 2) N that pulls at a link's tip, (..., K)."""

@@ -10,6 +10,7 @@ from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 from scipy.stats import t as student_t
 
+from invdyn.diagnosis import candidates
 from invdyn.diagnosis.candidates import STEP, hypotheses, slopes, spacing, unchanged
 from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.noise import is_noise
@@ -139,6 +140,18 @@ def test_columns_are_differences_of_the_model(name):
             for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
                 expected = (there - here) / step
                 np.testing.assert_allclose(got[..., column], expected, atol=1e-9 + 1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("key", ["base_motion", "camera_yaw", "link_flexibility.forearm"])
+def test_many_parameter_sets_are_taken_in_turns(key, monkeypatch):
+    here, path, (effect,) = bound(), followed(), chosen(key)
+    plain = unchanged(here.model, path)
+    _, whole = hypotheses(here.model, effect, path, plain)
+    monkeypatch.setattr(candidates, "MANY", 7)
+    assert whole.g.shape[-1] > 3 * 7
+    _, parts = hypotheses(here.model, effect, path, plain)
+    np.testing.assert_array_equal(parts.g, whole.g)
+    np.testing.assert_array_equal(parts.d, whole.d)
 
 
 def test_a_bending_link_to_first_order():

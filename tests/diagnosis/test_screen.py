@@ -5,7 +5,7 @@ from copy import copy
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, recording_of
+from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.candidates import WINDOW
 from invdyn.diagnosis.extend import _aside
@@ -13,7 +13,7 @@ from invdyn.diagnosis.noise import is_searched
 from invdyn.diagnosis.paths import FIRM, data_path, led
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.screen import screen, screen_in_halves, windows
+from invdyn.diagnosis.screen import _cost, _halved, screen, screen_in_halves, windows
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import spread, unknowns
 from invdyn.diagnosis.whiten import linear_of
@@ -123,3 +123,13 @@ def test_halves_are_a_ranking_of_the_whole():
         assert [s.log_evidence for s in found] == sorted((s.log_evidence for s in found), reverse=True)
         for each in found:
             assert each.log_evidence == pytest.approx(whole[each.effect and each.effect.key], abs=1e-6)
+
+
+def test_halves_take_as_long_as_each_other():
+    here = setting(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
+    costs = {e.key: _cost(e, here.model) for e in considered(here) if not is_searched(e)}
+    one, other = _halved([(e, costs[e.key]) for e in considered(here) if e.key in costs])
+    assert sorted(e.key for e in (*one, *other)) == sorted(costs)
+    taken = [sum(costs[e.key] for e in half) for half in (one, other)]
+    assert max(costs.values()) > 5 * min(costs.values())  # which is what makes it hard
+    assert max(taken) <= 1.02 * min(taken)

@@ -8,14 +8,15 @@ import torch
 from pendulum import ARM, PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis.findings import finding
-from invdyn.diagnosis.noise import is_noise, log_spread
+from invdyn.diagnosis.noise import grid, is_noise, log_spread
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import considered
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import at_far_end
-from invdyn.inference.gauss_newton import slopes_along
+from invdyn.diagnosis.whiten import linear_of
+from invdyn.inference.gauss_newton import seen_as, seen_rows, slopes_along
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -125,11 +126,19 @@ def test_intervals_of_what_was_searched_stay_within_the_prior():
 
 
 @pytest.mark.parametrize("name", [name for name, kind in EFFECTS.items() if is_noise(kind.__new__(kind))])
-def test_what_changes_the_scatter_leaves_the_slopes(name):
-    """So that one set of them does for all of its parameters."""
+def test_what_changes_the_scatter_leaves_the_motion_and_the_slopes(name):
+    """So that one linearisation does for all of its parameters, but for the rows that are seen."""
     here = setting(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
     path, _ = data_path(here)
     effect = next(e for e in considered(here) if e.name == name)
-    model = here.model.with_effects(effect)
-    for mine, plain in zip(slopes_along(model, path), slopes_along(here.model, path), strict=True):
+    parameters, points = grid(effect, here.model.scale)
+    values = {f"effect.{effect.key}.{p.name}": torch.tensor([v]) for p, v in zip(parameters, points[-1], strict=True)}
+    model = here.model.with_effects(effect).replace(**values)
+    slopes = slopes_along(here.model, path)
+    for mine, plain in zip(slopes_along(model, path), slopes, strict=True):
         torch.testing.assert_close(mine, plain, rtol=1e-12, atol=1e-12)
+    whole, plain = linear_of(here, model, path, slopes), linear_of(here, here.model, path, slopes)
+    assert np.abs(whole.log_constant - plain.log_constant) > 0.1  # it does change the scatter
+    anew = seen_as(plain, seen_rows(model, path, here.observations), slopes[1])
+    for field in ("F", "a", "L", "E", "e", "m0", "log_constant"):
+        np.testing.assert_array_equal(getattr(anew, field), getattr(whole, field))

@@ -11,7 +11,7 @@ import torch
 
 from invdyn.inference import gauss_newton
 from invdyn.inference.affine import jacobian
-from invdyn.inference.gauss_newton import emission_mean, gauss_newton_path, linearise, log_joint, slopes_along
+from invdyn.inference.gauss_newton import deviations, emission_mean, gauss_newton_path, log_joint, slopes_along
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 from invdyn.models.effects import EFFECTS
@@ -82,7 +82,7 @@ def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
     paths, observations = model.simulate((3,))
     observations = observations[0].clone()
     observations[5:9, :2] = torch.nan
-    found = log_joint(linearise(model, paths, observations))
+    found = log_joint(deviations(model, paths, observations))
     np.testing.assert_allclose(found, model.log_joint(paths, observations).numpy(), rtol=1e-10)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import mutually_broadcastable_shapes
 
-from invdyn.models.shapes import apply, common, join
+from invdyn.models.shapes import apply, by_column, common, join, joined_by_column, stacked
 
 
 @settings(deadline=None, derandomize=True)
@@ -19,6 +19,10 @@ def test_pieces_are_joined_along_the_last_dimension(shapes, alike):
     assert joined.shape == (*shapes.result_shape, 6)
     for own, piece in zip(joined.split([1, 2, 3], -1), pieces, strict=True):
         torch.testing.assert_close(own, piece.expand_as(own), rtol=0, atol=0)
+    columns = [column for piece in pieces for column in piece.unbind(-1)]
+    for other in (by_column(joined), joined_by_column(*pieces), stacked(columns)):
+        assert torch.equal(other, joined)
+        assert all(column.is_contiguous() for column in other.unbind(-1))
 
 
 def test_shapes_that_do_not_fit_are_refused():
