@@ -6,6 +6,7 @@ row (:mod:`.compiled`) is run once more with each tensor (batch, event) as an ar
 so that taking entries apart and putting them together costs nothing and what is left is arithmetic on (M, N):
 
     cat, stack, split, unbind, select, slice, view of the event      an array's
+    entries moved before the batch, and back                         noted, and nothing done
     elementwise operations                                           entry by entry
     sums over the event, matrices times it                           sums of entries
     whatever else                                                    of the tensor, put together again
@@ -28,6 +29,8 @@ from torch.fx import GraphModule, Interpreter
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._pytree import tree_leaves, tree_map
 
+from invdyn.models.shapes import by_column
+
 aten = torch.ops.aten
 
 LARGEST = 256
@@ -36,7 +39,7 @@ LARGEST = 256
 
 def stored_by_columns(value: Tensor) -> Tensor:
     """``value`` (M, N, D), its entries one after the other in memory; what has no event (M, N) as it is."""
-    return value if value.ndim < 3 else value.movedim(-1, 0).contiguous().movedim(0, -1)
+    return value if value.ndim < 3 else by_column(value)
 
 
 def by_columns(graph: GraphModule, example: tuple[Tensor, ...], batch: torch.Size) -> GraphModule:
@@ -99,6 +102,18 @@ class _Columns:
         return entry.expand(self.batch)
 
 
+@dataclass
+class _Turned:
+    """Columns seen with their dimensions in the order ``dims``: the half-way mark where a model lays entries out."""
+
+    columns: _Columns
+    dims: tuple[int, ...]
+
+    def whole(self) -> Tensor:
+        """The tensor."""
+        return self.columns.whole().permute(self.dims)
+
+
 class _ByColumns(Interpreter):
     """Runs a recorded row of ``batch`` (M, N); states (M, N, D) become columns."""
 
@@ -111,12 +126,14 @@ class _ByColumns(Interpreter):
 
     def output(self, target, args, kwargs):
         values = super().output(target, args, kwargs)
-        return tree_map(lambda value: value.stored() if isinstance(value, _Columns) else value, values)
+        return tree_map(lambda value: value.stored() if isinstance(value, _Columns) else _whole(value), values)
 
     def call_function(self, target, args, kwargs):
         if target is operator.getitem:  # of a list that an operation has returned
             return super().call_function(target, args, kwargs)
-        columns = any(isinstance(value, _Columns) for value in tree_leaves((args, kwargs)))
+        if target not in (aten.permute.default, aten.clone.default):
+            args, kwargs = tree_map(lambda value: _whole(value, _Turned), (args, kwargs))
+        columns = any(isinstance(value, _Columns | _Turned) for value in tree_leaves((args, kwargs)))
         rule = _RULES.get(target) if columns or target is aten.stack.default else None
         if columns and rule is None and torch.Tag.pointwise in getattr(target, "tags", ()):
             rule = partial(_each, target)
@@ -125,13 +142,18 @@ class _ByColumns(Interpreter):
             return found
         # What came of columns may lie otherwise in memory than it did.
         target = aten.reshape.default if target in _VIEWS else target
-        args, kwargs = tree_map(lambda value: value.whole() if isinstance(value, _Columns) else value, (args, kwargs))
+        args, kwargs = tree_map(_whole, (args, kwargs))
         return self._columns(super().call_function(target, args, kwargs))
 
     def _columns(self, value):
         """A tensor (M, N, ...) as columns, such as a state or noise; what is none as it is."""
         fits = isinstance(value, Tensor) and value.ndim > 2 and value.shape[:2] == self.batch and value.numel()
         return _Columns.of(value, value.ndim - 2) if fits else value
+
+
+def _whole(value, kind=_Columns | _Turned):
+    """Columns of this ``kind`` as a tensor; what is none as it is."""
+    return value.whole() if isinstance(value, kind) else value
 
 
 def _each(target, *args, **kwargs):
@@ -184,10 +206,23 @@ def _stack(values, dim: int = 0):
     if not all(isinstance(value, _Columns) for value in values) or not _same_type(values):
         return NotImplemented
     first = values[0]
-    axis = dim - len(first.batch) if dim >= 0 else dim + first.entries.ndim + 1
-    if axis < 0 or any(value.entries.shape != first.entries.shape for value in values):
+    batch = len(first.batch)
+    axis = dim - batch if dim >= 0 else dim + first.entries.ndim + 1
+    if any(value.entries.shape != first.entries.shape for value in values):
         return NotImplemented
-    return first.with_event(np.stack([value.entries for value in values], axis))
+    if dim == 0 and not first.entries.ndim:  # on the way to entries one after the other in memory
+        return _Turned(first.with_event(np.stack([value.entries for value in values])), (batch, *range(batch)))
+    return NotImplemented if axis < 0 else first.with_event(np.stack([value.entries for value in values], axis))
+
+
+def _permute(value: _Columns | _Turned, dims):
+    if isinstance(value, _Turned):
+        value, dims = value.columns, [value.dims[dim] for dim in dims]
+    batch = len(value.batch)
+    dims = tuple(dim % (batch + value.entries.ndim) for dim in dims)
+    if dims[:batch] != tuple(range(batch)):
+        return _Turned(value, dims)
+    return value.with_event(value.entries.transpose([dim - batch for dim in dims[batch:]]))
 
 
 def _split(value: _Columns, sizes, dim: int = 0):
@@ -276,13 +311,14 @@ def _randn_like(value: _Columns, **kwargs):
     return _Columns.of(noise, value.entries.ndim)
 
 
-def _same(value: _Columns, **kwargs):
+def _same(value: _Columns | _Turned, **kwargs):
     return value
 
 
 _RULES: dict[Any, Callable] = {
     aten.cat.default: _cat,
     aten.stack.default: _stack,
+    aten.permute.default: _permute,
     aten.split_with_sizes.default: _split,
     aten.unbind.int: _unbind,
     aten.select.int: _select,

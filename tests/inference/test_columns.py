@@ -10,6 +10,7 @@ from invdyn.inference.columns import by_columns, stored_by_columns
 from invdyn.inference.particles import take
 from invdyn.models import ArmModel, Body, Emission, Link, Matern32
 from invdyn.models.effects import CoulombFriction, Outliers, SoftTissue, ViscousFriction
+from invdyn.models.shapes import by_column, stacked
 
 STEPS, M, N = 6, 3, 7
 
@@ -108,6 +109,8 @@ OPERATIONS = {
     ),
     "one entry": lambda x: (x[..., :1].reshape(21), x[..., 1:2].reshape(3, 7), x.transpose(0, 1).sum(0)),
     "stacked": lambda x: (torch.stack([x, 2 * x], -2), torch.stack([x[..., 0], x[..., 3]], 0), torch.stack([x, x])),
+    "laid out": lambda x: (by_column(x.clone()), stacked(x.unbind(-1)), x.unflatten(-1, (2, 2)).transpose(-1, -2)),
+    "turned": lambda x: (x.movedim(-1, 0), x.movedim(-1, 0) + 1, x.permute(2, 1, 0).movedim(0, -1), x.permute(1, 0, 2)),
     "products": lambda x: (x @ torch.ones(4, 2), x @ torch.ones(3, 4, 4), x @ torch.ones(4, 0), x @ torch.ones(4, 99)),
     "noise": lambda x: (torch.randn_like(x), torch.randn_like(x, dtype=torch.float64)),
 }
