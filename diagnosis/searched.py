@@ -16,6 +16,7 @@ from itertools import cycle, islice
 import numpy as np
 import torch
 from scipy.special import logsumexp
+from torch import Tensor
 
 from invdyn.diagnosis.candidates import slopes
 from invdyn.diagnosis.cause import Refined
@@ -26,7 +27,7 @@ from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.whiten import filter_of, linear_of, log_prior, sizes, whiten
-from invdyn.inference.gauss_newton import seen_as, seen_rows, slopes_along
+from invdyn.inference.gauss_newton import Linearisation, Slopes, seen_as, seen_rows, slopes_along
 from invdyn.models.effects.base import Effect
 
 TURNS, MUCH = 4, 50.0
@@ -68,10 +69,14 @@ def _added(
     known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
     common, levels = unknowns(setting, base.effects), sizes(setting.regime)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
-    model, path, some = base.model.with_effects(effect), base.path, _telling(base, levels)
-    # What changes the scatter alone leaves the motion and all slopes as they are, whatever its parameters.
-    tangents = slopes_along(base.model, path)
-    moving = linear_of(setting, base.model, path, tangents)
+    model, some = base.model.with_effects(effect), _telling(base, levels)
+
+    def along(cause: Refined) -> tuple[Tensor, Slopes, Linearisation]:
+        """Path, slopes and linearisation: what changes the scatter alone leaves them, whatever its parameters."""
+        tangents = slopes_along(cause.model, cause.path)
+        return cause.path, tangents, linear_of(setting, cause.model, cause.path, tangents)
+
+    path, tangents, moving = along(base)
     most = np.array([upper_bound(p) for p in parameters])
 
     def by_size(values: np.ndarray) -> np.ndarray:
@@ -98,8 +103,7 @@ def _added(
     start = np.log(start)
     values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
-    path, some, tangents = cause.path, _telling(cause, levels), slopes_along(cause.model, cause.path)
-    moving = linear_of(setting, cause.model, path, tangents)
+    (path, tangents, moving), some = along(cause), _telling(cause, levels)
     start, covariance, integral = climb(score, start)
     start = np.minimum(start, np.log(most))
     own = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
