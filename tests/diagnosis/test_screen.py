@@ -117,7 +117,7 @@ def test_halves_are_a_ranking_of_the_whole():
     whole = {
         s.effect and s.effect.key: s.log_evidence for s in screen(here, here.model, path, effects, common, common.mean)
     }
-    for count in (1, len(effects)):
+    for count in (0, 1, len(effects)):
         found = screen_in_halves(1, here, here.model, path, effects[:count], common, common.mean)
         assert len(found) == count + 1
         assert [s.log_evidence for s in found] == sorted((s.log_evidence for s in found), reverse=True)
