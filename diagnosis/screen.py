@@ -265,7 +265,7 @@ def screen_in_halves(
 
 
 def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
-    """Effects in two halves that cost alike: the costliest first, each to where less is (Graham 1969); one, or none, in one."""
+    """Effects in two halves that cost alike: the costliest first, each to where less is (Graham 1969). Few in one."""
     halves: list[list[Effect]] = [[] for _ in costs[:2]] or [[]]
     filled = [0] * len(halves)
     for effect, cost in sorted(costs, key=lambda each: -each[1]):
