@@ -18,7 +18,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.driven import driven
 from invdyn.diagnosis.unknowns import Unknowns, lower_bound, spread, upper_bound
-from invdyn.inference.gauss_newton import emission_mean
+from invdyn.inference.linearisation import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.hidden import HiddenHinge

@@ -32,8 +32,9 @@ from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.diagnosis.whiten import log_prior, sizes
 from invdyn.inference.block_filter import BLOCK, BlockFilter
-from invdyn.inference.gauss_newton import gauss_newton, slopes_along
+from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.inference.laplace import GaussianChain
+from invdyn.inference.linearisation import slopes_along
 from invdyn.inference.nested import outer_weights
 from invdyn.inference.particles import FilterResult, joined
 from invdyn.inference.posterior import to_inference_data

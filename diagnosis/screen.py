@@ -21,7 +21,7 @@ from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.unknowns import Unknowns
 from invdyn.diagnosis.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
-from invdyn.inference.gauss_newton import Linearisation
+from invdyn.inference.linearisation import Linearisation
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
@@ -265,7 +265,7 @@ def screen_in_halves(
 
 
 def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
-    """Effects in two halves that cost alike: the costliest first, each to where less is (Graham 1969). Few in one."""
+    """Effects in two halves that cost alike, fewer than two in one: costliest first, to where less is (Graham 1969)."""
     halves: list[list[Effect]] = [[] for _ in costs[:2]] or [[]]
     filled = [0] * len(halves)
     for effect, cost in sorted(costs, key=lambda each: -each[1]):

@@ -27,7 +27,7 @@ from invdyn.diagnosis.refine import expansions, refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.whiten import filter_of, linear_of, log_prior, sizes, whiten
-from invdyn.inference.gauss_newton import Linearisation, Slopes, seen_as, seen_rows, slopes_along
+from invdyn.inference.linearisation import Linearisation, Slopes, seen_as, seen_rows, slopes_along
 from invdyn.models.effects.base import Effect
 
 TURNS, MUCH = 4, 50.0

@@ -18,7 +18,7 @@ from torch import Tensor
 from invdyn.diagnosis.candidates import Columns
 from invdyn.diagnosis.innovations import Gains, gains, innovations
 from invdyn.diagnosis.setting import Setting
-from invdyn.inference.gauss_newton import Linearisation, Slopes, linearise
+from invdyn.inference.linearisation import Linearisation, Slopes, linearise
 from invdyn.inference.square_root import square
 from invdyn.models import ArmModel
 from invdyn.models.missing import times

@@ -18,13 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.gauss_newton import (
-    GaussianSmoother,
-    Linearisation,
-    emission_mean,
-    prior_chain,
-    solve,
-)
+from invdyn.inference.gauss_newton import GaussianSmoother, solve
+from invdyn.inference.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.square_root import apply, forward_mean
 from invdyn.models.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean

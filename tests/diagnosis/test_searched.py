@@ -16,7 +16,7 @@ from invdyn.diagnosis.searched import refine_searched
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.diagnosis.unknowns import at_far_end
 from invdyn.diagnosis.whiten import linear_of
-from invdyn.inference.gauss_newton import seen_as, seen_rows, slopes_along
+from invdyn.inference.linearisation import seen_as, seen_rows, slopes_along
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 

@@ -11,7 +11,8 @@ import torch
 
 from invdyn.inference import gauss_newton
 from invdyn.inference.affine import jacobian
-from invdyn.inference.gauss_newton import deviations, emission_mean, gauss_newton_path, log_joint, slopes_along
+from invdyn.inference.gauss_newton import gauss_newton_path
+from invdyn.inference.linearisation import deviations, emission_mean, log_joint, slopes_along
 from invdyn.inference.square_root import forward_mean
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link, Matern32, StateSpaceModel
 from invdyn.models.effects import EFFECTS
