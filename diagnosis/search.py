@@ -3,7 +3,8 @@
 Forward selection with replacement over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani &
 Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:mod:`.prior`):
 
-    1  "no effect" by itself; where detections are stray, what leaves them, before anything else
+    1  "no effect" by itself; where detections are stray, what leaves them, before anything else, or, where that leaves
+       something, what leaves nothing instead
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
        values those that no screen tells the size of (``Effect.scan``), and it in shorter sub-steps (:mod:`.substeps`);
        then, or where it is not what it is called (:mod:`.credible`), sets of several in a beam (:mod:`.together`)
@@ -39,7 +40,7 @@ from invdyn.diagnosis.kin import refine_kin
 from invdyn.diagnosis.paths import FIRM, led
 from invdyn.diagnosis.pool import MISTAKES, Search, considered, others
 from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, refine_every
+from invdyn.diagnosis.promising import HOPELESS, SHARE, attempt, refine_every, refine_promising
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.screen import Screened
 from invdyn.diagnosis.searched import refine_searched
@@ -50,8 +51,9 @@ from invdyn.diagnosis.together import together
 from invdyn.diagnosis.unknowns import unknowns
 from invdyn.models.effects.base import Effect
 
-WIDTH, SETS = (10, 4, 5, 5), 2
-"""Candidates refined when the first, second, … effect is sought, and sets of several that are refined as a whole."""
+WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
+"""Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
+candidates refined instead of stray detections."""
 
 FORWARD = len(WIDTH)
 """Effects that are added one by one, at least, if there may be so many."""
@@ -183,7 +185,9 @@ def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
 def _mistaken(setting: Setting, found: Search) -> None:
     """Refine what leaves stray detections by itself, along the path that does not follow them and the simulation's own.
 
-    Beside it other effects are looked for, and not instead of it: little else shows until that is said.
+    Beside it other effects are looked for, as little else shows until that is said. Instead of it stands one by itself
+    that leaves nothing where stray detections do, if it is among the most promising: a link that bends by much strays
+    from where the simulation has it, too, and among stray detections nothing shows of that.
     """
     none = found.pool[""]
     for path in (found.aside, found.path):
@@ -193,6 +197,13 @@ def _mistaken(setting: Setting, found: Search) -> None:
                 found.add(cause)
         if found.ranked[0].complete:
             return
+    if not found.ranked[0].effects:
+        return
+    _, screened = screened_with(setting, found, none, True)
+    tried = replace(found, pool=dict(found.pool))
+    refine_promising(setting, tried, none, screened, INSTEAD)
+    if tried.explained:
+        found.pool, found.first = tried.pool, screened
 
 
 def _singles(found: Search) -> list[Refined]:

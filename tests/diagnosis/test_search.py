@@ -14,7 +14,7 @@ from invdyn.diagnosis.extend import extend
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search, considered
 from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.search import WIDTH, _overtaken, _settled, search
+from invdyn.diagnosis.search import INSTEAD, WIDTH, _mistaken, _overtaken, _settled, search
 from invdyn.diagnosis.setting import LOOSE, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -251,3 +251,65 @@ def test_stray_detections_are_explained_before_anything_else(monkeypatch):
     assert found.ranked[0].key == "label_swap.elbow.wrist"
     assert found.ranked[0].complete
     assert bases[0] == "label_swap.elbow.wrist"
+
+
+BENDING = EFFECTS["link_flexibility"]("forearm")
+
+
+@cache
+def bending():
+    """Setting and path of an arm whose forearm bends so much that the wrist strays from where a rigid one has it."""
+    recording = recording_of(BENDING, ARM, effort=1.0, seed=2, stiffness=0.7, damping=0.0014)
+    bound = setting(recording, ARM)
+    return bound, *data_path(bound)
+
+
+def test_what_bends_by_much_is_no_stray_detection():
+    """Beside stray detections, which gain a hundred nats, it gains nothing; without them, more than five hundred."""
+    bound, path, stray = bending()
+    assert stray
+    found = search(bound, path, stray, [name for name in MANY if name not in ("outliers", BENDING.name)])
+    assert found.ranked[0].key == BENDING.key
+    assert found.ranked[0].complete
+    assert found.pool["outliers"].log_evidence > found.pool[""].log_evidence + 100
+    # The screen that the report shows is of single effects, with nothing beside them.
+    assert found.first[0].effect.key == BENDING.key
+    assert next(s for s in found.first if s.effect is None).log_evidence < found.pool["outliers"].log_evidence - 100
+
+
+@pytest.mark.parametrize(
+    ("strays", "cleared", "gain", "complete", "taken"),
+    [
+        (True, False, 500.0, True, True),
+        (True, False, 500.0, False, False),  # what it leaves may be the stray detections
+        (True, False, -500.0, True, False),
+        (True, True, 500.0, True, None),  # where stray detections leave nothing, nobody looks
+        (False, False, 500.0, True, None),  # and where there are none, all are looked at anyway
+    ],
+)
+def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
+    monkeypatch, strays, cleared, gain, complete, taken
+):
+    bound, path, stray = bending()
+    module, asked, screened = sys.modules[search.__module__], [], [None]
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    outliers, limit = (next(e for e in considered(bound) if e.name == name) for name in ("outliers", "joint_limit"))
+
+    def like(complete, *effects, nats):
+        by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
+        return replace(none, effects=effects, log_evidence=none.log_evidence + nats, by_size=by_size)
+
+    mistaken = like(cleared, outliers, nats=200.0 if strays else -200.0)
+    found = Search([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, aside=path)
+
+    def promising(_, pool, base, given, width):
+        asked.append((base.key, given, width))
+        pool.add(like(complete, limit, nats=200.0 + gain))
+
+    monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
+    monkeypatch.setattr(module, "screened_with", lambda *_: (None, screened))
+    monkeypatch.setattr(module, "refine_promising", promising)
+    _mistaken(bound, found)
+    assert asked == ([] if taken is None else [("", screened, INSTEAD)])
+    assert (limit.key in found.pool) is bool(taken)
+    assert found.first == (screened if taken else [])
