@@ -265,13 +265,14 @@ def bending():
 
 
 def test_what_bends_by_much_is_no_stray_detection():
-    """Beside stray detections, which gain a hundred nats, it gains nothing; without them, more than five hundred."""
+    """Stray detections gain a hundred nats, and it by itself hundreds more."""
     bound, path, stray = bending()
     assert stray
     found = search(bound, path, stray, [name for name in MANY if name not in ("outliers", BENDING.name)])
     assert found.ranked[0].key == BENDING.key
     assert found.ranked[0].complete
     assert found.pool["outliers"].log_evidence > found.pool[""].log_evidence + 100
+    assert found.ranked[0].log_evidence > found.pool["outliers"].log_evidence + 300
     # The screen that the report shows is of single effects, with nothing beside them.
     assert found.first[0].effect.key == BENDING.key
     assert next(s for s in found.first if s.effect is None).log_evidence < found.pool["outliers"].log_evidence - 100
