@@ -13,8 +13,9 @@ Nothing is assumed of the effects but that the model's three distributions follo
 differences of a twentieth of their uncertainty. Parameters of all effects in the model are free.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -82,8 +83,8 @@ def refine(
     best: Refined | None = None
     worth = most_seen = -np.inf
 
-    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[Refined, np.ndarray]:
-        """Path and expansion about ``point``; the cause, and where its parameters would go."""
+    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[Refined, np.ndarray, float]:
+        """Path and expansion about ``point``; the cause, where its parameters go, and the gain it promises."""
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
@@ -97,13 +98,14 @@ def refine(
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
             raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
-        target = _within(among, point, top.mean[0], top.covariance[0])
+        mean, covariance = top.mean[0], top.covariance[0]
+        target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
         cause = Refined(
             effects,
             among.names,
             target,
-            top.covariance[0],
+            covariance,
             evidence,
             by_size,
             float(top.kappa[0]),
@@ -112,10 +114,10 @@ def refine(
             noise,
             spread,
             integrated,
-            learned=learned(top.covariance[0], among.sd),
+            learned=learned(covariance, among.sd),
             far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )
-        return cause, target
+        return cause, target, _promised(among, point, mean, covariance)
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
         """Expand and move on, ``most`` times at most; the best stays.
@@ -125,7 +127,7 @@ def refine(
         nonlocal best, worth, most_seen, step
         for done in range(most):
             try:
-                cause, target = once(point, path, stiffness * size, fresh and not done)
+                cause, target, promised = once(point, path, stiffness * size, fresh and not done)
             except np.linalg.LinAlgError:
                 if best is None:
                     raise
@@ -134,7 +136,6 @@ def refine(
             step = 0.05 * sd
             off = np.abs(target - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
-            promised = 0.5 * _distance(target - point, cause.covariance)
             true = cause.log_evidence - promised
             if best is None or true > most_seen - UNKEPT:
                 # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
@@ -167,20 +168,32 @@ def refine(
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 
-def _within(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _within(
+    bounded: Callable[[np.ndarray], np.ndarray], point: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
     """Where a step of N(mean, covariance) leads from ``point`` within bounds: at a bound, the others given that."""
     whole = target = point + mean
     held = np.zeros(len(point), dtype=bool)
     while True:
-        bounded = among.step(point, target)
-        over = ~held & (bounded != target)
+        within = bounded(target)
+        over = ~held & (within != target)
         if not over.any():
-            return bounded
+            return within
         held |= over
         free = ~held
         gain = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[np.ix_(held, free)], rcond=None)[0].T
-        target = bounded.copy()
-        target[free] = whole[free] + gain @ (bounded - whole)[held]
+        target = within.copy()
+        target[free] = whole[free] + gain @ (within - whole)[held]
+
+
+def _promised(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:
+    """Nats that the evidence of N(mean, covariance) about ``point`` has over what is seen there.
+
+    That evidence is cut at the parameters' bounds, but not where a step is shortened for other reasons:
+    ½ (|m|² − |m − x|²), where x is as much of the whole step m as bounds allow.
+    """
+    allowed = _within(partial(np.clip, a_min=among.lower, a_max=among.upper), point, mean, covariance) - point
+    return max(0.5 * (_distance(mean, covariance) - _distance(mean - allowed, covariance)), 0.0)
 
 
 def _distance(step: np.ndarray, covariance: np.ndarray) -> float:

@@ -1,19 +1,19 @@
 """How a refinement steps from round to round, and where it ends."""
 
 import sys
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, DAMPING, PENDULUM, causes, path_of, recorded, recording_of
+from pendulum import ARM, DAMPING, FRICTION, PENDULUM, causes, path_of, recorded, recording_of
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.paths import FIRM
-from invdyn.diagnosis.refine import SETTLED, SHORTER, STEPS, _distance, _within, refine
+from invdyn.diagnosis.refine import SETTLED, SHORTER, STEPS, _distance, _promised, _within, refine
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.diagnosis.unknowns import unknowns
+from invdyn.diagnosis.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.whiten import log_prior
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -23,14 +23,12 @@ def test_what_never_rests_is_worth_what_was_seen(monkeypatch):
     """Where every step promises more than the next one keeps, the cause stands where it was expanded."""
     here, _, cause = causes()
     monkeypatch.setattr(
-        sys.modules[refine.__module__],
-        "_within",
-        lambda among, point, mean, covariance: point + 3 * np.sqrt(np.diag(covariance)) * (-1) ** (point > DAMPING),
+        Unknowns, "step", lambda among, point, target: cause.mean + 3 * cause.sd * (-1) ** (point > cause.mean)
     )
     restless = refine(here, cause.effects, {}, path_of(here), LOOSE)
     assert np.array_equal(restless.mean, restless.about)
     assert restless.log_evidence == pytest.approx(logsumexp(restless.by_size))
-    assert restless.log_evidence < cause.log_evidence - 1
+    assert restless.log_evidence == pytest.approx(cause.log_evidence - 0.5 * 3**2, abs=0.5)
     assert cause.log_evidence == pytest.approx(logsumexp(cause.by_size))
 
 
@@ -72,7 +70,7 @@ def test_a_step_that_meets_a_bound_is_the_best_within_it():
         root = generator.normal(size=(3, 3)) * among.sd[:, None]
         covariance, mean = root @ root.T, generator.normal(size=3) * among.sd
         point = among.lower + 0.3 * among.sd
-        found = _within(among, point, mean, covariance)
+        found = _within(partial(among.step, point), point, mean, covariance)
 
         def cost(z, mean=mean, covariance=covariance, point=point):
             return _distance(point + mean - z * among.sd, covariance)
@@ -86,6 +84,26 @@ def test_a_step_that_meets_a_bound_is_the_best_within_it():
         clipped = np.clip(point + mean, among.lower, among.upper)
         assert cost(found / among.sd) <= cost(clipped / among.sd) + 1e-9
     assert met > 5
+
+
+def test_what_is_promised_is_the_gain_within_bounds():
+    """From two deviations within an edge to three beyond it: 2⁻¹ (5² − 3²) nats; from the edge on, none."""
+    here = setting(recorded(), PENDULUM)
+    among = unknowns(here, [FRICTION.bound(PENDULUM)])
+    sd = 0.1 * among.sd
+    for inside, gain in ((2.0, 8.0), (0.0, 0.0)):
+        point = among.lower + inside * sd
+        assert _promised(among, point, among.lower - 3 * sd - point, np.diag(sd**2)) == pytest.approx(gain, abs=1e-9)
+
+
+def test_all_of_a_shortened_step_is_promised():
+    """Evidence knows of no step that is shorter than bounds let it be."""
+    here = setting(recorded(), PENDULUM)
+    among = unknowns(here, (EFFECTS["stribeck_friction"]("pivot").bound(PENDULUM),))
+    covariance, whole = np.diag((0.1 * among.sd) ** 2), -0.9 * among.mean
+    halved = _within(partial(among.step, among.mean), among.mean, whole, covariance)
+    assert halved == pytest.approx(among.mean / 2)
+    assert _promised(among, among.mean, whole, covariance) == pytest.approx(0.5 * _distance(whole, covariance))
 
 
 @cache
