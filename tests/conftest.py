@@ -6,7 +6,10 @@ from pathlib import Path
 import pyro
 import pytest
 import torch
+from hypothesis import settings
 
+settings.register_profile("invdyn", deadline=None, derandomize=True)  # the same examples, however busy the machine
+settings.load_profile("invdyn")
 torch.set_num_threads(1)  # for what is made before a module's first test, too; see `_seeded`
 
 

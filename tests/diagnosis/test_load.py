@@ -39,7 +39,7 @@ def loaded(m):
     return np.array([m, com - C, moment - (M + m) * com**2])
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.floats(0.01, 3.0))
 def test_errors_that_are_a_load_are_that_load(mass):
     found, off = nearest_load(cause(loaded(mass)), ERROR, PAYLOAD, SCALE)

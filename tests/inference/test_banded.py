@@ -41,7 +41,7 @@ def test_rows_that_were_not_seen():
     assert_agrees(F, a, L, E, e, m0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     driven=st.floats(-6, 0),

@@ -240,7 +240,7 @@ def test_missing_rows_of_the_tail_do_not_count(tail):
     assert 4 * seen == pytest.approx(exact, abs=0.15)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(first=st.integers(0, 38), seed=st.integers(0, 99))
 def test_continued_model_is_the_whole_one_from_a_row_on(first, seed):
     model = arm_problem(blank(), ARM, parameters=KNOWN, substeps=1).model

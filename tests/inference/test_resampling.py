@@ -47,7 +47,7 @@ def test_multinomial_counts_have_the_variance_of_independent_draws():
 
 
 @EVERY
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.one_of(

@@ -14,7 +14,7 @@ cases = given(K=st.integers(1, 4), seed=st.integers(0, 10**6))
 
 
 @cases
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_inertia_is_symmetric_positive_definite_and_gives_the_kinetic_energy(K, seed):
     p, q, qd, _ = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
@@ -25,7 +25,7 @@ def test_inertia_is_symmetric_positive_definite_and_gives_the_kinetic_energy(K, 
 
 
 @cases
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_coriolis_torque_is_quadratic_in_velocity_and_does_not_depend_on_gravity(K, seed):
     p, q, qd, _ = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
@@ -36,7 +36,7 @@ def test_coriolis_torque_is_quadratic_in_velocity_and_does_not_depend_on_gravity
 
 
 @cases
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_forward_undoes_inverse(K, seed):
     p, q, qd, qdd = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
@@ -46,7 +46,7 @@ def test_forward_undoes_inverse(K, seed):
 
 
 @cases
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_gravity_load_is_the_gradient_of_potential_energy(K, seed):
     p, q, _, _ = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
@@ -55,7 +55,7 @@ def test_gravity_load_is_the_gradient_of_potential_energy(K, seed):
 
 
 @cases
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_power_of_the_torques_is_the_rate_of_energy(K, seed):
     p, q, qd, tau = random_case(K, seed)
     dynamics = SymbolicDynamics(K)

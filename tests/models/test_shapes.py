@@ -2,14 +2,13 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import mutually_broadcastable_shapes
 
 from invdyn.models.shapes import apply, by_column, common, join, joined_by_column, stacked
 
 
-@settings(deadline=None, derandomize=True)
 @given(mutually_broadcastable_shapes(num_shapes=3, min_dims=0, max_dims=3, max_side=3), st.booleans())
 def test_pieces_are_joined_along_the_last_dimension(shapes, alike):
     batches = [shapes.result_shape] * 3 if alike else shapes.input_shapes

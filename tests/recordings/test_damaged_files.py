@@ -45,7 +45,7 @@ def test_damage_is_told_in_one_line(tmp_path, name):
     path = tmp_path / name
 
     @given(content=damage(GOOD[name].encode()))
-    @settings(max_examples=150, deadline=None, database=None)
+    @settings(max_examples=150)
     def check(content):
         path.write_bytes(content)
         message = f"{path}"

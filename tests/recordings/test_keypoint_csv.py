@@ -39,7 +39,7 @@ def recordings(draw) -> Recording:
 
 
 @given(recording=recordings())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_round_trip_is_exact(tmp_path_factory, recording):
     path = tmp_path_factory.mktemp("csv") / "recording.csv"
     write_keypoint_csv(recording, path)
