@@ -1,8 +1,10 @@
 """What a real robot has and its rigid model lacks: DFKI's double pendulum, diagnosed, and tried on runs of its own.
 
 The measured motor torque is the command, the encoders (every fifth row, 100 rows/s) what is seen, and the body the
-rigid part of the lab's model_2.0: no friction, no rotors. The runs of `--fit` are diagnosed together; what was found is
-then asked for the torque of every run of `--held-out`, beside the lab's own identified friction and rotor inertia.
+rigid part of the lab's model_2.0: no friction, no rotors. The runs of `--fit` are diagnosed together, those of
+`--held-out` tell how far each effect closes the gap there, and what was found is then asked for the torque of every one
+of them, beside the lab's own identified friction and rotor inertia: all of it, those effects that surely close
+something of these runs (chosen by their predictions, not by the torque), and friction alone.
 
 Torque that a model asks for along a measured motion, less the measured one, rms N·m:
 
@@ -11,7 +13,7 @@ Torque that a model asks for along a measured motion, less the measured one, rms
 with θ, θ̇ and θ̈ from the encoders at 500 rows/s by a zero-phase Butterworth of order 4 and 5 Hz, as the torque; the
 first and last 0.5 s are left out.
 
-    INVDYN_DATA=… python benchmarks/diagnose_dfki.py [--fit 01 03] [--without load_friction] [--most 6] [--out DIR]
+    INVDYN_DATA=… python benchmarks/diagnose_dfki.py [--fit 01 03] [--without load_friction] [--most 5] [--out DIR]
 """
 
 import argparse
@@ -112,20 +114,21 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
     return model.with_effects(*parts).replace(**values)
 
 
-def compare(effects: list[dict], runs: list[str]) -> None:
+def compare(effects: list[dict], sure: list[dict], runs: list[str]) -> None:
     """Print the rms of the torque that is missing along runs, with effects of a diagnosis.json and the lab's."""
     print("\nrms of the torque that is missing, N·m, shoulder / elbow")
     body = Body.from_toml(BODY)
     friction = [each for each in effects if "friction" in each["effect"]]
     for run in runs:
         times, q, qd, qdd, u = smooth(load_truth(f"dfki-trajectory-{run}"))
-        rigid, found, rubbed = (arm_on(times, u, body, some) for some in ([], effects, friction))
+        rigid, found, borne_out, rubbed = (arm_on(times, u, body, some) for some in ([], effects, sure, friction))
         missing, (friction_torque, rotors) = model_error(rigid, q, qd, qdd), published(qd, qdd)
         errors = {
             "rigid": missing,
             "lab's friction": missing + friction_torque,
             "lab's friction and rotors": missing + friction_torque + rotors,
             "found": model_error(found, q, qd, qdd),
+            "found, and borne out": model_error(borne_out, q, qd, qdd),
             "found, friction alone": model_error(rubbed, q, qd, qdd),
         }
         for name, error in errors.items():
@@ -137,7 +140,7 @@ def main() -> None:
     parser.add_argument("--fit", nargs="+", default=["01", "03"])
     parser.add_argument("--held-out", nargs="+", default=["00", "02", "04", "05", "11", "12", "13"])
     parser.add_argument("--without", nargs="*", default=[], help="effects to strike from the catalogue")
-    parser.add_argument("--most", type=int, default=4, help="effects at once, at most")
+    parser.add_argument("--most", type=int, default=5, help="effects at once, at most")
     parser.add_argument("--workers", type=int, default=1, help="processes side by side, with the same result")
     parser.add_argument("--out", type=Path, help="folder for the report")
     arguments = parser.parse_args()
@@ -146,6 +149,7 @@ def main() -> None:
     diagnosis = diagnose(
         [seen(run) for run in arguments.fit],
         body,
+        held_out=[seen(run) for run in arguments.held_out],
         without=arguments.without,
         most=arguments.most,
         workers=arguments.workers,
@@ -163,7 +167,16 @@ def main() -> None:
                 f"{n} {p['mean']:.4g} ± {p['sd']:.2g} {p['unit']}" for n, p in each["parameters"].items()
             )
             print(f"  {each['effect']} {place}: {numbers}")
-    compare(result["causes"][0]["effects"], arguments.held_out)
+    best = max(diagnosis.causes, key=lambda cause: cause.probability + cause.in_part)
+    effects = result["causes"][diagnosis.causes.index(best)]["effects"]
+    print("share of the gap of the other runs that each effect of the likeliest cause closes, and the others leave")
+    sure = []
+    for finding, each in zip(best.effects, effects, strict=True):
+        part = diagnosis.shrinkage.by_effect[finding.key]
+        low, high = part.interval_90
+        print(f"  {finding.key:<28} {part.gap_closed:+.4f} ({low:+.4f} to {high:+.4f})")
+        sure += [each] if low > 0 else []
+    compare(effects, sure, arguments.held_out)
 
 
 if __name__ == "__main__":

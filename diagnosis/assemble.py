@@ -1,6 +1,6 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import arviz as az
@@ -16,7 +16,7 @@ from invdyn.diagnosis.overlap import overlaps
 from invdyn.diagnosis.pool import Search, imitable
 from invdyn.diagnosis.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.promising import FAINT
-from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Shrinkage, Tracks, Visibility, Where
+from invdyn.diagnosis.result import Cause, Diagnosis, Gap, Outside, Part, Shrinkage, Tracks, Visibility, Where
 from invdyn.diagnosis.separate import separating_experiment
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.shrinkage import Closed
@@ -36,6 +36,7 @@ def assembled(
     found: Search,
     weighed: Weighed,
     shares: Closed,
+    by_effect: Mapping[str, Closed],
     formula: Formula | None,
     follows: Sequence[str],
     seed: int,
@@ -43,6 +44,7 @@ def assembled(
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
+    ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
     """
     model, body = bound.model, bound.model.body
@@ -125,6 +127,7 @@ def assembled(
             shares.interval if best.effects else None,
             True,
             _rms(joints, after),
+            {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
         joint_names=joints,
         link_names=tuple(link.name for link in body.links),

@@ -19,6 +19,7 @@ from invdyn.diagnosis.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.cause import Refined
 from invdyn.diagnosis.describe import Formula, describe
 from invdyn.diagnosis.enough import too_little
+from invdyn.diagnosis.findings import key
 from invdyn.diagnosis.paths import data_path
 from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.prior import MOST
@@ -27,7 +28,7 @@ from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.result import Diagnosis
 from invdyn.diagnosis.search import search
 from invdyn.diagnosis.setting import NotEnoughData, Setting, cannot_follow, setting
-from invdyn.diagnosis.shrinkage import Closed, closed, unseen
+from invdyn.diagnosis.shrinkage import Closed, Unseen, by_effect, closed, unseen
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.diagnosis.substeps import finely_stepped
 from invdyn.diagnosis.weigh import in_part_only, only, weigh
@@ -100,30 +101,34 @@ def diagnose(
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
-    def held(cause: Refined) -> tuple[Closed, bool]:
+    def held(cause: Refined) -> tuple[Closed, Unseen]:
         there = unseen(bound, none, cause, other)
-        return closed(*there.scores, there.rows, time, seed), there.leaves
+        return closed(*there.scores, there.rows, time, seed), there
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
     weighed, known = side_by_side([partial(weigh, bound, found, seed), partial(attempt, held, likely)], workers)
     report(3, "held out")
-    shares, left = held(weighed.best) if known is None or weighed.best is not likely else known
-    if left:
+    shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
+    if there.leaves:
         weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
         weighed = only(bound, found, none, weighed.log_evidence)
-        shares, _ = held(none)
+        shares, there = held(none)
     best = weighed.best
+    if len(best.effects) > 1:
+        parts = by_effect(bound, found, best, there, other, seed)
+    else:
+        parts = {key(effect): shares for effect in best.effects}
     report(4, "describe")
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
-    rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, formula, follows, seed, rows)
+    rows += ", in which the best cause leaves something" if there.leaves else ""
+    result = assembled(bound, found, weighed, shares, parts, formula, follows, seed, rows)
     report(5, "done")
     return result
 

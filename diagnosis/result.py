@@ -111,13 +111,22 @@ class Outside:
 
 
 @dataclass(frozen=True)
+class Part:
+    """Share of the gap that one effect closes and the others of its cause leave, with its central 90 % interval."""
+
+    gap_closed: float | None
+    interval_90: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
 class Shrinkage:
-    """How far the gap closes once the cause is in, on held-out data where `held_out`."""
+    """How far the gap closes once the cause is in, on held-out data where `held_out`; `by_effect` of it, by key."""
 
     gap_closed: float | None
     interval_90: tuple[float, float] | None
     held_out: bool
     residual_torque_rms_after: dict[str, float]
+    by_effect: dict[str, Part] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -245,10 +254,16 @@ class Diagnosis:
             },
             "not_identifiable": list(self.not_identifiable),
             "shrinkage": {
-                "gap_closed": self.shrinkage.gap_closed,
-                "interval_90": None if self.shrinkage.interval_90 is None else list(self.shrinkage.interval_90),
+                **_closed(self.shrinkage),
                 "held_out": self.shrinkage.held_out,
                 "residual_torque_rms_after": self.shrinkage.residual_torque_rms_after,
+                "by_effect": {
+                    name: {
+                        "gap_closed": p.gap_closed,
+                        "interval_90": None if p.interval_90 is None else list(p.interval_90),
+                    }
+                    for name, p in self.shrinkage.by_effect.items()
+                },
             },
         }
 
@@ -260,6 +275,11 @@ def _finite(value):
     if isinstance(value, list):
         return [_finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _closed(share: Shrinkage | Part) -> dict:
+    interval = share.interval_90
+    return {"gap_closed": share.gap_closed, "interval_90": None if interval is None else list(interval)}
 
 
 def _finding(finding: Finding) -> dict:

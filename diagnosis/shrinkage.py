@@ -8,21 +8,32 @@ reach:
 
     closed = Σ (with − without) / Σ (floor − without)
 
-Its interval comes from a bootstrap of the rows in blocks, as neighbouring errors are alike, and in a circle, so that
+Of several effects each closes what the others leave: Σ (with all − with all but it) over the same gap. What the data do
+not bear out closes nothing, or less.
+
+The interval comes from a bootstrap of the rows in blocks, as neighbouring errors are alike, and in a circle, so that
 the first and last rows count as often as others (Politis & Romano 1992).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 
-from invdyn.diagnosis.cause import Refined
+from invdyn.diagnosis.cause import Refined, key_of
 from invdyn.diagnosis.elsewhere import carried, leaves_there
-from invdyn.diagnosis.paths import data_path
+from invdyn.diagnosis.exchange import without
+from invdyn.diagnosis.findings import key
+from invdyn.diagnosis.paths import FIRM, data_path
+from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import Scores, best_size, scores
+from invdyn.diagnosis.promising import attempt
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects.base import Effect
 
 BLOCK = 0.4
 """s, length of the bootstrap's blocks; half of the rows, if those are fewer."""
@@ -72,13 +83,40 @@ class Unseen:
 
 def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | None = None) -> Unseen:
     """No effect and a cause that were found in ``setting`` on what they have not seen."""
+    there, rows, taken = _apart(setting, other)
+    none, cause = taken(none), taken(cause)
+    return Unseen(there, none, cause, rows, other is not None and leaves_there(other, none, cause))
+
+
+def by_effect(
+    setting: Setting, found: Search, cause: Refined, there: Unseen, other: Setting | None, seed: int
+) -> dict[str, Closed]:
+    """What each effect of ``cause`` closes that the others leave, by the effect's key.
+
+    The others' parameters are those of the set without it, fitted to what the cause was fitted to. An effect without
+    which nothing can be followed is left out.
+    """
+    _, rows, taken = _apart(setting, other)
+    time, (nothing, everything) = there.setting.model.time.numpy(), there.scores
+
+    def alone(effect: Effect) -> Closed | None:
+        rest = tuple(e for e in cause.effects if e is not effect)
+        lesser = found.pool.get(key_of(rest)) or attempt(without, setting, cause, effect, FIRM)
+        lesser = lesser and attempt(taken, lesser)
+        scored = lesser and attempt(scores, there.setting, lesser, rows)
+        return scored and closed(nothing, everything, rows, time, seed, besides=scored)
+
+    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers)
+    return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
+
+
+def _apart(setting: Setting, other: Setting | None) -> tuple[Setting, np.ndarray, Callable[[Refined], Refined]]:
+    """Where a cause is tried on what it has not seen: the setting, which of its rows count, and the cause there."""
     if other is not None:
         start, _ = data_path(other)
-        none, cause = (carried(setting, each, other, start) for each in (none, cause))
-        return Unseen(other, none, cause, np.ones(len(other.observations), bool), leaves_there(other, none, cause))
+        return other, np.ones(len(other.observations), bool), lambda cause: carried(setting, cause, other, start)
     train, rows = split(setting)
-    none, cause = (_fitted_before(setting, each, train) for each in (none, cause))
-    return Unseen(setting, none, cause, rows)
+    return setting, rows, lambda cause: _fitted_before(setting, cause, train)
 
 
 def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
@@ -102,12 +140,20 @@ def _shown_later(cause: Refined, fitted: Refined) -> bool:
     return bool((fitted.sd[mine] > LATER * cause.sd[mine]).any())
 
 
-def closed(without: Scores, with_cause: Scores, rows: np.ndarray, time: np.ndarray, seed: int) -> Closed:
-    """Share of the gap that is closed on ``rows`` (T,)."""
-    use = rows & np.isfinite(without.score) & np.isfinite(with_cause.score)
-    gain, gap = (with_cause.score - without.score)[use], (with_cause.floor - without.score)[use]
+def closed(
+    nothing: Scores,
+    with_cause: Scores,
+    rows: np.ndarray,
+    time: np.ndarray,
+    seed: int,
+    besides: Scores | None = None,
+) -> Closed:
+    """Share of the gap that is closed on ``rows`` (T,): from ``nothing`` on, or from what is known ``besides``."""
+    begun = besides or nothing
+    use = rows & np.isfinite(nothing.score) & np.isfinite(with_cause.score) & np.isfinite(begun.score)
+    gain, gap = (with_cause.score - begun.score)[use], (with_cause.floor - nothing.score)[use]
     per_frame = {
-        "nominal": float(without.score[use].mean()),
+        "nominal": float(nothing.score[use].mean()),
         "corrected": float(with_cause.score[use].mean()),
         "noise_floor": float(with_cause.floor[use].mean()),
     }

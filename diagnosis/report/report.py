@@ -192,6 +192,16 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         rows.append(
             ("Gap closed", percent(shrinkage.gap_closed), f"Share of the gap that the cause takes away, {data}.")
         )
+    for name, part in shrinkage.by_effect.items() if len(shrinkage.by_effect) > 1 else ():
+        low, high = part.interval_90 or (None, None)
+        interval = f" ({percent(low)} to {percent(high)})" if known(low) else ""
+        rows.append(
+            (
+                f"… by {key_words(name, diagnosis)}",
+                f"{percent(part.gap_closed)}{interval}",
+                "Share that it takes away and the other effects of the cause leave, with its 90 % interval.",
+            )
+        )
     if known(diagnosis.outside.probability):
         rows.append(
             (

@@ -4,7 +4,7 @@ from invdyn.diagnosis.report.numbers import handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 from invdyn.diagnosis.result import Cause, Diagnosis, named
 
-COUNTS = {2: "two", 3: "three", 4: "four"}
+COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
 def kind(diagnosis: Diagnosis) -> str:
@@ -124,7 +124,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
         return ["Record longer, or with more frames in which keypoints are seen, and run the diagnosis again."]
     found = []
     if answer != "none":
-        found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis)) if s]
+        found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
     if answer in ("outside", "none") and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
@@ -176,6 +176,19 @@ def _closed(diagnosis: Diagnosis) -> str | None:
         )
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else None
+
+
+def _each(diagnosis: Diagnosis) -> str | None:
+    """What each of several effects closes that the others leave, and which of them that does not bear out."""
+    shrinkage = diagnosis.shrinkage
+    parts = {key_words(name, diagnosis): part for name, part in shrinkage.by_effect.items() if known(part.gap_closed)}
+    if len(parts) < 2:
+        return None
+    shares = [f"{words} {percent(part.gap_closed)}" for words, part in parts.items()]
+    doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
+    data = "Data held out from the fit" if shrinkage.held_out else "These data"
+    text = f"Each closes of the gap what the others leave: {named(shares)}."
+    return f"{text} {data} do not surely bear out {named(doubtful)}." if doubtful else text
 
 
 def left(diagnosis: Diagnosis) -> list[str]:

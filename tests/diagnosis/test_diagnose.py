@@ -42,7 +42,10 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     """They are scored beside the confirmation, with the cause that is likely: SMC may name another."""
     recording, searched = rubbing()
     monkeypatch.setattr(ROOM, "_searched", lambda *_: searched)
-    assert diagnose(recording, PENDULUM).to_json()["shrinkage"]["gap_closed"] > 0.8
+    closed = diagnose(recording, PENDULUM).to_json()["shrinkage"]
+    assert closed["gap_closed"] > 0.8
+    alone = {name: closed[name] for name in ("gap_closed", "interval_90")}
+    assert closed["by_effect"] == {"viscous_friction.pivot": alone}
     weigh = ROOM.weigh
 
     def other(bound, found, seed):
@@ -53,6 +56,7 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     assert named["causes"][0]["effects"] == []
     told = named["gap"]["elpd_per_frame"]
     assert told["corrected"] == told["nominal"] < told["noise_floor"]
+    assert named["shrinkage"]["by_effect"] == {}
 
 
 def test_what_is_likely_may_fail_on_another_recording(monkeypatch):

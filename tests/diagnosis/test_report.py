@@ -37,6 +37,7 @@ from invdyn.diagnosis.result import (
     Estimate,
     Finding,
     Interval,
+    Part,
     Shrinkage,
 )
 from invdyn.models import Body, Link
@@ -243,6 +244,27 @@ def test_the_torque_that_is_missing_is_that_of_the_joint_where_the_gap_lies():
     nowhere = replace(noisy, where=replace(noisy.where, joints={}))
     said = f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to {after['elbow']}"
     assert said in render(nowhere)
+
+
+def test_what_each_of_several_effects_closes_is_told():
+    case = diagnosis()
+    parts = {
+        "viscous_friction.shoulder": Part(0.91, (0.88, 0.94)),
+        "actuator_deadzone.elbow": Part(-0.02, (-0.05, 0.01)),
+        "armature.elbow": Part(None, None),
+    }
+    page = render(replace(case, shrinkage=replace(case.shrinkage, by_effect=parts)))
+    friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
+    told = f"Each closes of the gap what the others leave: {friction} {percent(0.91)} and {deadzone} {percent(-0.02)}."
+    assert told in page
+    assert f"Data held out from the fit do not surely bear out {deadzone}." in page
+    assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
+    only = replace(
+        case, shrinkage=replace(case.shrinkage, by_effect={"viscous_friction.shoulder": parts[next(iter(parts))]})
+    )
+    for fewer in (render(only), render(case)):
+        assert "what the others leave" not in fewer
+        assert "bear out" not in fewer
 
 
 def test_residuals_are_told_before_and_after():

@@ -1,17 +1,21 @@
 """How far the gap closes on held-out rows, with an interval that respects serial correlation."""
 
+import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 import torch
-from pendulum import DAMPING, PENDULUM, causes, path_of, recorded
+from pendulum import DAMPING, FRICTION, PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.paths import FIRM
+from invdyn.diagnosis.pool import Search
 from invdyn.diagnosis.predict import Scores, scores
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import LOOSE, setting
-from invdyn.diagnosis.shrinkage import closed, split, unseen
+from invdyn.diagnosis.shrinkage import by_effect, closed, split, unseen
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -141,3 +145,60 @@ def test_share_of_known_scores():
     assert more.share == 1.0  # not more than all
     nothing = closed(Scores(np.zeros(20), -gap), Scores(gain, -gap), rows, time, 0)
     assert (nothing.share, nothing.interval) == (None, None)
+
+
+SPRING = EFFECTS["joint_stiffness"]("pivot")
+
+
+@cache
+def of_two():
+    """A pendulum rubbed and on a spring, without cause and with both, and a pool that knows no other.
+
+    And another recording, which has the friction alone.
+    """
+    values = {f"{FRICTION.key}.damping": DAMPING, f"{SPRING.key}.stiffness": 0.2, f"{SPRING.key}.torque": 0.02}
+    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    here = setting(record(arm.with_effects(FRICTION, SPRING).replace(**given), 0)[0], PENDULUM)
+    path = path_of(here)
+    none = refine(here, (), {}, path, LOOSE)
+    both = refine(here, (FRICTION, SPRING), values, path, LOOSE)
+    return here, none, both, Search([], {"": none}, [], path, False), setting(recorded(DAMPING, seed=5), PENDULUM)
+
+
+def test_each_of_two_closes_what_the_other_leaves():
+    here, none, both, found, _ = of_two()
+    there = unseen(here, none, both)
+    shares = by_effect(here, found, both, there, None, 0)
+    nothing, everything = there.scores
+    gap = (everything.floor - nothing.score)[there.rows].sum()
+    for effect, rest in ((FRICTION, SPRING), (SPRING, FRICTION)):
+        lesser = refine(here, (rest,), both.values, both.path, FIRM)
+        less = unseen(here, none, lesser).scores[1]
+        share, (low, high) = shares[effect.key].share, shares[effect.key].interval
+        assert share == pytest.approx(min((everything.score - less.score)[there.rows].sum() / gap, 1.0), abs=1e-6)
+        assert 0.02 < low <= share <= high
+
+
+def test_what_another_recording_does_not_bear_out_closes_nothing_there():
+    here, none, both, found, other = of_two()
+    there = unseen(here, none, both, other)
+    shares = by_effect(here, found, both, there, other, 0)
+    assert shares[SPRING.key].share < 0
+    assert shares[SPRING.key].interval[1] < 0
+
+
+def test_what_was_refined_is_not_refined_again(monkeypatch):
+    """And what nothing can follow without an effect, here or on held-out rows, says nothing of it."""
+    here, none, both, found, _ = of_two()
+    there, room = unseen(here, none, both), sys.modules[by_effect.__module__]
+    alone = refine(here, (FRICTION,), both.values, both.path, FIRM)
+    known = replace(found, pool=found.pool | {alone.key: alone})
+    monkeypatch.setattr(room, "without", lambda *_: None)
+    assert list(by_effect(here, known, both, there, None, 0)) == [SPRING.key]
+
+    def astray(*_):
+        raise InputError("astray")
+
+    monkeypatch.setattr(room, "_fitted_before", astray)
+    assert by_effect(here, known, both, there, None, 0) == {}
