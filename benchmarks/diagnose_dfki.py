@@ -172,7 +172,10 @@ def main() -> None:
     print("share of the gap of the other runs that each effect of the likeliest cause closes, and the others leave")
     sure = []
     for finding, each in zip(best.effects, effects, strict=True):
-        part = diagnosis.shrinkage.by_effect[finding.key]
+        part = diagnosis.shrinkage.by_effect.get(finding.key)
+        if part is None or part.interval_90 is None:
+            print(f"  {finding.key:<28} unknown: nothing follows the runs without it")
+            continue
         low, high = part.interval_90
         print(f"  {finding.key:<28} {part.gap_closed:+.4f} ({low:+.4f} to {high:+.4f})")
         sure += [each] if low > 0 else []

@@ -179,15 +179,16 @@ def _closed(diagnosis: Diagnosis) -> str | None:
 
 
 def _each(diagnosis: Diagnosis) -> str | None:
-    """What each of several effects closes that the others leave, and which of them that does not bear out."""
+    """What each of several effects closes that the others leave, and which of them held-out rows do not bear out."""
     shrinkage = diagnosis.shrinkage
     parts = {key_words(name, diagnosis): part for name, part in shrinkage.by_effect.items() if known(part.gap_closed)}
     if len(parts) < 2:
         return None
-    shares = [f"{words} {percent(part.gap_closed)}" for words, part in parts.items()]
+    first, *more = [(words, percent(part.gap_closed)) for words, part in parts.items()]
+    costs = [f"{first[0]} would cost {first[1]} of the gap", *(f"{words} {share}" for words, share in more)]
     doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
     data = "Data held out from the fit" if shrinkage.held_out else "These data"
-    text = f"Each closes of the gap what the others leave: {named(shares)}."
+    text = f"Leaving out {named(costs)}."
     return f"{text} {data} do not surely bear out {named(doubtful)}." if doubtful else text
 
 

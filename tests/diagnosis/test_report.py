@@ -255,7 +255,7 @@ def test_what_each_of_several_effects_closes_is_told():
     }
     page = render(replace(case, shrinkage=replace(case.shrinkage, by_effect=parts)))
     friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
-    told = f"Each closes of the gap what the others leave: {friction} {percent(0.91)} and {deadzone} {percent(-0.02)}."
+    told = f"Leaving out {friction} would cost {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
     assert told in page
     assert f"Data held out from the fit do not surely bear out {deadzone}." in page
     assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
@@ -263,7 +263,7 @@ def test_what_each_of_several_effects_closes_is_told():
         case, shrinkage=replace(case.shrinkage, by_effect={"viscous_friction.shoulder": parts[next(iter(parts))]})
     )
     for fewer in (render(only), render(case)):
-        assert "what the others leave" not in fewer
+        assert "Leaving out" not in fewer
         assert "bear out" not in fewer
 
 
