@@ -110,7 +110,8 @@ def diagnose(
     weighed, known = side_by_side([partial(weigh, bound, found, seed), partial(attempt, held, likely)], workers)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
-    if there.leaves:
+    left = there.leaves
+    if left:
         weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
@@ -127,7 +128,7 @@ def diagnose(
     formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
-    rows += ", in which the best cause leaves something" if there.leaves else ""
+    rows += ", in which the best cause leaves something" if left else ""
     result = assembled(bound, found, weighed, shares, parts, formula, follows, seed, rows)
     report(5, "done")
     return result

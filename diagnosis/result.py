@@ -257,13 +257,7 @@ class Diagnosis:
                 **_closed(self.shrinkage),
                 "held_out": self.shrinkage.held_out,
                 "residual_torque_rms_after": self.shrinkage.residual_torque_rms_after,
-                "by_effect": {
-                    name: {
-                        "gap_closed": p.gap_closed,
-                        "interval_90": None if p.interval_90 is None else list(p.interval_90),
-                    }
-                    for name, p in self.shrinkage.by_effect.items()
-                },
+                "by_effect": {name: _closed(part) for name, part in self.shrinkage.by_effect.items()},
             },
         }
 
