@@ -17,6 +17,7 @@ from invdyn.diagnosis.promising import HALF, HOPELESS, attempt, softer
 from invdyn.diagnosis.refine import refine
 from invdyn.diagnosis.setting import Setting
 from invdyn.diagnosis.whiten import sizes
+from invdyn.diagnosis.whiteness import prediction_errors, show_more
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.inertial_error import InertialError
@@ -45,8 +46,9 @@ ALLOWED = 3.0
 def refine_kin(setting: Setting, found: Search, number: int) -> None:
     """Refine the relatives of what was found, of causes with so many effects, from values that follow.
 
-    And the softer forms of the best few of those that leave something: where nothing explains the gap yet, of all that
-    gain half of what the best one does, as an ideal law may be as far off as another effect's.
+    And the softer forms of the best few of those that leave something, a residual or errors of prediction that are
+    alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
+    as far off as another effect's.
     """
     near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - HOPELESS]
     for cause in near:
@@ -59,8 +61,9 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
     least, none = found.top - HOPELESS, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
-    rough = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least and not c.complete]
-    rough = [cause for cause in rough if any(effect.softened() is not None for effect in cause.effects)]
+    ideal = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
+    ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
+    rough = [c for c in ideal if not c.complete or show_more(setting, c, prediction_errors(setting, c))]
     rough.sort(key=lambda cause: -cause.log_evidence)
     for cause in rough[: SOFTER // number]:
         refine_softer(setting, found, cause)

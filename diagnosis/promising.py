@@ -139,11 +139,21 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
 
     For where the best cause's errors of prediction show more, though a torque may do anything: a large effect on what
     is seen bends the path that the screen is along, and what one on the motion gains is the torque's prior's mistake.
+    And whatever the screen says, those that have a softer form, in that form: of tissue that swings, an ideal one that
+    follows at once may explain nothing.
     """
     nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
-    barred = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
-    barred = [s for s in barred if nothing + DOUBT < s.log_evidence <= bar]
-    for causes in side_by_side([partial(_refined, setting, base, each, {}) for each in barred], found.workers):
+    seen = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
+    soft = {s.effect.key for s in seen if s.effect.softened() is not None}
+    barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
+
+    def refined(each: Screened) -> list[Refined]:
+        known = found.pool.get(key_of((*base.effects, each.effect)))
+        causes = [known] if known else _refined(setting, base, each, {})
+        ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
+        return causes + [form for c in ideal if (form := softer(setting, c, each.effect)) is not None]
+
+    for causes in side_by_side([partial(refined, each) for each in barred], found.workers):
         for cause in causes:
             found.add(cause)
 

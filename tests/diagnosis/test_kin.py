@@ -137,6 +137,7 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     started = []
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
     refine_kin(bound, Search([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)
     refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
@@ -168,6 +169,26 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     stiff = cause(max(gains), *rigid[:number])
     refine_kin(bound, Search([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
     assert followed == [causes[i].key for i in kept]
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
+    """Tissue that rings at 16 Hz leaves no residual torque, which is slower than that."""
+    bound = setting(recording_of(), PENDULUM)
+    path, stray = data_path(bound)
+    none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
+    monkeypatch.setattr(room, "refine_softer", lambda setting, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(room, "show_more", lambda *_: alike)
+    tissue = next(e for e in considered(bound) if e.name == "soft_tissue")
+    nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
+    names = tuple(f"{tissue.key}.{p.name}" for p in tissue.parameters(bound.model.scale))
+    cause = replace(
+        none, effects=(tissue,), names=names, mean=np.array([1e-4]), log_evidence=none.log_evidence + 50,
+        by_size=nothing_left,
+    )  # fmt: skip
+    assert cause.complete
+    refine_kin(bound, Search([], {"": none, cause.key: cause}, [], path, stray), 1)
+    assert followed == [cause.key] * alike
 
 
 def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):

@@ -45,7 +45,27 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     # Where something is left under any torque, what is seen is something else, however little the screen says.
     tried.clear()
     refine_barred(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened)
-    assert tried == ["camera_roll"]
+    assert tried == ["lens_distortion", "camera_roll"]  # the first for its softer form, had it been refined
+
+
+def test_where_something_is_left_softer_forms_are_tried_whatever_the_screen_says(monkeypatch):
+    """From the ideal one that is known, where it is; none of a softer one again."""
+    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    tissue, roll = (next(e for e in considered(bound) if e.name == name) for name in ("soft_tissue", "camera_roll"))
+    common = unknowns(bound, ())
+    screened = screen(bound, bound.model, path, [tissue, roll], common, common.mean)
+    nothing = next(s.log_evidence for s in screened if s.effect is None)
+    screened = [replace(s, log_evidence=nothing, dprime=50.0) for s in screened]
+    room, asked = sys.modules[refine_promising.__module__], []
+    monkeypatch.setattr(room, "refine", lambda _, effects, *more, **given: replace(none, effects=effects))
+    monkeypatch.setattr(room, "softer", lambda _, cause, mine: asked.append((cause.effects[0].softness, mine.key)))
+    known = [replace(none, effects=(tissue,)), replace(none, effects=(roll.softened(),))]
+    for pool, expected in (([], [tissue.key, roll.key]), (known, [tissue.key])):
+        asked.clear()
+        refine_barred(bound, Search([], {c.key: c for c in (none, *pool)}, [], path, stray), none, screened)
+        assert sorted(asked) == sorted((0, key) for key in expected)
 
 
 @pytest.mark.parametrize(("second", "refined"), [(400.0, 1), (600.0, 2)])
