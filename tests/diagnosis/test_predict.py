@@ -1,11 +1,12 @@
 """What a cause predicts: scores of rows, residual torque, replay."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from pendulum import DAMPING, PENDULUM, at_best, causes, path_of, recording_of
+from pendulum import ARM, DAMPING, PENDULUM, at_best, causes, path_of, recording_of
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.predict import replay, replay_rms, residual, scores, smoothed
@@ -96,3 +97,10 @@ def test_replay_follows_once_the_cause_is_in():
     assert replay(cause.model, path).shape == (80, 1, 2)
     np.testing.assert_allclose(replay(cause.model, path)[[0, 50]], tips[[0, 50]], atol=1e-9)  # set back every second
     assert replay_rms(tips + 0.3, tips) == pytest.approx(0.3 * np.sqrt(2))
+
+
+def test_a_replay_has_the_order_that_another_process_sends_it_in():
+    """Sums over it would else depend in their last digit on how many workers there are."""
+    here = setting(recording_of(body=ARM), ARM)
+    there = pickle.loads(pickle.dumps(tips := replay(here.model, path_of(here))))
+    assert tips.strides == there.strides
