@@ -1,9 +1,10 @@
 """Diagnose the gap between simulation and recording: measure, locate, screen, confirm, add the cause, measure again.
 
-The parts are files of this room: :mod:`.setting` binds the recording, :mod:`.search` looks for causes by linearised
-evidence, :mod:`.weigh` turns evidence into probabilities, the best confirmed by SMC (:mod:`.confirm`),
-:mod:`.shrinkage` measures how far the gap closes on held-out data, :mod:`.describe` puts into a formula what no cause
-explains, :mod:`.where` says where it lies, :mod:`.assemble` puts all together.
+Its stages are rooms beside this file: ``question`` binds the recording (:mod:`.setting`); ``screening`` says of every
+effect what it would change; ``searching`` looks for causes by linearised evidence (:mod:`.search`); ``answer`` turns
+evidence into probabilities (:mod:`.weigh`), the best confirmed by SMC (:mod:`.confirm`), measures how far the gap
+closes on held-out data (:mod:`.shrinkage`), puts into a formula what no cause explains (:mod:`.describe`), says where
+it lies (:mod:`.where`), and puts all together (:mod:`.assemble`).
 """
 
 import json
@@ -15,23 +16,23 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from invdyn.diagnosis.assemble import assembled, nothing_to_say
-from invdyn.diagnosis.cause import Refined
-from invdyn.diagnosis.describe import Formula, describe
-from invdyn.diagnosis.enough import too_little
-from invdyn.diagnosis.findings import key
-from invdyn.diagnosis.paths import data_path
-from invdyn.diagnosis.pool import Search
-from invdyn.diagnosis.prior import MOST
-from invdyn.diagnosis.promising import attempt
+from invdyn.diagnosis.answer.assemble import assembled, nothing_to_say
+from invdyn.diagnosis.answer.describe import Formula, describe
+from invdyn.diagnosis.answer.enough import too_little
+from invdyn.diagnosis.answer.findings import key
+from invdyn.diagnosis.answer.result import Diagnosis
+from invdyn.diagnosis.answer.shrinkage import Closed, Unseen, by_effect, closed, unseen
+from invdyn.diagnosis.answer.weigh import in_part_only, only, weigh
+from invdyn.diagnosis.question.cause import Refined
+from invdyn.diagnosis.question.prior import MOST
+from invdyn.diagnosis.question.setting import NotEnoughData, Setting, cannot_follow, setting
 from invdyn.diagnosis.report import write_report
-from invdyn.diagnosis.result import Diagnosis
-from invdyn.diagnosis.search import search
-from invdyn.diagnosis.setting import NotEnoughData, Setting, cannot_follow, setting
-from invdyn.diagnosis.shrinkage import Closed, Unseen, by_effect, closed, unseen
+from invdyn.diagnosis.searching.paths import data_path
+from invdyn.diagnosis.searching.pool import Search
+from invdyn.diagnosis.searching.promising import attempt
+from invdyn.diagnosis.searching.search import search
+from invdyn.diagnosis.searching.substeps import finely_stepped
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.diagnosis.substeps import finely_stepped
-from invdyn.diagnosis.weigh import in_part_only, only, weigh
 from invdyn.inference import save_posterior
 from invdyn.models import Body
 from invdyn.recordings import InputError, Recording, joined, write_text

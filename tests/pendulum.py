@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from oracles import Chain
 
-from invdyn.diagnosis.refine import refine
-from invdyn.diagnosis.setting import DECAY, LOOSE, setting
-from invdyn.diagnosis.whiten import log_prior, sizes
+from invdyn.diagnosis.question.setting import DECAY, LOOSE, setting
+from invdyn.diagnosis.screening.whiten import log_prior, sizes
+from invdyn.diagnosis.searching.refine import refine
 from invdyn.inference.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from invdyn.diagnosis.result import (
+from invdyn.diagnosis.answer.result import (
     Cause,
     Diagnosis,
     Estimate,

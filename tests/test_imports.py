@@ -72,6 +72,19 @@ def test_imports_go_one_way(room):
     assert not wrong
 
 
+def test_a_diagnosis_goes_through_its_stages_one_way():
+    stages = ["question", "screening", "searching", "answer"]
+    stage = {name: parts[2] for name in FILES if (parts := name.split("."))[1:2] == ["diagnosis"] and len(parts) > 3}
+    assert {*stages, "report", "blind"} == set(stage.values())
+    inner = {name: stages.index(at) for name, at in stage.items() if at in stages}
+    assert not [
+        f"{name} imports {other}"
+        for name in inner
+        for other in IMPORTS[name]
+        if stage.get(other) in ("report", "blind") or inner.get(other, 0) > inner[name]
+    ]
+
+
 def cycle(graph):
     """Some cycle of a graph as a list of its nodes, or None: depth-first search."""
     state = {}

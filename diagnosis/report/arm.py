@@ -5,9 +5,9 @@ import math
 import numpy as np
 from markupsafe import Markup
 
+from invdyn.diagnosis.answer.result import Diagnosis
 from invdyn.diagnosis.report.numbers import known, percent
 from invdyn.diagnosis.report.sentences import best
-from invdyn.diagnosis.result import Diagnosis
 
 WIDTH, LOWEST, HIGHEST = 400, 150, 320
 """Of the picture; its height follows from the arm's."""

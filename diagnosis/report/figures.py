@@ -3,9 +3,9 @@
 import numpy as np
 from markupsafe import Markup
 
+from invdyn.diagnosis.answer.result import Diagnosis
 from invdyn.diagnosis.report.drawing import MOST, Plot, limits
 from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain
-from invdyn.diagnosis.result import Diagnosis
 
 Z90 = 1.6448536269514722
 """Half a central 90 % interval of a Gaussian, in standard deviations."""

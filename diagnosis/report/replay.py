@@ -5,10 +5,10 @@ Positions become whole tenths of the picture's units, rows are thinned to `FRAME
 
 import numpy as np
 
+from invdyn.diagnosis.answer.result import Diagnosis
 from invdyn.diagnosis.report.arm import View
 from invdyn.diagnosis.report.drawing import Plot, dots, limits
 from invdyn.diagnosis.report.numbers import fixed
-from invdyn.diagnosis.result import Diagnosis
 
 FRAMES = 600
 WIDTH, HEIGHT = 480, 360

@@ -1,8 +1,8 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
+from invdyn.diagnosis.answer.result import Cause, Diagnosis, named
 from invdyn.diagnosis.report.numbers import handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
-from invdyn.diagnosis.result import Cause, Diagnosis, named
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 

@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from invdyn.diagnosis.answer.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
 from invdyn.diagnosis.report import write_report
-from invdyn.diagnosis.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
 from invdyn.recordings import InputError
 
 DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "found")

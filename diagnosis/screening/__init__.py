@@ -1,0 +1,1 @@
+"""What every effect of the catalogue would change in the recording, and its evidence, linearised about one path."""

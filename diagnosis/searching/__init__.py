@@ -1,0 +1,1 @@
+"""From screened effects to causes: refined with a path of their own, added to one another, exchanged for relatives."""
