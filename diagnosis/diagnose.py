@@ -35,6 +35,7 @@ from invdyn.diagnosis.searching.substeps import finely_stepped
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.models import Body
+from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
 
 Progress = Callable[[int, int, str], None]
@@ -69,7 +70,8 @@ def diagnose(
         progress: called with (done, total, what).
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
-    or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive. Too few
+    or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive, or
+    ``without`` has a name that is no effect's. Too few
     rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
     a large torque could be missing and not show (:mod:`.enough`).
     """
@@ -78,6 +80,11 @@ def diagnose(
         if progress is not None:
             progress(stage, 5, what)
 
+    if isinstance(without, str):
+        raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")
+    for name in without:
+        if name not in EFFECTS:
+            raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
     if most < 1:
         raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST}")
     report(0, "bind")
@@ -130,7 +137,7 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, parts, formula, follows, seed, rows)
+    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
     report(5, "done")
     return result
 

@@ -74,6 +74,11 @@ def load_recording(
         recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
     if not in_frame and any(body.base) and base in load(name, joints=body.joint_names, **options).keypoint_names:
         # what was taken relative to the base's own track lies about the body's base
+        if recording.keypoints.shape[-1] != len(body.base):
+            raise InputError(
+                f"{name}: expected keypoints of {len(body.base)} coordinates, as the body's base has, "
+                f"got {recording.keypoints.shape[-1]}: leave out the one across the plane"
+            )
         recording = replace(recording, keypoints=recording.keypoints + np.asarray(body.base))
     if recording.length_unit == "px":
         raise InputError(

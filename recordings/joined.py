@@ -14,8 +14,8 @@ def joined(recordings: Sequence[Recording]) -> tuple[Recording, tuple[int, ...]]
 
     Times start at the first recording's own. The first row of all is not among the rows (R − 1,).
 
-    Raises InputError for none, and where they are not of the same keypoints, joints and unit, or not all have angles,
-    torques or confidences.
+    Raises InputError for none, and where they are not of the same keypoints, coordinates, joints and unit, or not all
+    have angles, torques or confidences.
     """
     if not recordings:
         raise InputError("expected one recording or more, got none")
@@ -30,6 +30,12 @@ def joined(recordings: Sequence[Recording]) -> tuple[Recording, tuple[int, ...]]
                     f"recordings to be diagnosed together must agree: {first.name} has {field} {mine}, "
                     f"{other.name} has {yours}"
                 )
+        axes = [each.keypoints.shape[-1] for each in (first, other)]
+        if axes[0] != axes[1]:
+            raise InputError(
+                f"recordings to be diagnosed together must agree: keypoints of {first.name} have {axes[0]} "
+                f"coordinates, those of {other.name} {axes[1]}"
+            )
         for field in ("confidence", "angles", "torques"):
             if (getattr(first, field) is None) != (getattr(other, field) is None):
                 raise InputError(

@@ -36,6 +36,7 @@ def assembled(
     found: Search,
     weighed: Weighed,
     shares: Closed,
+    fresh: bool,
     by_effect: Mapping[str, Closed],
     formula: Formula | None,
     follows: Sequence[str],
@@ -44,6 +45,7 @@ def assembled(
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
+    ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
     """
@@ -125,7 +127,7 @@ def assembled(
         shrinkage=Shrinkage(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
-            True,
+            fresh,
             _rms(joints, after),
             {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
@@ -213,7 +215,8 @@ def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> d
     model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
-        "row, chosen so that the integrator's own error stays a tenth of what can be noticed",
+        "row, chosen so that the integrator's own error stays a tenth of what can be noticed, adds up to next to no "
+        "evidence over the recording, and favours none of the causes",
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
         f"at most {found.most} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "

@@ -79,7 +79,7 @@ LIBRARY: dict[str, tuple[str, str, Feature]] = {
 
 def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
     """Formula of what is left under ``cause``; None where no term earns its place."""
-    terms, features = _library(setting, cause, path)
+    terms, features = _library(cause, path)
     linear = linear_of(setting, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
     decay = torch.full_like(cause.model.parameters["torque.decay"], STEADY)
@@ -125,7 +125,7 @@ def _is_product(name: str) -> bool:
     return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
-def _library(setting: Setting, cause: Refined, path: Tensor):
+def _library(cause: Refined, path: Tensor):
     """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))

@@ -22,7 +22,7 @@ DRAWS = 4000
 
 
 def place(effect: Effect) -> dict[str, str]:
-    """Where an effect acts, "joint", "link" or "keypoint" → name, "partner" for pairs, "stop" for limits."""
+    """Where an effect acts, "joint", "link" or "keypoint" → name, "partner" for pairs, "stop" for limits, "form"."""
     names, form = (list(effect.where), {}) if effect.form is None else (list(effect.where[:-1]), {"form": effect.form})
     if isinstance(effect, JointLimit):
         return {"joint": names[0], "stop": names[1]}

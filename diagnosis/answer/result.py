@@ -28,8 +28,8 @@ class Estimate:
 class Finding:
     """One effect at one place, with its parameters' posterior.
 
-    `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name; empty
-    for the whole arm.
+    `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name, and
+    "form" to that of an effect that has several; empty for the whole arm.
     """
 
     effect: str

@@ -66,6 +66,7 @@ class Unseen:
 
     Attributes:
         leaves: whether the cause surely leaves something on another recording (:mod:`.elsewhere`).
+        fresh: whether its parameters do not know these rows; what earlier ones do not show is as all of them give it.
     """
 
     setting: Setting
@@ -73,6 +74,7 @@ class Unseen:
     cause: Refined
     rows: np.ndarray
     leaves: bool = False
+    fresh: bool = True
 
     @property
     def scores(self) -> tuple[Scores, Scores]:
@@ -85,7 +87,9 @@ def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | Non
     """No effect and a cause that were found in ``setting`` on what they have not seen."""
     there, rows, taken = _apart(setting, other)
     none, cause = taken(none), taken(cause)
-    return Unseen(there, none, cause, rows, other is not None and leaves_there(other, none, cause))
+    leaves = other is not None and leaves_there(other, none, cause)
+    fresh = other is not None or not cause.effects or bool(cause.covariance.any())
+    return Unseen(there, none, cause, rows, leaves, fresh)
 
 
 def by_effect(

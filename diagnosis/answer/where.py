@@ -17,7 +17,7 @@ SMOOTH = 0.1
 """s over which the gap is averaged."""
 
 
-def joints_of(effect: Effect, model: ArmModel) -> list[int]:
+def joints_of(effect: Effect) -> list[int]:
     """Joints that an effect of the dynamics acts at; none where it acts on the whole arm."""
     if effect.side != "dynamics" or effect.site == "arm" or not effect.place:
         return []
@@ -63,7 +63,7 @@ def where(
             share = probability / len(cause.effects)
             if effect.side == "dynamics":
                 dynamics += share
-                mine = joints_of(effect, model)
+                mine = joints_of(effect)
                 joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
             else:
                 observation += share

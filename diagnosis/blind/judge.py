@@ -34,6 +34,7 @@ class Verdict:
         closed: share of the gap closed as reported; `of_oracle` of what knowing the effect closes.
         covered: parameter → whether its 90 % interval holds the truth; where `exact`.
         dprime: visibility of the weakest true effect.
+        truth_side: of a single true effect.
     """
 
     name: str
@@ -80,9 +81,8 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     }
     asked = only is not None and not unknown
     if found is None:
-        several = asked and _many(answer) and "joint" in only
-        missed = {"side": False, "side_by_set": False, "joint": False if several else None}
-        return Verdict(**start, **(missed if asked else {}))
+        missed = {"side": False, "side_by_set": False} if asked else {}
+        return Verdict(**start, **missed, **dict.fromkeys(_asked(answer) if asked else (), False))
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)
     groups = found.get("ambiguity_set") or []
@@ -113,12 +113,12 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     if asked:
         verdict["side"] = top(where.get("side")) == only["side"]
         verdict["side_by_set"] = verdict["side"] or like
-        if _many(answer) and "joint" in only:
-            verdict["joint"] = top(where.get("joints")) in place(only)
-        if _many(answer) and only["side"] == "observation" and "keypoint" in only:
-            verdict["keypoint"] = top(where.get("keypoints")) in place(only)
-        if only.get("interval"):
-            verdict["interval"] = in_time(only["interval"], where.get("intervals") or [])
+        located = {
+            "joint": lambda: top(where.get("joints")) in place(only),
+            "keypoint": lambda: top(where.get("keypoints")) in place(only),
+            "interval": lambda: in_time(only["interval"], where.get("intervals") or []),
+        }
+        verdict |= {name: located[name]() for name in _asked(answer)}
     return Verdict(**start, **verdict)
 
 
@@ -189,5 +189,12 @@ def number(value: object, otherwise):
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else otherwise
 
 
-def _many(answer: Mapping) -> bool:
-    return len(answer["joints"]) > 1
+def _asked(answer: Mapping) -> list[str]:
+    """Of the places of a single effect those that there is a choice of."""
+    only, several = answer["effects"][0], len(answer["joints"]) > 1
+    arises = {
+        "joint": several and "joint" in only,
+        "keypoint": several and only["side"] == "observation" and "keypoint" in only,
+        "interval": bool(only.get("interval")),
+    }
+    return [name for name, does in arises.items() if does]

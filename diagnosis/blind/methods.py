@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
+from invdyn.diagnosis.blind.readable import unreadable
 from invdyn.diagnosis.blind.sealed import run_apart
 
 
@@ -76,6 +77,10 @@ class Theirs(AbstractContextManager):
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
         finished = run_apart(words, case)
-        if finished.returncode or not (out / "diagnosis.json").exists():
+        told = out / "diagnosis.json"
+        if finished.returncode or not told.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
-        return None
+        try:
+            return unreadable(json.loads(told.read_text(encoding="utf-8")))
+        except ValueError as error:
+            return f"diagnosis.json: expected JSON in UTF-8: {error}"

@@ -1,7 +1,7 @@
 """Effects that the catalogue lacks: for the check that such are flagged as unknown, and not pinned on a neighbour.
 
-Each `install(world, rng, scene, joint)` draws its size, of the order of a tenth to a third of the joint's usual
-torque, puts itself into the world, and returns its parameters as name → (value, unit).
+Each `install(world, rng, scene, joint)` draws its size, of a tenth to four tenths of the joint's usual torque
+(a detent up to eight), puts itself into the world, and returns its parameters as name → (value, unit).
 """
 
 import numpy as np

@@ -47,8 +47,8 @@ def render(scores: Scores, about: Mapping[str, object]) -> str:
         '<header><p class="kicker">{}</p><h1>Blind check: {} of {} targets met in {} cases</h1></header><main>'
         "<section><h2>Figures</h2>{}</section>"
         "<section><h2>Calibration</h2><p>How often the most probable answer is right, over the probability that it "
-        "was given; exactly right counts, and the dashed line is what it should be. Cases with unknown torque are "
-        "left out: what cannot be seen has no right answer.</p>{}</section>"
+        "was given; exactly right counts, and the dashed line is what it should be. Effects under unknown torque "
+        "are left out: what cannot be seen has no right answer.</p>{}</section>"
         "<section><h2>Confusion</h2><p>Rows are the truth, columns the most probable answer, by the effect’s name; "
         'cases with one effect or none.</p><div class="wide">{}</div></section></main>'
         '<footer><p class="note">{}</p></footer></body></html>\n'

@@ -4,8 +4,9 @@
     OUT/cases/case-0000/     what the method gets (see `cases`)
     OUT/.locked/case-0000    its answer, which only the seed opens
     OUT/diagnoses/case-0000/ what it says: diagnosis.json, or failed.txt; took.json
-    OUT/answers.json         opened: answers, nonce, and the hash of all diagnoses as they were then
-    OUT/scores.json, OUT/blind.html
+    OUT/answers.json         opened: answers, nonce and their hash
+    OUT/scores.json          the score, with the hash of all diagnoses as they were before
+    OUT/blind.html           the same as a page
 
 Goes on where an earlier run of the same call stopped: cases follow from the seed, and so does the nonce, so that the
 hash is the same; cases and diagnoses that are there are not made again. The seed is on no disk before the answers are
@@ -30,6 +31,7 @@ from invdyn.diagnosis.blind.cases import make_case, planned
 from invdyn.diagnosis.blind.methods import Ours, Theirs
 from invdyn.diagnosis.blind.page import write_page
 from invdyn.diagnosis.blind.present import CATALOGUE
+from invdyn.diagnosis.blind.readable import unreadable
 from invdyn.diagnosis.blind.score import Scores, score
 from invdyn.diagnosis.blind.sealed import Locked, Sealed, digest
 from invdyn.recordings import InputError, write_text
@@ -69,7 +71,12 @@ class BlindRun:
         except ImportError:
             raise InputError("the blind check plays reality in MuJoCo: pip install 'invdyn[robots]'") from None
         if self.command is not None:
-            words = shlex.split(self.command)
+            try:
+                words = shlex.split(self.command)
+            except ValueError as error:
+                raise InputError(
+                    f"--method-command: expected words as in a shell, got {self.command!r}: {error}"
+                ) from None
             if not words or not any("{out}" in word for word in words):
                 raise InputError(f"--method-command: expected a command with {{out}} in it, got {self.command!r}")
             if shutil.which(words[0]) is None:
@@ -164,9 +171,11 @@ class BlindRun:
         found = {}
         for path in sorted(self.folder.glob(f"{kind}/*/diagnosis.json")):
             try:
-                found[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
+                told = json.loads(path.read_text(encoding="utf-8"))
             except ValueError:
                 continue  # the score counts it as failed
+            if unreadable(told) is None:
+                found[path.parent.name] = told
         return found
 
     def _diagnose(self, kind: str, todo: Mapping[str, Iterable[str]], progress: Progress | None, what: str) -> None:

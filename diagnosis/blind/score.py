@@ -73,7 +73,7 @@ def score(
     """Score diagnoses by the name of their case.
 
     Args:
-        answers: as `cases.write_cases` gives and `sealed.read_opened` reads them.
+        answers: what was put into reality, by case, as `sealed.read_opened` reads it.
         diagnoses: what was found, diagnosis.json each; a case that is missing here has failed.
         oracles: diagnoses by one who was told which effect it is, where there are such.
     """

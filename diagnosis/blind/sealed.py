@@ -102,18 +102,14 @@ def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict
     return answers
 
 
-def run_apart(
-    command: Sequence[str], folder: str | pathlib.Path, timeout: float | None = None
-) -> subprocess.CompletedProcess[str]:
+def run_apart(command: Sequence[str], folder: str | pathlib.Path) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis as a process of its own inside `folder`, a case's; nothing is inherited but the environment.
 
     Neither memory nor open files pass to it, and its standard input is empty. Returns the finished process, whatever
-    its exit code. Raises subprocess.TimeoutExpired, OSError when it cannot be started.
+    its exit code. Raises OSError when it cannot be started.
     """
     command = [sys.executable if word == "{python}" else word for word in command]
-    return subprocess.run(
-        command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True, timeout=timeout
-    )
+    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True)
 
 
 def digest(folder: str | pathlib.Path) -> str:

@@ -132,11 +132,11 @@ class Plot:
         """A horizontal line."""
         self.line(np.array(self.x), np.array([y, y]), style)
 
-    def span(self, start: float, stop: float, text: str, style: str = "span") -> None:
+    def span(self, start: float, stop: float, text: str) -> None:
         """A stretch of x, shaded, with a word at its top."""
         ends = np.clip([start, stop], *self.x)
         a, b = (float(v) for v in self._points(ends, np.zeros(2))[:, 0])
-        self._add(f"M{round(a)} 0H{max(round(b), round(a) + 3)}V{HIGH}H{round(a)}Z", style)
+        self._add(f"M{round(a)} 0H{max(round(b), round(a) + 3)}V{HIGH}H{round(a)}Z", "span")
         place = min(max((a + b) / 2 / WIDE, 0.05), 0.95)
         self._texts.append(Markup('<b style="left:{:.1%}">{}</b>').format(place, text))
 

@@ -53,7 +53,7 @@ def replay(diagnosis: Diagnosis) -> dict | None:
         "last": len(rows) - 1,
         "time": fixed(float(time[worst] - time[0]), 2),
         "off": {name: fixed(float(v[worst]), 1) for name, v in off.items()},
-        "errors": plot.html(f"Distance of the replayed tip from the recorded one over time: {label}"),
+        "errors": plot.html(f"Distance of the replayed tip from the recorded one, smoothed, over time: {label}"),
         "window": tracks.replay_window,
         "thinned": len(rows) < len(tracks.time),
     }

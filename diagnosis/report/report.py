@@ -21,6 +21,7 @@ from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, perce
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
 from invdyn.diagnosis.report.words import REGIMES, SHORT_SIDES, cause_words, finding_words, key_words, meaning
+from invdyn.diagnosis.searching.promising import FAINT
 from invdyn.recordings.atomic import write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -28,8 +29,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 SHOWN = 5
 """Causes in full view; the rest are folded away."""
 
-CLEAR, FAINT = 5.0, 2.0
-"""Changes over the noise (d′) above which an effect of typical size shows, and under which it cannot."""
+CLEAR = 5.0
+"""Change over the noise (d′) above which an effect of typical size shows plainly."""
 
 
 def write_report(diagnosis: Diagnosis, path: str | Path, *, generated: str | None = None) -> None:
@@ -61,6 +62,8 @@ def render(diagnosis: Diagnosis, *, generated: str | None = None) -> str:
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
+        faint=plain(FAINT, 2),
+        clear=plain(CLEAR, 2),
         hidden_torque=diagnosis.regime == "unknown_torque",
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
         visible=_visible(diagnosis),
@@ -146,7 +149,7 @@ def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     before, after = (gap.replay_rms_m.get(name) for name in ("nominal", "corrected"))
     if known(before):
         fixed_by = f"; corrected {handy(after, 'm')}" if gap.detected and known(after) else ""
-        tiles.append(("Replay", handy(before, "m"), f"rms off the recording{fixed_by}"))
+        tiles.append(("Replay", handy(before, "m"), f"rms off the smoothed recording{fixed_by}"))
     return tiles
 
 
@@ -183,8 +186,8 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             (
                 f"Replay, {name.replace('_', ' ')}",
                 handy(value, "m"),
-                "Distance of the simulated from the recorded keypoints when the simulation runs by itself, root mean "
-                "square.",
+                "Distance of the simulated keypoints from the recorded ones, smoothed, when the simulation runs by "
+                "itself, root mean square.",
             )
         )
     if known(shrinkage.gap_closed):
@@ -207,7 +210,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             (
                 "Outside the catalogue",
                 percent(diagnosis.outside.probability),
-                "Probability that no effect of the catalogue, nor those added together, is the cause.",
+                "Probability that something is at work which the catalogue lacks, alone or beside effects that it has.",
             )
         )
     return rows

@@ -121,7 +121,7 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
     site = CATALOGUE[effect].site if effect in CATALOGUE else ""
     first, _, form = place.rpartition(".")
     if effect in CATALOGUE and form in CATALOGUE[effect].forms:
-        return f"{key_words(f'{effect}.{first}'.rstrip('.'), diagnosis)} {FORMS[form]}"
+        return f"{key_words(f'{effect}.{first}'.rstrip('.'), diagnosis)} {FORMS.get(form, form)}"
     kind = {"pair": "joint", "keypoints": "keypoint"}.get(site, site)
     names = {
         "joint": diagnosis.joint_names,

@@ -62,10 +62,10 @@ def refine(
 ) -> Refined:
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
-    ``size`` is the residual's that its first path is found under. A cause that has not reached ``enough`` nats
-    after two rounds is left as it is. Parameters of effects that are searched stay where ``values`` has them;
-    ``noise_log`` is what their integral adds to the log evidence, by effect's key, ``noise_sd`` their standard
-    deviations.
+    ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
+    after the first of ``rounds``, or ``enough`` after the second, is left as it is. Parameters of effects that are
+    searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
+    key, ``noise_sd`` their standard deviations.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)

@@ -7,7 +7,7 @@ Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:
        something, what leaves nothing instead
     2  where the best single effect leaves something: those that would leave little to a small residual, from several
        values those that no screen tells the size of (``Effect.scan``), and it in shorter sub-steps (:mod:`.substeps`);
-       then, or where it is not what it is called (:mod:`.credible`), sets of several in a beam (:mod:`.together`)
+       then, or where it is not what it is called (:mod:`.credible`), sets of up to four in a beam (:mod:`.together`)
     3  given the best set so far, screen every effect that could be added and refine the most promising (:mod:`.extend`)
     4  where one has become two, drop the older and look for a better one in its place
     5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets

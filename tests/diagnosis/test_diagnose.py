@@ -141,3 +141,11 @@ def test_a_set_holds_the_most_probable_causes_that_name_something(probabilities,
     nothing = Cause((), 0.3, 0.0, None)
     assert _ambiguous([nothing, *causes]) == names[:rivals]
     assert _ambiguous([replace(nothing, probability=0.6), *causes]) == ()
+
+
+@pytest.mark.parametrize(
+    ("without", "said"), [(("payloda",), "unknown effect 'payloda': known are"), ("payload", "got the text 'payload'")]
+)
+def test_effects_that_are_struck_must_exist(without, said):
+    with pytest.raises(InputError, match=said):
+        diagnose(recording_of(rows=30), PENDULUM, without=without)

@@ -150,6 +150,7 @@ BAD = {
     "an unknown kind": (("--kinds", "weird"), "commanded"),
     "no number": (("--kinds", "none=0"), "number of cases"),
     "no place for the answer": (("--method-command", "prog {recording}"), "{out}"),
+    "no words": (("--method-command", "prog 'x {out}"), "expected words as in a shell"),
     "no such program": (("--method-command", "no-such-program {out}"), "no-such-program"),
     "no cases": (("--cases", "0"), "--cases"),
 }

@@ -7,7 +7,7 @@ import pytest
 
 from invdyn.inputs import load_recording
 from invdyn.models import Body, Link
-from invdyn.recordings import Recording, write_keypoint_csv
+from invdyn.recordings import InputError, Recording, write_keypoint_csv
 
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
 TIME = 0.02 * np.arange(30)
@@ -29,3 +29,13 @@ def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
     recording = load_recording(str(file), body, None, False)
     assert recording.keypoint_names == ("tip",)
     np.testing.assert_allclose(recording.keypoints[:, 0], TIP + np.array(base), atol=1e-6)
+
+
+def test_a_tracked_base_in_three_dimensions_is_one_line(tmp_path):
+    points = np.zeros((30, 2, 3))
+    points[:, 1, :2] = TIP
+    file = tmp_path / "rec.csv"
+    write_keypoint_csv(Recording(TIME, points, ("pivot", "tip")), file)
+    body = replace(Body("arm", [ROD]), base=(0.4, -0.2))
+    with pytest.raises(InputError, match=r"rec\.csv: expected keypoints of 2 coordinates, .* got 3"):
+        load_recording(str(file), body, "pivot", False)

@@ -1,5 +1,7 @@
 """Several recordings as one table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,7 @@ def test_end_to_end():
     [
         (recording(names=("wrist",), name="b"), "keypoint_names"),
         (recording(name="b").scaled(100.0, "px"), "length_unit"),
+        (replace(recording(name="b"), keypoints=np.zeros((5, 1, 3))), "of a have 2 coordinates, those of b 3"),
     ],
 )
 def test_those_that_do_not_agree(other, says):

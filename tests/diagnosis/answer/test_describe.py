@@ -43,7 +43,7 @@ def test_a_cubic_spring_is_put_into_a_formula():
     assert unit in formula.text
     assert formula.gain_per_frame > 0
     # Whatever terms there are, they give about the torque that acted.
-    terms, features = _library(here, none, none.path)
+    terms, features = _library(none, none.path)
     values = {name: feature for (name, *_), feature in zip(terms, features, strict=True)}
     said = sum(c * values[name] for name, (c, *_) in formula.terms.items() if name.endswith(" on elbow"))
     angle = here.model.split(none.path)[1][:, 1].numpy()

@@ -29,6 +29,7 @@ def test_the_last_third_is_held_out():
     last = unseen(here, none, cause)
     assert np.array_equal(last.rows, rows)
     assert not last.leaves
+    assert last.fresh
     result = closed(*last.scores, last.rows, here.model.time.numpy(), 0)
     assert 0.5 < result.share <= 1.0
     assert result.interval[0] <= result.share <= result.interval[1] <= 1.0
@@ -60,6 +61,7 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
     assert cause.log_evidence > none.log_evidence + 20
     last = unseen(here, none, cause)
+    assert not last.fresh
     result = closed(*last.scores, last.rows, here.model.time.numpy(), 0)
     assert result.per_frame["noise_floor"] - result.per_frame["nominal"] > 0.5
     assert result.share > 0.5
@@ -71,6 +73,7 @@ def test_another_recording_is_held_out():
     here, none, cause = causes()
     other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
     there = unseen(here, none, cause, other)
+    assert there.fresh
     without, with_cause = there.scores
     assert there.rows.all()
     assert len(there.rows) == len(without.score) == 60

@@ -47,8 +47,7 @@ def test_intervals_of_rows_that_were_not_all_seen():
 
 
 def test_joints_of_effects():
-    model = setting(recording_of(body=ARM, rows=30), ARM).model
-    joints = {e.key: joints_of(e.bound(ARM), model) for e in considered(setting(recording_of(body=ARM, rows=30), ARM))}
+    joints = {e.key: joints_of(e.bound(ARM)) for e in considered(setting(recording_of(body=ARM, rows=30), ARM))}
     assert joints["viscous_friction.elbow"] == [1]
     assert joints["joint_coupling.shoulder.elbow"] == [0, 1]
     assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []

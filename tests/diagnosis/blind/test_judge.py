@@ -67,6 +67,17 @@ def test_no_diagnosis_is_wrong_in_everything():
     assert v.probability is None
 
 
+@pytest.mark.parametrize("question", ["keypoint", "interval"])
+def test_no_diagnosis_is_in_no_place_and_at_no_time(question):
+    asked = {
+        "keypoint": true("marker_offset", side="observation", keypoint="wrist"),
+        "interval": {**true("external_push", link="forearm"), "interval": [1.0, 1.1]},
+    }
+    v = judge("a", answer(asked[question]), None)
+    assert getattr(v, question) is False
+    assert [v.joint, v.keypoint, v.interval].count(None) == 2
+
+
 def test_not_enough_data_is_no_right_answer():
     nothing = diagnosis(outside=math.nan, detected=False, closed=math.nan)
     v = judge("a", answer(FRICTION), nothing)

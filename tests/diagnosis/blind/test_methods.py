@@ -1,5 +1,6 @@
 """Methods that a blind run asks: a command for each case, and a process that goes from case to case."""
 
+import json
 import os
 import signal
 import subprocess
@@ -12,7 +13,11 @@ import pytest
 
 from invdyn.diagnosis.blind.methods import Ours, Theirs
 
-WRITES = "import pathlib, sys; pathlib.Path(sys.argv[1], 'diagnosis.json').write_text(repr(sys.argv[2:]))"
+WRITES = (
+    "import json, pathlib, sys; "
+    "found = dict(gap=dict(detected=False), causes=[], told=sys.argv[2:]); "
+    "pathlib.Path(sys.argv[1], 'diagnosis.json').write_text(json.dumps(found))"
+)
 
 
 @pytest.fixture
@@ -37,7 +42,7 @@ def test_a_command_is_told_where_things_lie(folders, other):
     with Theirs(command(WRITES, "{recording}", "--body={body}", "{held_out}")) as method:
         assert method(case, out) is None
     told = [str(case / "recording.csv"), f"--body={case / 'body.toml'}", str(case / "other.csv") if other else ""]
-    assert (out / "diagnosis.json").read_text() == repr(told)
+    assert json.loads((out / "diagnosis.json").read_text())["told"] == told
 
 
 @pytest.mark.parametrize(
@@ -45,6 +50,8 @@ def test_a_command_is_told_where_things_lie(folders, other):
     [
         ("import sys; print('so far'); sys.exit('no arm in it')", ("exit code 1", "so far", "no arm in it")),
         ("print('forgot to write')", ("exit code 0", "forgot to write")),
+        (WRITES.replace("gap=", "gaps="), ("diagnosis.json: expected the key 'gap', got 'gaps', 'causes'",)),
+        (WRITES.replace("json.dumps", "repr"), ("diagnosis.json: expected JSON in UTF-8",)),
     ],
 )
 def test_a_command_that_gives_no_diagnosis_is_quoted(folders, program, said):

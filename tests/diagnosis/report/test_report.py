@@ -34,12 +34,15 @@ from invdyn.diagnosis.answer.result import (
     Interval,
     Part,
     Shrinkage,
+    Visibility,
 )
 from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import FRAMES
+from invdyn.diagnosis.report.report import _visible
 from invdyn.diagnosis.report.sentences import kind, left, verdict
+from invdyn.diagnosis.searching.promising import FAINT
 from invdyn.models import Body, Link
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
@@ -191,6 +194,21 @@ def test_lines_break_where_nothing_is_known_and_keep_their_spikes():
 
 def test_every_effect_of_the_catalogue_has_words():
     assert set(words.EFFECTS) == set(EFFECTS)
+
+
+def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
+    """As effects may be added while a program runs."""
+    monkeypatch.setattr(EFFECTS["clock_rate"], "forms", ("frames", "sundial"))
+    assert words.key_words("clock_rate.sundial", two()).endswith(" sundial")
+
+
+def test_what_cannot_be_seen_is_by_one_measure():
+    """What `not_identifiable` counts as hidden is not said to show faintly."""
+    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * FAINT),))
+    text = render(found)
+    assert f"Under {FAINT:.1f} it cannot be seen" in text
+    assert _visible(found)["faintly"] == []
+    assert len(_visible(found)["no"]) == 1
 
 
 def test_a_softer_form_is_said_to_be_one():
