@@ -273,13 +273,3 @@ def planned(kind_counts: Mapping[str, int], seed: int) -> list[tuple[str, int, s
             plan.append((seed + number, kind, None if kind in ("none", "two") else turns.pop()))
     places = np.random.default_rng([seed, 11]).permutation(len(plan))
     return [(f"case-{place:04d}", *each) for place, each in sorted(zip(places.tolist(), plan, strict=True))]
-
-
-def write_cases(folder: str | pathlib.Path, kind_counts: Mapping[str, int], seed: int) -> dict[str, dict]:
-    """Write cases as `planned`, each into a folder of its name; return their answers by name. Raises as `make_case`."""
-    answers = {}
-    for name, own, kind, effect in planned(kind_counts, seed):
-        case = make_case(own, kind, effect)
-        case.write(pathlib.Path(folder) / name)
-        answers[name] = case.answer
-    return answers

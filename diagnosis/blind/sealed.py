@@ -20,7 +20,6 @@ import json
 import os
 import pathlib
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 
 from invdyn.recordings import InputError, atomic_path, write_text
@@ -108,7 +107,6 @@ def run_apart(command: Sequence[str], folder: str | pathlib.Path) -> subprocess.
     Neither memory nor open files pass to it, and its standard input is empty. Returns the finished process, whatever
     its exit code. Raises OSError when it cannot be started.
     """
-    command = [sys.executable if word == "{python}" else word for word in command]
     return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True)
 
 

@@ -33,13 +33,13 @@ CLEAR = 5.0
 """Change over the noise (d′) above which an effect of typical size shows plainly."""
 
 
-def write_report(diagnosis: Diagnosis, path: str | Path, *, generated: str | None = None) -> None:
+def write_report(diagnosis: Diagnosis, path: str | Path) -> None:
     """Write the page to `path`, whole or not at all. Raises OSError as :func:`invdyn.recordings.check_writable`."""
-    write_text(path, render(diagnosis, generated=generated))
+    write_text(path, render(diagnosis))
 
 
-def render(diagnosis: Diagnosis, *, generated: str | None = None) -> str:
-    """The page as HTML; `generated` is a line at its foot that says when it was made."""
+def render(diagnosis: Diagnosis) -> str:
+    """The page as HTML."""
     answer = kind(diagnosis)
     script = (TEMPLATES / "replay.js").read_text(encoding="utf-8")
     enough = answer != "not_enough_data"
@@ -74,7 +74,6 @@ def render(diagnosis: Diagnosis, *, generated: str | None = None) -> str:
         script=Markup(script),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        generated=generated,
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import invdyn.diagnosis.blind.cases as cases
 import invdyn.diagnosis.blind.starts as starts
-from invdyn.diagnosis.blind.cases import CATALOGUE, KINDS, effects_of, make_case, planned, write_cases
+from invdyn.diagnosis.blind.cases import CATALOGUE, KINDS, effects_of, make_case, planned
 from invdyn.diagnosis.blind.outside import OUTSIDE
 from invdyn.diagnosis.blind.sealed import canonical
 from invdyn.models import Body
@@ -87,7 +87,12 @@ def test_any_two_make_a_case(tmp_path):
 
 
 def test_the_same_seed_is_the_same_case_to_the_byte(tmp_path, hasty):
-    answers = [write_cases(tmp_path / name, {"commanded": 2, "none": 1}, seed=4) for name in "ab"]
+    answers = [{}, {}]
+    for each, folder in zip(answers, "ab", strict=True):
+        for name, *job in planned({"commanded": 2, "none": 1}, seed=4):
+            case = make_case(*job)
+            case.write(tmp_path / folder / name)
+            each[name] = case.answer
     files = [sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in "ab"]
     assert canonical(answers[0]) == canonical(answers[1])
     assert [p.relative_to(tmp_path / "a") for p in files[0]] == [p.relative_to(tmp_path / "b") for p in files[1]]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -30,7 +31,7 @@ def folders(tmp_path):
 
 
 def command(program, *words):
-    return f'{{python}} -c "{program}" {{out}} {" ".join(words)}'
+    return f'{shlex.quote(sys.executable)} -c "{program}" {{out}} {" ".join(words)}'
 
 
 @pytest.mark.parametrize("other", [False, True])

@@ -71,7 +71,8 @@ def test_one_text_for_the_same_answers():
 
 def test_a_diagnosis_runs_in_the_case_folder_alone(tmp_path):
     (tmp_path / "case.json").write_text("{}")
-    finished = run_apart(["{python}", "-c", "import os, sys; print(os.listdir(), repr(sys.stdin.read()))"], tmp_path)
+    tells = "import os, sys; print(os.listdir(), repr(sys.stdin.read()))"
+    finished = run_apart([sys.executable, "-c", tells], tmp_path)
     assert finished.stdout.split() == ["['case.json']", "''"]
     assert run_apart([sys.executable, "-c", "raise SystemExit(3)"], tmp_path).returncode == 3
     before = digest(tmp_path)

@@ -301,11 +301,9 @@ def test_no_keypoints_and_no_lasting_intervals():
     Page(render(diagnosis(tracks=empty, where=where)))
 
 
-def test_written_whole_with_its_line(tmp_path):
-    write_report(diagnosis(), tmp_path / "report.html", generated="made <by> hand")
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "made &lt;by&gt; hand" in text
-    assert text.replace('<p class="note">made &lt;by&gt; hand</p>', "").split() == render(diagnosis()).split()
+def test_written_whole(tmp_path):
+    write_report(diagnosis(), tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render(diagnosis())
     with pytest.raises(FileNotFoundError):
         write_report(diagnosis(), tmp_path / "absent" / "report.html")
 
