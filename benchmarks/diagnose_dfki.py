@@ -28,7 +28,7 @@ from scipy.signal import butter, filtfilt
 
 from invdyn.diagnosis import diagnose, save
 from invdyn.diagnosis.report.sentences import verdict
-from invdyn.inference.initialise import arm_problem
+from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, Body
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.hidden import HiddenHinge

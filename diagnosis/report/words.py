@@ -2,7 +2,7 @@
 
 import re
 
-from invdyn.diagnosis.answer.result import Cause, Diagnosis, Finding, named
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
 from invdyn.models.effects.catalogue import EFFECTS as CATALOGUE
 
 EFFECTS = {

@@ -20,6 +20,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition, own_values
 from invdyn.models.effects.coulomb_friction import CoulombFriction
 from invdyn.models.effects.drifting_friction import DriftingFriction
+from invdyn.models.effects.effect_context import Situation, View
 from invdyn.models.effects.external_push import ExternalPush
 from invdyn.models.effects.gravity_tilt import GravityTilt
 from invdyn.models.effects.hidden import Follower, HiddenHinge
@@ -37,7 +38,6 @@ from invdyn.models.effects.payload import Payload
 from invdyn.models.effects.quadratic_drag import QuadraticDrag
 from invdyn.models.effects.rolling_shutter import RollingShutter
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation, View
 from invdyn.models.effects.soft_tissue import SoftTissue
 from invdyn.models.effects.stribeck_friction import StribeckFriction
 from invdyn.models.effects.timestamp_jitter import TimestampJitter

@@ -36,11 +36,11 @@ from pyro.distributions import Distribution
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from invdyn.models.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.effect_context import Situation, View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mistakes import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
@@ -291,7 +291,7 @@ class Effect(ABC):
         return sd
 
     def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:
-        """What the tracker gets wrong now and then; see :mod:`invdyn.models.mistakes`."""
+        """What the tracker gets wrong now and then; see :mod:`invdyn.models.observation.tracker_errors`."""
         return None
 
 

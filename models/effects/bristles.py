@@ -20,9 +20,9 @@ from pyro.distributions import LogNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 LONGEST = 0.002
 """s, sub-step that follows a joint swinging on its bristles."""

@@ -4,8 +4,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class DriftingFriction(Effect):

@@ -5,8 +5,8 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 TYPICAL, SHORTEST = 0.15, 0.01
 """s, that pushes last, and that they last at least."""

@@ -5,7 +5,7 @@ from typing import Self
 
 from pyro.distributions import Normal
 
-from invdyn.models.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, turned
 from invdyn.models.effects.scale import Scale
 

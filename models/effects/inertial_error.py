@@ -2,7 +2,7 @@
 
 from pyro.distributions import Normal, StudentT
 
-from invdyn.models.body import BodyParameters
+from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
 from invdyn.models.effects.scale import Scale
 

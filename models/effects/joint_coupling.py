@@ -6,8 +6,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 LEAST = 0.1
 """Ratio of lever arms under which it is a spring of one joint; couplings that were found where there were some had .52

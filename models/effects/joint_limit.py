@@ -9,10 +9,10 @@ import torch
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.body import Body
+from invdyn.models.bodies.body import Body
 from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 SIDES = {"upper": 1.0, "lower": -1.0}
 SHALLOW, POINTS = 0.01, 12

@@ -7,8 +7,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 TURNS = 2
 """Whole turns within which a rest angle is told: of one that is farther nobody would see the spring."""

@@ -7,9 +7,9 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Parameter, Values
-from invdyn.models.effects.rubbing import Rubbing
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.regularised_friction import Rubbing
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class LoadFriction(Rubbing):

@@ -9,8 +9,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
 class Optics(Effect):

@@ -16,9 +16,9 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.hidden import Follower, Motion
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 STIFFEST = 1e-8
 """s², least κ that is none at all: a frequency of 1.6 kHz."""

@@ -8,9 +8,9 @@ from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Parameter, Values, quantiles
-from invdyn.models.effects.rubbing import Rubbing
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.regularised_friction import Rubbing
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class StribeckFriction(Rubbing):

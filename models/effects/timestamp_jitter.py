@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pyro.distributions import HalfNormal, Uniform
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
-from invdyn.models.mistakes import Shift
+from invdyn.models.observation.tracker_errors import Shift
 
 FARTHEST = 5.0
 """Frames, standard deviation."""

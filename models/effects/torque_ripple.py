@@ -8,8 +8,8 @@ from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 PERIODS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 36, 40, 48)
 

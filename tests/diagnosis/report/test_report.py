@@ -27,7 +27,7 @@ from reported import (
     two,
 )
 
-from invdyn.diagnosis.answer.result import (
+from invdyn.diagnosis.assessment.result import (
     Cause,
     Estimate,
     Finding,
@@ -36,13 +36,13 @@ from invdyn.diagnosis.answer.result import (
     Shrinkage,
     Visibility,
 )
+from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
 from invdyn.diagnosis.report.sentences import kind, left, verdict
-from invdyn.diagnosis.searching.promising import FAINT
 from invdyn.models import Body, Link
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale

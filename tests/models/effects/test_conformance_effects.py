@@ -14,8 +14,8 @@ from invdyn.models import Emission
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.effects.bristles import Bristles
-from invdyn.models.effects.rubbing import Rubbing
-from invdyn.models.missing import observed_log_prob
+from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
