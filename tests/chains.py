@@ -7,22 +7,23 @@ import pytest
 import torch
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import RecursiveDynamics, SymbolicDynamics
+from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
+from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
 
 F64 = torch.float64
 BOTH = pytest.mark.parametrize("kind", [SymbolicDynamics, RecursiveDynamics])
 JOINTS = pytest.mark.parametrize("K", [1, 2, 3, 4])
 
 METHODS = {
-    "inertia_matrix": "q",
+    "mass_matrix": "q",
     "coriolis": "q qd",
     "gravity_load": "q",
-    "forward": "q qd tau",
+    "acceleration": "q qd tau",
     "response": "q tau",
     "inverse": "q qd tau",
     "kinetic_energy": "q qd",
     "potential_energy": "q",
-    "keypoints": "q",
+    "sites": "q",
 }
 
 

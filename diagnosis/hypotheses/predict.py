@@ -146,7 +146,7 @@ def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarra
         state[:, : model.body.num_joints] = 0.0
         states[starts[alive] + step] = state[torch.as_tensor(alive)]
     _, q, _ = model.split(states)
-    tips = model.dynamics.keypoints(q, model.body_parameters()).nan_to_num(posinf=np.nan, neginf=np.nan)
+    tips = model.dynamics.sites(q, model.body_parameters()).nan_to_num(posinf=np.nan, neginf=np.nan)
     # In the order that another process would send it in: sums over it depend on that in their last digit.
     return np.ascontiguousarray(tips.numpy())
 
@@ -157,7 +157,7 @@ def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
     with torch.no_grad():
         emission = model.emission(path, rows)
         loc = getattr(emission, "base_dist", emission).loc
-    return loc[..., : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy()
+    return model.observation.points(loc).numpy()
 
 
 def replay_rms(replayed: np.ndarray, smooth: np.ndarray) -> float:

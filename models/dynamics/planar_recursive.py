@@ -8,7 +8,7 @@ recording's axes. For a link of absolute angle φ, with α = φ̈, ω = φ̇ and
     ⊥ turns a vector by +90°, so a force f at r has the moment r⊥·f
 
 Gravity enters as an acceleration −g of the base. Inside, the batch comes last: scalars (batch), vectors
-(2, batch), matrices (2, 2, batch). Interface, shapes and units: `planar.py`.
+(2, batch), matrices (2, 2, batch). Interface, shapes and units: `interface.py`.
 """
 
 from itertools import accumulate
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_symbolic import Dynamics
+from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.shapes import common
 
 
@@ -31,7 +31,7 @@ class _Link(NamedTuple):
     l_turned: Tensor  # l⊥
 
 
-class RecursiveDynamics(Dynamics):
+class RecursiveDynamics(PlanarDynamics):
     """A planar chain of any number of joints; interface, shapes and units as in `Dynamics`.
 
     Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
@@ -65,7 +65,7 @@ class RecursiveDynamics(Dynamics):
         """c(θ) = ∂V/∂θ, N·m, (..., K)."""
         return self.inverse(q, torch.zeros_like(q), torch.zeros_like(q), p)
 
-    def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def mass_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K): joint j moves all that is further out as one composite body."""
         p, (q,) = self._batch(p, q=q)
         links, D = _links(q, p), {}
@@ -83,7 +83,7 @@ class RecursiveDynamics(Dynamics):
         rows = range(self.num_joints)
         return torch.stack([torch.stack([D[i, j] for j in rows], -1) for i in rows], -2)
 
-    def forward(
+    def acceleration(
         self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
     ) -> Tensor:
         """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K), by articulated bodies; with I_own by solving for D.
@@ -94,7 +94,7 @@ class RecursiveDynamics(Dynamics):
         """
         if own_inertia is not None:
             # Rotors break the recursion's "no moment but τ is handed on".
-            D = self.inertia_matrix(q, p) + torch.diag_embed(own_inertia)
+            D = self.mass_matrix(q, p) + torch.diag_embed(own_inertia)
             return torch.linalg.solve(D, tau - self.inverse(q, qd, torch.zeros_like(q), p))
         p, (q, qd, tau) = self._batch(p, q=q, qd=qd, tau=tau)
         links, omegas, taus = _links(q, p), _absolute(qd), tau.unbind(-1)
@@ -137,7 +137,7 @@ class RecursiveDynamics(Dynamics):
             joint = joint + link.l
         return energy
 
-    def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def sites(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
         self._check(q=q)
         phi = q.cumsum(-1)

@@ -20,7 +20,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition, own_values
 from invdyn.models.effects.coulomb_friction import CoulombFriction
 from invdyn.models.effects.drifting_friction import DriftingFriction
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.external_push import ExternalPush
 from invdyn.models.effects.gravity_tilt import GravityTilt
 from invdyn.models.effects.hidden import Follower, HiddenHinge
@@ -44,6 +44,7 @@ from invdyn.models.effects.timestamp_jitter import TimestampJitter
 from invdyn.models.effects.torque_ripple import TorqueRipple
 from invdyn.models.effects.varying_noise import VaryingNoise
 from invdyn.models.effects.viscous_friction import ViscousFriction
+from invdyn.models.observation.view import View
 
 __all__ = [
     "EFFECTS",

@@ -32,7 +32,8 @@ from torch import Tensor
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import Dynamics, dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -96,7 +97,7 @@ class Backlash(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        arm, dt = _Mechanics(self, row, dynamics_for(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
+        arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
         j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         none, tight = half <= 0, None
@@ -166,14 +167,14 @@ class _Mechanics:
         torque, own = self.row.net(hinge.turned(angles), qd, s)
         pulled = self.row.pull(angles, rates, s)
         torque = torque + (hinge.turned(pulled) if isinstance(pulled, Tensor) else pulled)
-        return self.row.rigid.forward(q, qd, torque, self.row.body, own)
+        return self.row.rigid.acceleration(q, qd, torque, self.row.body, own)
 
     def free(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Accelerations (..., K + 1) of the hinges."""
         hinge = self.hinge
         torque, own = self.row.net(hinge.turned(angles), hinge.turned(rates), s)
         turning = hinge.on_joints(torque) + self.row.pull(angles, rates, s)
-        return self.whole.forward(angles, rates, turning, self.links, hinge.on_joints(own))
+        return self.whole.acceleration(angles, rates, turning, self.links, hinge.on_joints(own))
 
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""

@@ -16,6 +16,7 @@ class GravityTilt(Effect):
     Cannot be told from a rolled camera unless the picture shows a plumb line or the base's orientation.
     """
 
+    planar = True
     site = "arm"
 
     @classmethod

@@ -18,6 +18,7 @@ class InertialError(Effect):
     Known but for a common factor when no torque and no weight is.
     """
 
+    planar = True
     site = "link"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

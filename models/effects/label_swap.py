@@ -8,9 +8,9 @@ from pyro.distributions import Beta
 
 from invdyn.models.bodies.body import Body
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Swap
+from invdyn.models.observation.view import View
 
 
 class LabelSwap(Effect):

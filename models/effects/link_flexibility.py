@@ -19,7 +19,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -98,12 +98,12 @@ class LinkFlexibility(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        links, whole = self.chain(p, row.body), dynamics_for(q.shape[-1] + 1)
+        links, whole = self.chain(p, row.body), planar_dynamics(q.shape[-1] + 1)
         stiff = torch.isinf(p["stiffness"])
 
         def held(q, qd, s):
             torque, own = row.net(q, qd, s)
-            return row.rigid.forward(q, qd, torque, row.body, own)
+            return row.rigid.acceleration(q, qd, torque, row.body, own)
 
         locked = None
         if bool(stiff.any()):
@@ -112,13 +112,13 @@ class LinkFlexibility(HiddenHinge):
                 return locked
         parts = substeps_for(row.dt, FASTEST, row.parts)
         angles = self.spread(q, hidden[..., :1])
-        stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
+        stiffness, damping = self._resolved(p, whole.mass_matrix(angles, links), row.dt / parts)
 
         def bending(angles, rates, s):
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
             torque, own = row.net(q, qd, s)
             turning = self.spread(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
-            return whole.forward(angles, rates, turning, links, self.on_joints(own))
+            return whole.acceleration(angles, rates, turning, links, self.on_joints(own))
 
         angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), row.dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)

@@ -13,6 +13,7 @@ class Payload(Effect):
     Told apart from an error of the last link's inertial parameters by two postures and two speeds.
     """
 
+    planar = True
     site = "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

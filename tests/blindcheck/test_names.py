@@ -8,10 +8,16 @@ from invdyn.blindcheck.camera import OBSERVATIONS
 from invdyn.blindcheck.effect_sizes import UNITS
 from invdyn.blindcheck.injected_effects import CATALOGUE, OF_KEYPOINT, OF_LINK, OF_WHOLE, Present, named
 from invdyn.blindcheck.motion import random_body
+from invdyn.models import planar_dynamics
 from invdyn.models.effects import EFFECTS, BaseMotion, Scale, TorqueRipple
 
 BODY = random_body(np.random.default_rng(1), 3, False)
-SCALE = Scale(BODY.parameters(), torch.arange(0, 3, 0.01, dtype=torch.float64), torch.ones(300, 3, dtype=torch.float64))
+SCALE = Scale(
+    planar_dynamics(BODY.num_joints),
+    BODY.parameters(),
+    torch.arange(0, 3, 0.01, dtype=torch.float64),
+    torch.ones(300, 3, dtype=torch.float64),
+)
 
 
 def reported(effect):

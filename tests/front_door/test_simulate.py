@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, Link, dynamics_for
+from invdyn.models import Body, Link, planar_dynamics
 from invdyn.recordings import InputError
 from invdyn.simulate import paper_arm, random_arm, record
 
@@ -14,7 +14,7 @@ BODY = Body(
     "arm",
     (Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)),
 )
-DYNAMICS, PARAMETERS = dynamics_for(2), BODY.parameters()
+DYNAMICS, PARAMETERS = planar_dynamics(2), BODY.parameters()
 
 
 def test_truth_obeys_the_equations_of_motion():
@@ -24,7 +24,7 @@ def test_truth_obeys_the_equations_of_motion():
     # within a step the torque decays from its value to what is expected at the end
     middle = [(values[1:] + values[:-1]) / 2 for values in (q, qd)]
     middle.append(tau[:-1] * (1 + math.exp(-decay * step)) / 2)
-    expected = DYNAMICS.forward(*middle, PARAMETERS)
+    expected = DYNAMICS.acceleration(*middle, PARAMETERS)
     assert (qd.diff(dim=0) / step - expected).abs().max() < 1e-3 * expected.abs().max()
     assert (q.diff(dim=0) / step - middle[1]).abs().max() < 1e-3 * qd.abs().max()
 
@@ -32,7 +32,7 @@ def test_truth_obeys_the_equations_of_motion():
 def test_keypoints_lie_around_the_true_tips_by_the_noise():
     noise = 0.02
     recording, truth = record(random_arm(BODY, duration=20, fps=25, noise=noise, seed=2), 2)
-    tips = DYNAMICS.keypoints(torch.as_tensor(truth.angle), PARAMETERS).numpy()
+    tips = DYNAMICS.sites(torch.as_tensor(truth.angle), PARAMETERS).numpy()
     error = recording.keypoints - tips
     assert recording.keypoint_names == ("elbow", "wrist")
     count = error.size

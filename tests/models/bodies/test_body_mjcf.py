@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, dynamics_for
+from invdyn.models import Body, BodyError, planar_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -57,7 +57,7 @@ def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
-    parameters, dynamics = body.parameters(), dynamics_for(3)
+    parameters, dynamics = body.parameters(), planar_dynamics(3)
     sign, plane = AXES[axis][2], list(PLANE[AXES[axis][1]])
     for _ in range(5):
         data.qpos[:], data.qvel[:] = rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 3)
@@ -70,7 +70,7 @@ def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
         np.testing.assert_allclose(np.linalg.norm(steps, axis=1), parameters.length, rtol=1e-9)
         absolute = np.arctan2(steps[:, 1], steps[:, 0])
         angle = torch.tensor(np.diff(absolute, prepend=0.0))
-        ours = dynamics.forward(angle, torch.tensor(sign * data.qvel), torch.tensor(sign * torque), parameters)
+        ours = dynamics.acceleration(angle, torch.tensor(sign * data.qvel), torch.tensor(sign * torque), parameters)
         np.testing.assert_allclose(ours.numpy(), sign * data.qacc, rtol=1e-8, atol=1e-8 * np.abs(data.qacc).max())
 
 

@@ -6,7 +6,7 @@ import torch
 
 from invdyn.models.bodies.body import Body, Link
 from invdyn.models.dynamics.integrators import INTEGRATORS, euler, rk4, semi_implicit
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 
 F64 = torch.float64
 ORDER = {"euler": 1, "semi_implicit": 1, "rk4": 4}
@@ -19,12 +19,12 @@ class FreeSwing:
     def __init__(self, K):
         links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=0.4, mass=1.0 + 0.3 * k) for k in range(K)]
         self.p = Body("swing", links).parameters()
-        self.dynamics = dynamics_for(K)
+        self.dynamics = planar_dynamics(K)
         # away from the vertical by half a radian, and each joint bent a little
         self.start = torch.linspace(-1.0, 0.2, K, dtype=F64), torch.zeros(K, dtype=F64)
 
     def acceleration(self, q, qd, _):
-        return self.dynamics.forward(q, qd, torch.zeros_like(q), self.p)
+        return self.dynamics.acceleration(q, qd, torch.zeros_like(q), self.p)
 
     def energy(self, q, qd):
         return (self.dynamics.kinetic_energy(q, qd, self.p) + self.dynamics.potential_energy(q, self.p)).item()
@@ -135,7 +135,7 @@ def test_steps_are_differentiable_and_keep_float32(name):
 
     def step(q, qd, tau, dt):
         def acceleration(q, qd, s):
-            return chain.dynamics.forward(q, qd, tau * (1 + s), chain.p)
+            return chain.dynamics.acceleration(q, qd, tau * (1 + s), chain.p)
 
         return INTEGRATORS[name](acceleration, q, qd, dt, 2)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from invdyn.models import Emission
+from invdyn.models import Keypoints, Observation
 from invdyn.models.effects import (
     CameraLatency,
     CameraRoll,
@@ -34,7 +34,7 @@ def tips(model, x, t=5):
 
 def later(model, x, seconds, t=5, *, held=False):
     """The tips after so many seconds of the model's own motion from row ``t`` on, its command ``held`` or not."""
-    return model.dynamics.keypoints(moved(model, x, seconds, t, held=held)[0], model.body_parameters()).numpy()
+    return model.dynamics.sites(moved(model, x, seconds, t, held=held)[0], model.body_parameters()).numpy()
 
 
 def moved(model, x, seconds, t=5, *, since=0.0, held=False):
@@ -48,8 +48,8 @@ def moved(model, x, seconds, t=5, *, since=0.0, held=False):
         row = t if held else int(torch.searchsorted(model.time, now, right=True)) - 1
         torque = z[..., :2] + model.motors.mean[row]
         middle = q + h / 2 * qd
-        half = qd + h / 2 * model.dynamics.forward(q, qd, torque, body)
-        qd = qd + h * model.dynamics.forward(middle, half, torque, body)
+        half = qd + h / 2 * model.dynamics.acceleration(q, qd, torque, body)
+        qd = qd + h * model.dynamics.acceleration(middle, half, torque, body)
         q = q + h * half
     return q, qd
 
@@ -212,7 +212,7 @@ def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     """Of tips that are tracked; where nobody says how sure it was, nothing changes."""
     confidence = np.full((12, 2), 0.9)
     confidence[5] = 0.4, np.nan
-    ideal = arm(2, emission=Emission([1, 0], confidence=confidence))
+    ideal = arm(2, emission=Observation(Keypoints([1, 0], confidence=confidence)))
     x = states(ideal, 6)
     (points, sd), (same, own) = (
         tips(model, x) for model in (having(ideal, VaryingNoise("confidence"), slope=3.0), ideal)
@@ -222,7 +222,7 @@ def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     assert tips(having(ideal, VaryingNoise("confidence"), slope=3.0), x, 4)[1] / tips(ideal, x, 4)[1] == pytest.approx(
         1.3
     )
-    plain = arm(2, emission=Emission([0, 1]))
+    plain = arm(2, emission=Observation(Keypoints([0, 1])))
     assert tips(having(plain, VaryingNoise("confidence"), slope=3.0), x)[1] == pytest.approx(tips(plain, x)[1])
 
 
