@@ -73,7 +73,7 @@ def model_error(model: ArmModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
     state = torch.as_tensor(np.concatenate([np.zeros_like(q), q, qd], -1))
     with torch.no_grad():
         missing = torch.as_tensor(qdd.copy()) - model.acceleration(state, rows, body)
-        inertia = model.dynamics.mass_matrix(torch.as_tensor(q.copy()), body)
+        inertia = model.dynamics.inertia_matrix(torch.as_tensor(q.copy()), body)
         own = model.effects.inertia(model.parameters, q.shape[1])
     inertia = inertia if own is None else inertia + torch.diag_embed(own)
     return (inertia @ missing.unsqueeze(-1))[..., 0].numpy()

@@ -108,8 +108,8 @@ plt.show()
 parameters = body.parameters()
 q, qd, tau = (torch.as_tensor(values) for values in (truth.angle, truth.velocity, truth.torque))
 dynamics = model.dynamics
-qdd = dynamics.acceleration(q, qd, tau, parameters)
-sum_of_parts = (dynamics.mass_matrix(q, parameters) @ qdd[..., None])[..., 0]
+qdd = dynamics.forward(q, qd, tau, parameters)
+sum_of_parts = (dynamics.inertia_matrix(q, parameters) @ qdd[..., None])[..., 0]
 sum_of_parts = sum_of_parts + dynamics.coriolis(q, qd, parameters) + dynamics.gravity_load(q, parameters)
 print(f"D θ̈ + h + c differs from τ by at most {(sum_of_parts - tau).abs().max():.1e} N·m")
 for name, value in {

@@ -15,15 +15,15 @@ BOTH = pytest.mark.parametrize("kind", [SymbolicDynamics, RecursiveDynamics])
 JOINTS = pytest.mark.parametrize("K", [1, 2, 3, 4])
 
 METHODS = {
-    "mass_matrix": "q",
+    "inertia_matrix": "q",
     "coriolis": "q qd",
     "gravity_load": "q",
-    "acceleration": "q qd tau",
+    "forward": "q qd tau",
     "response": "q tau",
     "inverse": "q qd tau",
     "kinetic_energy": "q qd",
     "potential_energy": "q",
-    "sites": "q",
+    "keypoints": "q",
 }
 
 

@@ -63,7 +63,7 @@ def assembled(
     none, best = found.pool[""], weighed.best
     after, after_sd, path = residual(bound, best)
     _, q, qd = best.model.split(path)
-    tips = best.model.dynamics.sites(q, best.model.body_parameters()).numpy()
+    tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
     parts = [  # what takes longest first
         partial(replay, best.model, path, bound.starts),
         partial(replay, model, _without_hidden(model, path), bound.starts),

@@ -146,7 +146,7 @@ def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarra
         state[:, : model.body.num_joints] = 0.0
         states[starts[alive] + step] = state[torch.as_tensor(alive)]
     _, q, _ = model.split(states)
-    tips = model.dynamics.sites(q, model.body_parameters()).nan_to_num(posinf=np.nan, neginf=np.nan)
+    tips = model.dynamics.keypoints(q, model.body_parameters()).nan_to_num(posinf=np.nan, neginf=np.nan)
     # In the order that another process would send it in: sums over it depend on that in their last digit.
     return np.ascontiguousarray(tips.numpy())
 

@@ -197,7 +197,7 @@ def _start_values(
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
         if (keypoints := observation.keypoints) is not None:
             # What rigid links cannot explain is observation noise to begin with.
-            sites = keypoints.tracked(dynamics.sites(torch.as_tensor(middle), numbers)).numpy()
+            sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()
             off = observation.points(rows) - sites
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
             least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)

@@ -46,12 +46,12 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     values = {
         "inertia_matrix": (
             [*joint, "joint_2"],
-            dynamics.mass_matrix(q, body),
+            dynamics.inertia_matrix(q, body),
             "kg·m²" if si else f"kg·({unit})²",
         ),
         "gravity_load": (joint, dynamics.gravity_load(q, body), torque),
         "coriolis": (joint, dynamics.coriolis(q, qd, body), torque),
-        "acceleration": (joint, dynamics.acceleration(q, qd, tau, body), "rad/s²"),
+        "acceleration": (joint, dynamics.forward(q, qd, tau, body), "rad/s²"),
         "kinetic_energy": (frame, dynamics.kinetic_energy(q, qd, body), energy),
         "potential_energy": (frame, dynamics.potential_energy(q, body), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),

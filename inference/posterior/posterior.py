@@ -85,7 +85,7 @@ def to_inference_data(
         "velocity": (["chain", "draw", "time", "joint"], velocity),
         "position": (
             ["chain", "draw", "time", "keypoint", "space"],
-            model.dynamics.sites(angle, model.body_parameters()),
+            model.dynamics.keypoints(angle, model.body_parameters()),
         ),
     }
     if model.command is not None:

@@ -57,7 +57,7 @@ class Sight:
             return self._ahead(state, t, body, seconds)
 
         def ahead(seconds: Tensor) -> Tensor:
-            return dynamics.sites(turned(seconds), body) - dynamics.sites(q, body)
+            return dynamics.keypoints(turned(seconds), body) - dynamics.keypoints(q, body)
 
         def acceleration() -> Tensor:
             return self.acceleration(state, t, body)

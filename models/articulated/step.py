@@ -73,7 +73,7 @@ class Mechanics:
             bent = self.effects.shares(hidden)[self.effects.bristles.key]
             torque = torque + self._bending(bent, now)[0]
         torque, own = self._rubbed(torque, own, now)
-        return self.dynamics.acceleration(q, qd, torque, drive.body, own)
+        return self.dynamics.forward(q, qd, torque, drive.body, own)
 
     def _moved(self, drive: RowDrive, bent: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The hidden states, if there are any, that have a part in it, q and q̇ one row later."""
@@ -116,7 +116,7 @@ class Mechanics:
             if first is not None and not s:
                 return first
             torque, own, _ = self._smooth(drive, q, qd, begun + share * s)
-            return self.dynamics.acceleration(q, qd, torque + held, drive.body, own)
+            return self.dynamics.forward(q, qd, torque + held, drive.body, own)
 
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * drive.dt, steps)
         return (q if off is None else q + off), qd
@@ -148,7 +148,7 @@ class Mechanics:
             now = self._now(drive, q, qd, s)
             friction, rate = self._bending(bent, now)
             torque, own = self._rubbed(torque + friction, own, now)
-            return self.dynamics.acceleration(q, qd, torque, drive.body, own), rate
+            return self.dynamics.forward(q, qd, torque, drive.body, own), rate
 
         return self.effects.bristles.step(moving, hidden, q, qd, drive.dt, drive.parts)
 

@@ -9,7 +9,7 @@ of the body's numbers p: in the plane p.length of shape (M, 1, K) goes with q of
     qd   (..., K)      θ̇, rad/s
     qdd  (..., K)      θ̈, rad/s²
     tau  (..., K)      τ, net joint torque, N·m
-    D    (..., K, K)   mass matrix, kg·m², symmetric positive definite
+    D    (..., K, K)   inertia matrix, kg·m², symmetric positive definite
     h    (..., K)      Coriolis and centrifugal torque, N·m
     c    (..., K)      gravity load ∂V/∂θ, N·m, with V = −Σ m g·r
     r    (..., S, d)   sites, m, in the recording's frame
@@ -36,7 +36,7 @@ class Dynamics(ABC):
     num_joints: int
 
     @abstractmethod
-    def mass_matrix(self, q: Tensor, p: Any) -> Tensor:
+    def inertia_matrix(self, q: Tensor, p: Any) -> Tensor:
         """D(θ), kg·m², (..., K, K)."""
 
     @abstractmethod
@@ -48,7 +48,7 @@ class Dynamics(ABC):
         """c(θ) = ∂V/∂θ, N·m, (..., K)."""
 
     @abstractmethod
-    def acceleration(self, q: Tensor, qd: Tensor, tau: Tensor, p: Any, own_inertia: Tensor | None = None) -> Tensor:
+    def forward(self, q: Tensor, qd: Tensor, tau: Tensor, p: Any, own_inertia: Tensor | None = None) -> Tensor:
         """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K); I_own (..., K) kg·m², of geared rotors, or None."""
 
     @abstractmethod
@@ -64,14 +64,14 @@ class Dynamics(ABC):
         """V(θ) = −Σ m g·r, J, zero at the origin of the frame, (...)."""
 
     @abstractmethod
-    def sites(self, q: Tensor, p: Any) -> Tensor:
+    def keypoints(self, q: Tensor, p: Any) -> Tensor:
         """Positions of the sites in the recording's frame, m, (..., S, d)."""
 
     # -- what follows --------------------------------------------------------------------------
     def response(self, q: Tensor, tau: Tensor, p: Any, own_inertia: Tensor | None = None) -> Tensor:
         """(D + diag I_own)⁻¹ τ, rad/s², (..., K): what a torque adds to the acceleration."""
         weightless = p._replace(gravity=torch.zeros_like(p.gravity))
-        return self.acceleration(q, torch.zeros_like(q), tau, weightless, own_inertia)
+        return self.forward(q, torch.zeros_like(q), tau, weightless, own_inertia)
 
     def power(self, qd: Tensor, tau: Tensor) -> Tensor:
         """Mechanical power τ θ̇ that each joint's torque gives to the body, W, (..., K)."""
@@ -86,7 +86,7 @@ class Dynamics(ABC):
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J θ̇, m/s, (..., S, d)."""
         q, qd = torch.broadcast_tensors(q, qd)
-        return jvp(lambda angles: self.sites(angles, p), (q,), (qd,))[1]
+        return jvp(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J θ̈ + J̇ θ̇, m/s², (..., S, d)."""
@@ -100,7 +100,7 @@ class Dynamics(ABC):
     # -- what is large and small, of numbers without batch dimensions -----------------------------
     def typical_inertia(self, p: Any) -> Tensor:
         """Inertia (K,) about each joint with all coordinates at zero, kg·m²."""
-        return self.mass_matrix(p.gravity.new_zeros(self.num_joints), p).diagonal()
+        return self.inertia_matrix(p.gravity.new_zeros(self.num_joints), p).diagonal()
 
     def typical_load(self, p: Any) -> Tensor:
         """Load (K,) of gravity there, N·m, from whatever direction loads each joint most."""
@@ -110,7 +110,7 @@ class Dynamics(ABC):
 
     def reach(self, p: Any) -> Tensor:
         """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m."""
-        points = self.sites(p.gravity.new_zeros(self.num_joints), p)
+        points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
         points = torch.cat([points, torch.zeros_like(points[:1])])
         return torch.cdist(points, points).max()
 

@@ -65,7 +65,7 @@ class RecursiveDynamics(PlanarDynamics):
         """c(θ) = ∂V/∂θ, N·m, (..., K)."""
         return self.inverse(q, torch.zeros_like(q), torch.zeros_like(q), p)
 
-    def mass_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K): joint j moves all that is further out as one composite body."""
         p, (q,) = self._batch(p, q=q)
         links, D = _links(q, p), {}
@@ -83,7 +83,7 @@ class RecursiveDynamics(PlanarDynamics):
         rows = range(self.num_joints)
         return torch.stack([torch.stack([D[i, j] for j in rows], -1) for i in rows], -2)
 
-    def acceleration(
+    def forward(
         self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
     ) -> Tensor:
         """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K), by articulated bodies; with I_own by solving for D.
@@ -94,7 +94,7 @@ class RecursiveDynamics(PlanarDynamics):
         """
         if own_inertia is not None:
             # Rotors break the recursion's "no moment but τ is handed on".
-            D = self.mass_matrix(q, p) + torch.diag_embed(own_inertia)
+            D = self.inertia_matrix(q, p) + torch.diag_embed(own_inertia)
             return torch.linalg.solve(D, tau - self.inverse(q, qd, torch.zeros_like(q), p))
         p, (q, qd, tau) = self._batch(p, q=q, qd=qd, tau=tau)
         links, omegas, taus = _links(q, p), _absolute(qd), tau.unbind(-1)
@@ -137,7 +137,7 @@ class RecursiveDynamics(PlanarDynamics):
             joint = joint + link.l
         return energy
 
-    def sites(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
         self._check(q=q)
         phi = q.cumsum(-1)

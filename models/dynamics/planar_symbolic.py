@@ -40,7 +40,7 @@ class SymbolicDynamics(PlanarDynamics):
         self.num_joints = num_joints
         self._known: dict[str, tuple[BodyParameters, list]] = {}
 
-    def mass_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K)."""
         self._check(q=q)
         M, K, D = self._matrix(self._full_shape("inertia", p, phi=q)), self.num_joints, {}
@@ -59,7 +59,7 @@ class SymbolicDynamics(PlanarDynamics):
         self._check(q=q)
         return _joint_torque(self._full_shape("gravity_load", p, phi=q))
 
-    def acceleration(
+    def forward(
         self, q: Tensor, qd: Tensor, tau: Tensor, p: BodyParameters, own_inertia: Tensor | None = None
     ) -> Tensor:
         """θ̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s², (..., K)."""
@@ -91,7 +91,7 @@ class SymbolicDynamics(PlanarDynamics):
         self._check(q=q)
         return self._full_shape("potential_energy", p, phi=q)[0]
 
-    def sites(self, q: Tensor, p: BodyParameters) -> Tensor:
+    def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
         self._check(q=q)
         return stacked(self._full_shape("keypoints", p, phi=q)).unflatten(-1, (self.num_joints, 2))

@@ -167,14 +167,14 @@ class _Mechanics:
         torque, own = self.row.net(hinge.turned(angles), qd, s)
         pulled = self.row.pull(angles, rates, s)
         torque = torque + (hinge.turned(pulled) if isinstance(pulled, Tensor) else pulled)
-        return self.row.rigid.acceleration(q, qd, torque, self.row.body, own)
+        return self.row.rigid.forward(q, qd, torque, self.row.body, own)
 
     def free(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Accelerations (..., K + 1) of the hinges."""
         hinge = self.hinge
         torque, own = self.row.net(hinge.turned(angles), hinge.turned(rates), s)
         turning = hinge.on_joints(torque) + self.row.pull(angles, rates, s)
-        return self.whole.acceleration(angles, rates, turning, self.links, hinge.on_joints(own))
+        return self.whole.forward(angles, rates, turning, self.links, hinge.on_joints(own))
 
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""

@@ -187,10 +187,10 @@ class Composition:
     ) -> Tensor:
         """The S sites, or what is seen as them, in hidden states (..., H): (..., S, d) m."""
         if not self.hidden:
-            return dynamics.sites(q, body)
+            return dynamics.keypoints(q, body)
         own, hinge = self.shares(hidden), self.hinge
         if hinge is None:
-            points = dynamics.sites(q, body)
+            points = dynamics.keypoints(q, body)
         else:
             points = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
         for follower in self.followers:

@@ -52,7 +52,7 @@ def dry_friction(
     maps joints to T and ρ (..., 1), s, where friction is soft; ``held``: over the sub-step, not at its beginning alone.
     """
     q, still = now.q, torch.zeros_like(now.q)
-    free = now.dynamics.acceleration(q, now.qd, torque, now.body, own)
+    free = now.dynamics.forward(q, now.qd, torque, now.body, own)
     braking = now.qd / now.step
     settling = {j: (time.clamp_min(AT_ONCE), creep) for j, (time, creep) in (settling or {}).items()}
     for j, (time, creep) in settling.items():
@@ -73,7 +73,7 @@ def dry_friction(
             levels = levels_at(*there)
             wanted = _swept(friction, levels, wanted, columns)
         if settling:
-            gained = now.dynamics.acceleration(*there, torque, now.body, own) - free
+            gained = now.dynamics.forward(*there, torque, now.body, own) - free
     moved = still
     under = wanted
     for j, level in levels.items():

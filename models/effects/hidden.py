@@ -125,7 +125,7 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = planar_dynamics(q.shape[-1] + 1).sites(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
         return self._tracked(points)
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:

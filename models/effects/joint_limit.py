@@ -125,7 +125,7 @@ class JointLimit(Effect):
         entered = (0.5 + depth / (speed.abs() * now.step + TINY)).clamp(0.0, 1.0)
         push = p["stiffness"] * depth.clamp_min(0.0) + p["damping"] * speed * entered
         if self.soft:
-            free = self.sign * now.dynamics.acceleration(now.q, now.qd, now.motor, now.body)[..., j : j + 1]
+            free = self.sign * now.dynamics.forward(now.q, now.qd, now.motor, now.body)[..., j : j + 1]
             unit = now.at(j, torch.ones_like(depth))
             mobility, usual = (
                 now.dynamics.response(q, unit, now.body)[..., j : j + 1] for q in (now.q, torch.zeros_like(now.q))

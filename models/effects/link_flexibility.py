@@ -103,7 +103,7 @@ class LinkFlexibility(HiddenHinge):
 
         def held(q, qd, s):
             torque, own = row.net(q, qd, s)
-            return row.rigid.acceleration(q, qd, torque, row.body, own)
+            return row.rigid.forward(q, qd, torque, row.body, own)
 
         locked = None
         if bool(stiff.any()):
@@ -112,13 +112,13 @@ class LinkFlexibility(HiddenHinge):
                 return locked
         parts = substeps_for(row.dt, FASTEST, row.parts)
         angles = self.spread(q, hidden[..., :1])
-        stiffness, damping = self._resolved(p, whole.mass_matrix(angles, links), row.dt / parts)
+        stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
 
         def bending(angles, rates, s):
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
             torque, own = row.net(q, qd, s)
             turning = self.spread(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
-            return whole.acceleration(angles, rates, turning, links, self.on_joints(own))
+            return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
         angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), row.dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)

@@ -24,7 +24,7 @@ def ideal(body, trajectory, row, rows):
     dt = trajectory.command_time[1] - trajectory.command_time[0]
     path = []
     for u in torch.tensor(trajectory.command[row : row + rows]):
-        q, qd = rk4(lambda a, b, _, u=u: dynamics.acceleration(a, b, u, p), q, qd, dt, int(dt / 2e-3) + 1)
+        q, qd = rk4(lambda a, b, _, u=u: dynamics.forward(a, b, u, p), q, qd, dt, int(dt / 2e-3) + 1)
         path.append(q)
     return torch.stack(path), per_row
 
@@ -41,7 +41,7 @@ def test_no_effect_is_the_ideal_body(joints, horizontal, passive):
     for row in range(0, len(real.command) - rows, 3 * rows):
         path, per_row = ideal(body, real, row, rows)
         after = slice((row + 1) * per_row, (row + rows) * per_row + 1, per_row)
-        tips = planar_dynamics(joints).sites(path, body.parameters()).numpy()
+        tips = planar_dynamics(joints).keypoints(path, body.parameters()).numpy()
         reach = sum(link.length for link in body.links)
         assert np.abs(tips - real.points[after, 1:]).max() < 1e-5 * reach  # noise is 1e-3 and more
 

@@ -24,7 +24,7 @@ def test_truth_obeys_the_equations_of_motion():
     # within a step the torque decays from its value to what is expected at the end
     middle = [(values[1:] + values[:-1]) / 2 for values in (q, qd)]
     middle.append(tau[:-1] * (1 + math.exp(-decay * step)) / 2)
-    expected = DYNAMICS.acceleration(*middle, PARAMETERS)
+    expected = DYNAMICS.forward(*middle, PARAMETERS)
     assert (qd.diff(dim=0) / step - expected).abs().max() < 1e-3 * expected.abs().max()
     assert (q.diff(dim=0) / step - middle[1]).abs().max() < 1e-3 * qd.abs().max()
 
@@ -32,7 +32,7 @@ def test_truth_obeys_the_equations_of_motion():
 def test_keypoints_lie_around_the_true_tips_by_the_noise():
     noise = 0.02
     recording, truth = record(random_arm(BODY, duration=20, fps=25, noise=noise, seed=2), 2)
-    tips = DYNAMICS.sites(torch.as_tensor(truth.angle), PARAMETERS).numpy()
+    tips = DYNAMICS.keypoints(torch.as_tensor(truth.angle), PARAMETERS).numpy()
     error = recording.keypoints - tips
     assert recording.keypoint_names == ("elbow", "wrist")
     count = error.size

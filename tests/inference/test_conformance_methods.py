@@ -58,7 +58,7 @@ def problem(joints):
     arm = body(joints)
     rng = np.random.default_rng(joints)
     angle = np.array([-1.2, 0.8])[:joints] + 0.5 * np.sin(np.array([2.0, 3.0])[:joints] * TIME[:, None])
-    tips = planar_dynamics(joints).sites(torch.as_tensor(angle), arm.parameters()).numpy()
+    tips = planar_dynamics(joints).keypoints(torch.as_tensor(angle), arm.parameters()).numpy()
     tips = tips + 0.01 * rng.normal(size=tips.shape)
     commanded = joints == 2
     if commanded:

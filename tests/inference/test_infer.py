@@ -51,7 +51,7 @@ def record(time, noise=0.005, seed=0, **changes):
     p = model.body_parameters()
     torque = model.dynamics.inverse(q, qd, qdd, p).numpy()
     rng = np.random.default_rng(seed)
-    tips = model.dynamics.sites(q, p).numpy()
+    tips = model.dynamics.keypoints(q, p).numpy()
     recording = Recording(
         time=time,
         keypoints=tips + noise * rng.normal(size=tips.shape),

@@ -19,8 +19,8 @@ def test_float32_stays_float32_and_is_right_to_its_precision(kind, K, method):
     assert result.dtype == torch.float32
     # rounding of relative size ε, magnified in θ̈ by the condition of D
     bound = 30 * torch.finfo(torch.float32).eps
-    if method == "acceleration":
-        bound *= torch.linalg.cond(dynamics.mass_matrix(q.double(), p.to(F64))).max().item()
+    if method == "forward":
+        bound *= torch.linalg.cond(dynamics.inertia_matrix(q.double(), p.to(F64))).max().item()
     assert_close(result, exact, bound, least_scale=1.0)
 
 
@@ -47,7 +47,7 @@ def test_second_derivatives_of_forward(kind, K):
     dynamics, inputs = kind(K), gradient_inputs(K, 13)
 
     def function(q, qd, tau, *p):
-        return dynamics.acceleration(q, qd, tau, BodyParameters(*p))
+        return dynamics.forward(q, qd, tau, BodyParameters(*p))
 
     assert torch.autograd.gradgradcheck(function, inputs)
 
@@ -58,10 +58,10 @@ def test_vmap_and_jacrev_work(kind):
     p, q, qd, tau = random_case(3, 14, (4,))
 
     def forward(q, qd, tau):
-        return dynamics.acceleration(q, qd, tau, p)
+        return dynamics.forward(q, qd, tau, p)
 
     mapped = torch.func.vmap(forward)(q, qd, tau)
     jacobian = torch.func.vmap(torch.func.jacrev(forward, argnums=2))(q, qd, tau)
     torch.testing.assert_close(mapped, forward(q, qd, tau))
     # ∂θ̈/∂τ = D⁻¹
-    torch.testing.assert_close(jacobian, torch.linalg.inv(dynamics.mass_matrix(q, p)), rtol=1e-8, atol=1e-8)
+    torch.testing.assert_close(jacobian, torch.linalg.inv(dynamics.inertia_matrix(q, p)), rtol=1e-8, atol=1e-8)

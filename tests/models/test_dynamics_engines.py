@@ -58,14 +58,14 @@ def test_agrees_with_mujoco(kind, K):
     for seed in range(10):
         p, q, qd, qdd = random_case(K, seed)
         theirs = MuJoCo(p)(q, qd, qdd)
-        assert_close(dynamics.mass_matrix(q, p), theirs["inertia_matrix"], 1e-9)
+        assert_close(dynamics.inertia_matrix(q, p), theirs["inertia_matrix"], 1e-9)
         load = dynamics.coriolis(q, qd, p) + dynamics.gravity_load(q, p)
         assert_close(load, theirs["load"], 1e-9)
         assert_close(dynamics.inverse(q, qd, qdd, p), theirs["inverse"], 1e-9)
         assert_close(dynamics.kinetic_energy(q, qd, p), theirs["kinetic_energy"], 1e-9)
         assert_close(dynamics.potential_energy(q, p), theirs["potential_energy"], 1e-9)
-        assert_close(dynamics.sites(q, p), theirs["keypoints"], 1e-9)
-        assert_close(dynamics.acceleration(q, qd, torch.tensor(theirs["inverse"]), p), qdd, 1e-9)
+        assert_close(dynamics.keypoints(q, p), theirs["keypoints"], 1e-9)
+        assert_close(dynamics.forward(q, qd, torch.tensor(theirs["inverse"]), p), qdd, 1e-9)
 
 
 @JOINTS
@@ -86,7 +86,7 @@ def test_agrees_with_pinocchio(kind, K):
         data = model.createData()
         state = [x.numpy() for x in (q, qd, qdd)]
         upper = np.triu(pin.crba(model, data, state[0]))
-        assert_close(dynamics.mass_matrix(q, p), upper + np.triu(upper, 1).T, 1e-9)
+        assert_close(dynamics.inertia_matrix(q, p), upper + np.triu(upper, 1).T, 1e-9)
         tau = pin.rnea(model, data, *state)
         assert_close(dynamics.inverse(q, qd, qdd, p), tau, 1e-9)
         assert_close(dynamics.gravity_load(q, p), pin.computeGeneralizedGravity(model, data, state[0]), 1e-9)
@@ -94,7 +94,7 @@ def test_agrees_with_pinocchio(kind, K):
         assert_close(dynamics.coriolis(q, qd, p), coriolis, 1e-9)
         some_torque = 3.0 * qdd
         theirs = pin.aba(model, data, *state[:2], some_torque.numpy())
-        assert_close(dynamics.acceleration(q, qd, some_torque, p), theirs, 1e-9)
+        assert_close(dynamics.forward(q, qd, some_torque, p), theirs, 1e-9)
 
 
 # --- closed forms ---------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ def test_two_uniform_rods_are_the_equations_that_the_paper_prints(kind):
     c1 = 9.81 * (M1 * L1 / 2 + M2 * L1) * q[:, 0].cos() + c2
     dynamics = kind(2)
     D = torch.stack([torch.stack([D11, D12], -1), torch.stack([D12, D22], -1)], -2)
-    assert_close(dynamics.mass_matrix(q, p), D, 1e-14)
+    assert_close(dynamics.inertia_matrix(q, p), D, 1e-14)
     assert_close(dynamics.coriolis(q, qd, p), torch.stack([h1, h2], -1), 1e-14)
     assert_close(dynamics.gravity_load(q, p), torch.stack([c1, c2], -1), 1e-14)
 
@@ -143,7 +143,7 @@ def test_the_symbolic_equations_in_joint_angles_are_the_generated_functions(K):
         values.update(zip(equations.symbols[word], getattr(p, word).tolist(), strict=True))
     numbers = [np.array(matrix.subs(values).evalf(), dtype=float) for matrix in (D, h, c)]
     dynamics = SymbolicDynamics(K)
-    assert_close(dynamics.mass_matrix(q, p), numbers[0], 1e-13)
+    assert_close(dynamics.inertia_matrix(q, p), numbers[0], 1e-13)
     assert_close(dynamics.coriolis(q, qd, p), numbers[1][:, 0], 1e-13)
     assert_close(dynamics.gravity_load(q, p), numbers[2][:, 0], 1e-13)
     assert isinstance(D, sp.MatrixBase)

@@ -18,7 +18,7 @@ cases = given(K=st.integers(1, 4), seed=st.integers(0, 10**6))
 def test_inertia_is_symmetric_positive_definite_and_gives_the_kinetic_energy(K, seed):
     p, q, qd, _ = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
-    D = dynamics.mass_matrix(q, p)
+    D = dynamics.inertia_matrix(q, p)
     assert torch.equal(D, D.T)
     assert torch.linalg.eigvalsh(D).min() > 0
     torch.testing.assert_close(dynamics.kinetic_energy(q, qd, p), qd @ D @ qd / 2, rtol=1e-9, atol=1e-12)
@@ -40,8 +40,8 @@ def test_coriolis_torque_is_quadratic_in_velocity_and_does_not_depend_on_gravity
 def test_forward_undoes_inverse(K, seed):
     p, q, qd, qdd = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
-    back = dynamics.acceleration(q, qd, dynamics.inverse(q, qd, qdd, p), p)
-    condition = torch.linalg.cond(dynamics.mass_matrix(q, p)).item()
+    back = dynamics.forward(q, qd, dynamics.inverse(q, qd, qdd, p), p)
+    condition = torch.linalg.cond(dynamics.inertia_matrix(q, p)).item()
     assert (back - qdd).abs().max() < 1e-13 * condition * 100
 
 
@@ -59,7 +59,7 @@ def test_gravity_load_is_the_gradient_of_potential_energy(K, seed):
 def test_power_of_the_torques_is_the_rate_of_energy(K, seed):
     p, q, qd, tau = random_case(K, seed)
     dynamics = SymbolicDynamics(K)
-    qdd = dynamics.acceleration(q, qd, tau, p)
+    qdd = dynamics.forward(q, qd, tau, p)
     state = q.clone().requires_grad_(), qd.clone().requires_grad_()
     energy = dynamics.kinetic_energy(*state, p) + dynamics.potential_energy(state[0], p)
     by_angle, by_velocity = torch.autograd.grad(energy, state)
@@ -72,7 +72,7 @@ def test_keypoints_are_denavit_hartenberg():
     p = BodyParameters(
         *(torch.tensor(x) for x in ([2.0, 1.0], [1.0, 1.0], [1.0, 0.5], [0.1, 0.1], [0.0, 0.0], [3.0, 4.0]))
     )
-    tips = SymbolicDynamics(2).sites(torch.tensor([0.0, math.pi / 2]), p)  # counter-clockwise is positive
+    tips = SymbolicDynamics(2).keypoints(torch.tensor([0.0, math.pi / 2]), p)  # counter-clockwise is positive
     torch.testing.assert_close(tips, torch.tensor([[5.0, 4.0], [5.0, 5.0]]))
 
 
@@ -83,4 +83,4 @@ def test_a_hanging_limb_is_at_rest_and_swings_back():
     dynamics = SymbolicDynamics(2)
     assert dynamics.gravity_load(hanging, p).abs().max() < 1e-14 * 100
     pushed = hanging + torch.tensor([0.1, 0.0], dtype=F64)
-    assert dynamics.acceleration(pushed, still, still, p)[0] < 0
+    assert dynamics.forward(pushed, still, still, p)[0] < 0

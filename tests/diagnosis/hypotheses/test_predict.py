@@ -90,7 +90,7 @@ def test_replay_follows_once_the_cause_is_in():
     here, none, cause = causes()
     path = smoothed(here, cause).path
     _, q, _ = here.model.split(path)
-    tips = here.model.dynamics.sites(q, here.model.body_parameters()).numpy()
+    tips = here.model.dynamics.keypoints(q, here.model.body_parameters()).numpy()
     with_cause, without = (replay_rms(replay(c.model, path), tips) for c in (cause, none))
     assert with_cause < 0.001
     assert without > 10 * with_cause

@@ -21,7 +21,7 @@ def seen(body=ARM, tips=(0, 1), encoders=0, noise=NOISE, seed=0):
     rng = np.random.default_rng(seed)
     time = np.linspace(0, 2, ROWS)[:, None]
     q = torch.as_tensor(np.sin(time * rng.uniform(2, 5, body.num_joints)) + rng.uniform(-2, 2, body.num_joints))
-    points = model.dynamics.sites(q, model.body_parameters())[:, list(tips)].flatten(1)
+    points = model.dynamics.keypoints(q, model.body_parameters())[:, list(tips)].flatten(1)
     return model, torch.cat([points + noise * torch.as_tensor(rng.normal(size=points.shape)), q[:, :encoders]], -1)
 
 

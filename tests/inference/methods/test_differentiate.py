@@ -31,7 +31,7 @@ def motion(time, rate=(4.0, 6.0), centre=(-1.2, 0.8)):
 
 def record(time=TIME, noise=0.0, **options):
     q, torque = motion(time, **options)
-    tips = DYNAMICS.sites(torch.as_tensor(q), PARAMETERS).numpy()
+    tips = DYNAMICS.keypoints(torch.as_tensor(q), PARAMETERS).numpy()
     tips = tips + noise * np.random.default_rng(0).normal(size=tips.shape)
     return Recording(time=time, keypoints=tips, keypoint_names=("elbow", "wrist")), q, torque
 

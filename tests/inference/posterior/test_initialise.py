@@ -56,7 +56,7 @@ def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
     parameters = {"emission.keypoint_scale": 0.002, "noise.angle": 1e-4}
     model = ArmModel(body, time.numpy(), Observation(Keypoints([0, 1])), integrator=integrator, parameters=parameters)
     angles = torch.stack([torch.sin(speed * time), 0.7 * torch.cos(0.9 * speed * time)], -1)
-    tips = model.dynamics.sites(angles, model.body_parameters()).flatten(-2)
+    tips = model.dynamics.keypoints(angles, model.body_parameters()).flatten(-2)
     chosen = sufficient_substeps(model, tips)
     assert model.substeps == 1
 

@@ -136,7 +136,7 @@ def test_many_rows(rows):
     model = arm(rows, 0.01)
     time = model.time[:, None]
     angles = torch.tensor([-1.2, 0.8]) + 0.9 * torch.sin(time * torch.tensor([2.1, 3.3]))
-    tips = model.dynamics.sites(angles, model.body_parameters())
+    tips = model.dynamics.keypoints(angles, model.body_parameters())
     y = tips.flatten(-2) + 0.01 * torch.randn(rows, 4, dtype=F64)
     y[1000:1040] = torch.nan
     y[::7, 1] = torch.nan

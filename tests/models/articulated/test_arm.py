@@ -182,7 +182,7 @@ def test_initial_paths_obey_explicit_euler(command):
     moved = np.stack([np.sin(time), np.cos(time)], -1) if command else None
     model = ArmModel(two_links(), time, integrator="euler", command=moved, torque=OrnsteinUhlenbeck("wiener"))
     q = torch.as_tensor(np.stack([0.3 * np.sin(3 * time), 0.5 * np.cos(2 * time)], -1))
-    y = model.dynamics.sites(q, model.body_parameters()).flatten(-2)
+    y = model.dynamics.keypoints(q, model.body_parameters()).flatten(-2)
     paths = model.initial_paths(y)
     assert paths.shape == (5, 60, 6)
     for path in paths:

@@ -70,7 +70,7 @@ def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
         np.testing.assert_allclose(np.linalg.norm(steps, axis=1), parameters.length, rtol=1e-9)
         absolute = np.arctan2(steps[:, 1], steps[:, 0])
         angle = torch.tensor(np.diff(absolute, prepend=0.0))
-        ours = dynamics.acceleration(angle, torch.tensor(sign * data.qvel), torch.tensor(sign * torque), parameters)
+        ours = dynamics.forward(angle, torch.tensor(sign * data.qvel), torch.tensor(sign * torque), parameters)
         np.testing.assert_allclose(ours.numpy(), sign * data.qacc, rtol=1e-8, atol=1e-8 * np.abs(data.qacc).max())
 
 

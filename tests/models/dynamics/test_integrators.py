@@ -24,7 +24,7 @@ class FreeSwing:
         self.start = torch.linspace(-1.0, 0.2, K, dtype=F64), torch.zeros(K, dtype=F64)
 
     def acceleration(self, q, qd, _):
-        return self.dynamics.acceleration(q, qd, torch.zeros_like(q), self.p)
+        return self.dynamics.forward(q, qd, torch.zeros_like(q), self.p)
 
     def energy(self, q, qd):
         return (self.dynamics.kinetic_energy(q, qd, self.p) + self.dynamics.potential_energy(q, self.p)).item()
@@ -135,7 +135,7 @@ def test_steps_are_differentiable_and_keep_float32(name):
 
     def step(q, qd, tau, dt):
         def acceleration(q, qd, s):
-            return chain.dynamics.acceleration(q, qd, tau * (1 + s), chain.p)
+            return chain.dynamics.forward(q, qd, tau * (1 + s), chain.p)
 
         return INTEGRATORS[name](acceleration, q, qd, dt, 2)
 

@@ -34,7 +34,7 @@ def tips(model, x, t=5):
 
 def later(model, x, seconds, t=5, *, held=False):
     """The tips after so many seconds of the model's own motion from row ``t`` on, its command ``held`` or not."""
-    return model.dynamics.sites(moved(model, x, seconds, t, held=held)[0], model.body_parameters()).numpy()
+    return model.dynamics.keypoints(moved(model, x, seconds, t, held=held)[0], model.body_parameters()).numpy()
 
 
 def moved(model, x, seconds, t=5, *, since=0.0, held=False):
@@ -48,8 +48,8 @@ def moved(model, x, seconds, t=5, *, since=0.0, held=False):
         row = t if held else int(torch.searchsorted(model.time, now, right=True)) - 1
         torque = z[..., :2] + model.motors.mean[row]
         middle = q + h / 2 * qd
-        half = qd + h / 2 * model.dynamics.acceleration(q, qd, torque, body)
-        qd = qd + h * model.dynamics.acceleration(middle, half, torque, body)
+        half = qd + h / 2 * model.dynamics.forward(q, qd, torque, body)
+        qd = qd + h * model.dynamics.forward(middle, half, torque, body)
         q = q + h * half
     return q, qd
 

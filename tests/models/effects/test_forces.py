@@ -162,7 +162,7 @@ def test_a_push_acts_through_the_jacobian(arm, having, states):
     model = having(ideal, ExternalPush("tip1"), impulse_x=18.0, impulse_y=-9.0, moment=4.5, duration=9.0)
     x = states(ideal, 6)
     q = x[:, 3:6].clone().requires_grad_()
-    tip = ideal.dynamics.sites(q, ideal.body_parameters())[:, 1]
+    tip = ideal.dynamics.keypoints(q, ideal.body_parameters())[:, 1]
     expected = torch.autograd.grad((tip @ torch.tensor([2.0, -1.0], dtype=F64)).sum(), q)[0]
     torch.testing.assert_close(torque_of(model, ideal, x), expected)
 

@@ -67,9 +67,7 @@ def test_the_acceleration_under_friction_is_that_of_the_dynamics(effects, held, 
     here = model.mechanics._now(driven(model, torque, step=0.01), q, qd, 0.0)
     friction, _, under = model.effects.friction(model.parameters, here, torque, own, held)
     assert ((friction != 0).sum(0) > 100).sum() == len(effects)
-    torch.testing.assert_close(
-        under, model.dynamics.acceleration(q, qd, torque + friction, body, own), rtol=1e-9, atol=1e-9
-    )
+    torch.testing.assert_close(under, model.dynamics.forward(q, qd, torque + friction, body, own), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])

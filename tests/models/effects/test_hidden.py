@@ -36,7 +36,7 @@ def test_the_parts_are_the_link(link, position, arm, having, states):
     wide, rates = effect.spread(q, none), effect.spread(qd, none)
     torch.testing.assert_close(whole.kinetic_energy(wide, rates, links), ideal.dynamics.kinetic_energy(q, qd, body))
     torch.testing.assert_close(whole.potential_energy(wide, links), ideal.dynamics.potential_energy(q, body))
-    torch.testing.assert_close(effect.tips(p, q, torch.zeros(8, 2, dtype=F64), body), ideal.dynamics.sites(q, body))
+    torch.testing.assert_close(effect.tips(p, q, torch.zeros(8, 2, dtype=F64), body), ideal.dynamics.keypoints(q, body))
     assert bool((links.inertia > 0).all())
     back, hinge = effect.gathered(wide + 0.1)
     torch.testing.assert_close(effect.spread(back, hinge), wide + 0.1)
@@ -223,4 +223,4 @@ def test_the_rotor_comes_out_of_the_link(arm, states):
         torch.testing.assert_close(found, ideal.dynamics.kinetic_energy(x[:, 2:4], x[:, 4:], body))
         gap = torch.full((8, 1), 0.01, dtype=F64)
         tips = effect.tips({}, x[:, 2:4], torch.cat([gap, none], -1), body)
-        torch.testing.assert_close(tips, ideal.dynamics.sites(x[:, 2:4], body))  # the link's angle is what is seen
+        torch.testing.assert_close(tips, ideal.dynamics.keypoints(x[:, 2:4], body))  # the link's angle is what is seen

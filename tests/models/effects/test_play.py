@@ -35,11 +35,11 @@ def exact():
 
     def held(_, x):
         q, qd = torch.as_tensor(x).split(2)
-        return torch.cat([qd, rigid.acceleration(q, qd, torch.zeros(2, dtype=F64), body)]).numpy()
+        return torch.cat([qd, rigid.forward(q, qd, torch.zeros(2, dtype=F64), body)]).numpy()
 
     def free(_, x):
         angles, rates = torch.as_tensor(x).split(3)
-        return torch.cat([rates, whole.acceleration(angles, rates, torch.zeros(3, dtype=F64), links)]).numpy()
+        return torch.cat([rates, whole.forward(angles, rates, torch.zeros(3, dtype=F64), links)]).numpy()
 
     def wide(values, gap):
         return PLAY.spread(torch.as_tensor(values), torch.tensor([gap], dtype=F64))

@@ -100,7 +100,7 @@ def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, havi
         if t:
             x, y = bending.transition_mean(x, t), both.transition_mean(y, t)
         tips.append(bending.emission(x, t).mean[2 * tip : 2 * tip + 2])
-        straight.append(plain.dynamics.sites(x[4:6], plain.body_parameters())[tip])
+        straight.append(plain.dynamics.keypoints(x[4:6], plain.body_parameters())[tip])
         swung.append(y[4:8])
     torch.testing.assert_close(torch.cat([y[:4], y[8:]]), x)
     thrown, rigid = (-kappa * np.diff(torch.stack(p).numpy(), 2, axis=0)[60:] / step**2 for p in (tips, straight))
