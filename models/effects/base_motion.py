@@ -20,6 +20,10 @@ class BaseMotion(Effect):
     Told apart from a shaking camera by tracking the base and the background.
     """
 
+    phrase = "base motion"
+    meaning = "a base that moves"
+    shown_by = "tracking the base and a point of the background"
+
     site = "arm"
     pulls = True
     dated = True

@@ -19,6 +19,10 @@ class LabelSwap(Effect):
     Told apart from outliers by its symmetry.
     """
 
+    phrase = "swapped labels"
+    meaning = "two keypoints that are exchanged in some frames"
+    shown_by = "the same motion with markers that differ"
+
     side, site = "observation", "keypoints"
 
     @classmethod
