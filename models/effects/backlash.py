@@ -56,6 +56,10 @@ class Backlash(HiddenHinge):
     Told apart from Coulomb friction by slow reversals of the load.
     """
 
+    phrase = "backlash"
+    meaning = "play between motor and joint"
+    shown_by = "slow reversals of the load"
+
     forgets = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

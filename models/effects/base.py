@@ -104,6 +104,17 @@ class Effect(ABC):
     """Hooks are called in this order. Of the motors, as in MuJoCo: dead zone −4, lag −3, saturation −2, gain −1, and a
     delay, which may come at any place, 0; of what is seen: markers 0, timing 1, geometry of the camera 2."""
 
+    phrase: ClassVar[str] = ""
+    """Its name in a sentence, such as "viscous friction"; see :attr:`words`."""
+    meaning: ClassVar[str] = ""
+    """What it is, in half a sentence."""
+    form_words: ClassVar[Mapping[str, str]] = {}
+    """What its other readings are, by their word in :attr:`forms`, and its softer form, by a parameter of that."""
+    shown_by: ClassVar[str] = ""
+    """The recording that brings it out and nothing like it."""
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Effects, by name, that stand in for it exactly: its parameters, by name, and theirs of the same value."""
+
     pulls: ClassVar[bool] = False
     """Whether its force acts on points of the links, so that a hidden hinge among them feels it too."""
 

@@ -21,6 +21,10 @@ class BaseMotion(Effect):
     Told apart from a shaking camera by tracking the base and the background.
     """
 
+    phrase = "base motion"
+    meaning = "a base that moves"
+    shown_by = "tracking the base and a point of the background"
+
     planar = True
     site = "arm"
     pulls = True

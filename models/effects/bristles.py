@@ -33,7 +33,7 @@ Moving = Callable[[Tensor, Tensor, float, Tensor], tuple[Tensor, Tensor]]
 """(q, q̇, fraction of the step, s) → θ̈ (..., K) and ṡ (..., 1)."""
 
 
-class Bristles(Hidden):
+class BristleFriction(Hidden):
     """A dry friction, ``of``, whose levels are as they are, and one hidden state s.
 
     Args:
@@ -58,7 +58,7 @@ class Bristles(Hidden):
         """Beyond a friction that creeps."""
         return 2
 
-    def bound(self, body) -> "Bristles":
+    def bound(self, body) -> "BristleFriction":
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
 

@@ -20,6 +20,10 @@ class ExternalPush(Effect):
     over them give the impulse. Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
     """
 
+    phrase = "an external push"
+    meaning = "a force from outside, for a short while"
+    shown_by = "the same motion again, untouched"
+
     planar = True
     site = "keypoint"
     located = ("moment", "duration")

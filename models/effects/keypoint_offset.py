@@ -14,6 +14,10 @@ class KeypointOffset(Effect):
     Along the link it cannot be told from the link's length. It turns with the link.
     """
 
+    phrase = "a keypoint offset"
+    meaning = "a marker that sits beside its joint"
+    shown_by = "a measured length of the link"
+
     planar = True
     side, site = "observation", "keypoint"
 

@@ -39,6 +39,13 @@ class LinkFlexibility(HiddenHinge):
     Told apart from a delay by driving it past its resonance.
     """
 
+    phrase = "link flexibility"
+    meaning = "a link that bends and swings"
+    shown_by = "a command that sweeps past the link's resonance"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "position": "softer than in its middle alone, at this share of its length",
+    }
+
     site = "link"
     softens: ClassVar[bool] = True
 

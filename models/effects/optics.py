@@ -22,6 +22,9 @@ class Optics(Effect):
     planar = True
     side, site, order = "observation", "arm", 2
     softens: ClassVar[bool] = True
+    form_words: ClassVar[Mapping[str, str]] = {
+        "centre_x": "about a centre of the picture that is not the frame’s origin",
+    }
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """The centre at the origin."""

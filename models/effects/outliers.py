@@ -16,6 +16,10 @@ class Outliers(Effect):
     Told apart from a push by the links' lengths, which jump too.
     """
 
+    phrase = "outliers"
+    meaning = "some detections that are far from where the keypoint is"
+    shown_by = "the same motion filmed from elsewhere"
+
     side, site = "observation", "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

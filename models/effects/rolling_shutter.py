@@ -16,6 +16,10 @@ class RollingShutter(Effect):
     ρ < 0 where the picture is read from its top. Told apart from latency by the product of velocity and height.
     """
 
+    phrase = "a rolling shutter"
+    meaning = "rows of the picture that are seen at different times"
+    shown_by = "the same motion with the camera turned upside down"
+
     planar = True
     side, site, order = "observation", "arm", 1
 

@@ -34,6 +34,14 @@ class SoftTissue(Effect):
     motion and by other postures.
     """
 
+    phrase = "soft-tissue motion"
+    meaning = "a marker that shifts on the skin"
+    shown_by = "fast and slow motion through the same postures"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
+        "sliding": "that slides as the joint turns",
+    }
+
     planar = True
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)

@@ -21,6 +21,10 @@ class TimestampJitter(Effect):
     speed, along the motion only, and alike for all keypoints.
     """
 
+    phrase = "timestamp jitter"
+    meaning = "frames that are dropped, doubled or mistimed"
+    shown_by = "a clock in view of the camera"
+
     side, site, order = "observation", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
