@@ -140,7 +140,7 @@ def test_places_are_checked(name, arm):
         with pytest.raises(ValueError, match="two different"):
             model.with_effects(kind(effect.where[0], effect.where[0]))
     if kind.site in ("keypoint", "keypoints") and kind.side == "observation":
-        blind = arm(3, emission=Observation(Encoders()))
+        blind = arm(3, observation=Observation(Encoders()))
         with pytest.raises(ValueError, match="tracked"):
             blind.with_effects(effect)
 
