@@ -33,7 +33,9 @@ def arm(arm):
     def make(joints=2, rows=12, **options):
         sure = np.random.default_rng(1).uniform(0.2, 1.0, size=(rows, joints))
         return arm(
-            joints, rows, **{"emission": Observation(Keypoints(range(joints), confidence=sure), Encoders()), **options}
+            joints,
+            rows,
+            **{"observation": Observation(Keypoints(range(joints), confidence=sure), Encoders()), **options},
         )
 
     return make
