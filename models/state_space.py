@@ -14,6 +14,7 @@ all rows can be evaluated in one call).
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
+from typing import Self
 
 import pyro
 import torch
@@ -65,7 +66,7 @@ class StateSpaceModel(ABC):
         mean = gaussian_mean(self.initial()).detach()
         return mean.expand(1, len(observations), -1).clone()
 
-    def relaxed(self, amount: float) -> "StateSpaceModel":
+    def relaxed(self, amount: float) -> Self:
         """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
         return self
 
@@ -84,7 +85,7 @@ class StateSpaceModel(ABC):
         """Device of the parameters."""
         return next(iter(self.parameters.values())).device
 
-    def replace(self, **values: Tensor) -> "StateSpaceModel":
+    def replace(self, **values: Tensor) -> Self:
         """Return the model with other parameter values: ``model.replace(**{"torque.scale": s})``.
 
         Raises KeyError, naming the known ones, for a parameter that the model does not have.
@@ -102,14 +103,14 @@ class StateSpaceModel(ABC):
             )
         return {**self.parameters, **values}
 
-    def with_priors(self, **priors: Distribution) -> "StateSpaceModel":
+    def with_priors(self, **priors: Distribution) -> Self:
         """Return the model in which these parameters are sampled by :meth:`sequence`."""
         self.replace(**{name: self.parameters.get(name) for name in priors})  # checks the names
         other = copy.copy(self)
         other.priors = {**self.priors, **priors}
         return other
 
-    def learn(self, names: Iterable[str]) -> "StateSpaceModel":
+    def learn(self, names: Iterable[str]) -> Self:
         """Return the model in which these parameters are ``pyro.param`` in :meth:`sequence`."""
         names = tuple(names)
         self.replace(**{name: self.parameters.get(name) for name in names})
@@ -117,11 +118,11 @@ class StateSpaceModel(ABC):
         other.learned = names
         return other
 
-    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None):
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Self:
         """Return the model with its parameters in another dtype or on another device."""
         return self.replace(**{k: v.to(dtype=dtype, device=device) for k, v in self.parameters.items()})
 
-    def sampled(self) -> "StateSpaceModel":
+    def sampled(self) -> Self:
         """Draw priors and look up learned parameters, as Pyro sites; return the model that has them."""
         drawn = {name: pyro.sample(name, prior) for name, prior in self.priors.items()}
         for name in self.learned:

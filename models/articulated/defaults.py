@@ -1,6 +1,7 @@
 """The parameters of an articulated model: what they are where nothing is said, and given ones in their own shape."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,7 +43,7 @@ def shaped(given: Mapping[str, Value], defaults: Mapping[str, Tensor]) -> dict[s
 
     Raises ValueError for another shape.
     """
-    found = {}
+    found: dict[str, Any] = {}
     for name, value in given.items():
         if name in defaults:
             value, own = torch.as_tensor(value, dtype=torch.float64), defaults[name]

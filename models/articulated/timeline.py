@@ -5,7 +5,7 @@ Shapes: T rows; of a row's clocks (..., 1), to stand beside joint quantities.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -48,7 +48,8 @@ class Timeline:
         """The same on ``device``; itself where it is there."""
         if self.time.device == device:
             return self
-        return Timeline(*(None if each is None else each.to(device) for each in vars(self).values()))
+        moved: dict[str, Any] = {name: each.to(device) for name, each in vars(self).items() if each is not None}
+        return replace(self, **moved)
 
     def known_from(self, begin: Tensor) -> Self:
         """The grid where commands are known from the time ``begin``, s."""

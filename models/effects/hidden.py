@@ -14,7 +14,7 @@ The other effects act on the K joints; forces on points of the arm (:attr:`.Effe
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, overload
 
 import torch
 from torch import Tensor
@@ -108,6 +108,12 @@ class HiddenHinge(Hidden):
         It is what springs, stops and friction at the joints know of.
         """
         return self.gathered(angles)[0]
+
+    @overload
+    def on_joints(self, values: Tensor) -> Tensor: ...
+
+    @overload
+    def on_joints(self, values: None) -> None: ...
 
     def on_joints(self, values: Tensor | None) -> Tensor | None:
         """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""

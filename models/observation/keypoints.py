@@ -8,7 +8,7 @@ keypoint by keypoint. Shapes: P keypoints, S sites, d dimensions, those of the b
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
+Mistake = TypeVar("Mistake", Stray, Shift)
 LEAST, MOST = 1e-5, 0.3
 """Of the reach: noise that a recording's jitter is believed to show."""
 
@@ -30,36 +31,40 @@ class Keypoints(NoisySensor):
     """Detections of sites.
 
     Args:
-        sites: which (P,), by place among the body's sites or by name, in the recording's order.
+        chosen: which (P,), by place among the body's sites or by name, in the recording's order.
         confidence: (T, P) the tracker's, or None.
-        names, coordinates: of the sites and d, known once :meth:`bound`.
+
+    Attributes:
+        sites, names, coordinates: places and names of the chosen sites (P,), and d, known once :meth:`bound`.
+        sureness: what is known of the tracker's confidence, or None.
     """
 
-    sites: Sequence[int | str]
-    confidence: np.ndarray | Confidence | None = None
+    chosen: Sequence[int | str]
+    confidence: np.ndarray | None = None
+    sites: tuple[int, ...] = field(default=())
     names: tuple[str, ...] = field(default=())
-    coordinates: int | None = field(default=None)
+    coordinates: int = field(default=0)
+    sureness: Confidence | None = field(default=None)
 
     name: ClassVar[str] = "position"
     unit: ClassVar[str] = "length"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sites", tuple(self.sites))
-        if isinstance(self.confidence, np.ndarray):
-            object.__setattr__(self, "confidence", Confidence.of(self.confidence))
+        if self.confidence is not None and self.sureness is None:
+            object.__setattr__(self, "sureness", Confidence.of(self.confidence))
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The keypoints of ``body``; raises ValueError for sites that it does not have."""
         known = body.keypoint_names
-        missing = [s for s in self.sites if (s not in known if isinstance(s, str) else s not in range(len(known)))]
+        missing = [s for s in self.chosen if (s not in known if isinstance(s, str) else s not in range(len(known)))]
         if missing:
             raise ValueError(f"expected keypoints among {', '.join(known)}, got {missing[0]!r}")
-        sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.sites)
+        sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.chosen)
         return replace(self, sites=sites, names=tuple(known[site] for site in sites), coordinates=body.space)
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""
-        return self if self.confidence is None else replace(self, confidence=self.confidence.to(device))
+        return self if self.sureness is None else replace(self, sureness=self.sureness.to(device))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -73,9 +78,9 @@ class Keypoints(NoisySensor):
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """Noise of a fiftieth of the reach."""
-        parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
-        if self.confidence is not None:
-            parameters["emission.confidence_slope"] = torch.full((len(self.sites),), USUAL_SLOPE).double()
+        parameters = {"emission.keypoint_scale": torch.full((len(self.chosen),), 0.02 * reach).double()}
+        if self.sureness is not None:
+            parameters["emission.confidence_slope"] = torch.full((len(self.chosen),), USUAL_SLOPE).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
@@ -85,8 +90,8 @@ class Keypoints(NoisySensor):
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The sites as they are seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
-        if self.confidence is not None:
-            scale = self.confidence.widened(scale, parameters["emission.confidence_slope"], t)
+        if self.sureness is not None:
+            scale = self.sureness.widened(scale, parameters["emission.confidence_slope"], t)
         sd = scale.repeat_interleave(self.coordinates, -1)
         if view.noise is not None:
             every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]
@@ -105,9 +110,9 @@ class Keypoints(NoisySensor):
 
         None where no confidence is known.
         """
-        if self.confidence is None:
+        if self.sureness is None:
             return None
-        doubt = self.confidence.itself[t].to(like)
+        doubt = self.sureness.itself[t].to(like)
         every = [doubt.new_zeros(doubt.shape[:-1])] * count
         for site, own in zip(self.sites, doubt.unbind(-1), strict=True):
             every[site] = own
@@ -121,10 +126,11 @@ class Keypoints(NoisySensor):
             for mistake in mistakes
             if isinstance(mistake, Swap)
         ]
-        shift = next((self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
-        return MistakenRows(loc, scale, self.shape, strays, swaps, shift)
+        shifts = [self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)]
+        return MistakenRows(loc, scale, self.shape, strays, swaps, *shifts[:1])
 
-    def _of_keypoints(self, mistake: Stray | Shift) -> Stray | Shift:
+    def _of_keypoints(self, mistake: Mistake) -> Mistake:
         """The tracked ones of all sites' widths."""
         sizes = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
-        return replace(mistake, **{name: self.tracked(value) for name, value in sizes.items()})
+        own: dict[str, Any] = {name: self.tracked(value) for name, value in sizes.items()}
+        return replace(mistake, **own)

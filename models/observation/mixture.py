@@ -69,19 +69,19 @@ class MistakenRows(RowDistribution):
         rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps, *([shift] if shift else []))]
         batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
-        self.shape, self.strays, self.swaps, self.shift = shape, tuple(strays), tuple(swaps), shift
+        self.layout, self.strays, self.swaps, self.shift = shape, tuple(strays), tuple(swaps), shift
         super().__init__(batch, loc.shape[-1:], validate_args=False)
 
     def expand(self, batch_shape, _instance=None):
         """See :class:`torch.distributions.Distribution`."""
         size = self.loc.shape[-1]
         loc, scale = (value.expand(*batch_shape, size) for value in (self.loc, self.scale))
-        return MistakenRows(loc, scale, self.shape, self.strays, self.swaps, self.shift)
+        return MistakenRows(loc, scale, self.layout, self.strays, self.swaps, self.shift)
 
     @property
     def points(self) -> int:
         """P."""
-        return self.shape[0]
+        return self.layout[0]
 
     # -- the alternatives ----------------------------------------------------------------------
     @property
@@ -108,8 +108,8 @@ class MistakenRows(RowDistribution):
 
     def _split(self, row: Tensor) -> tuple[Tensor, Tensor]:
         """A row as keypoints (..., P, d) and angles (..., E)."""
-        mistakable = math.prod(self.shape)
-        return row[..., :mistakable].unflatten(-1, self.shape), row[..., mistakable:]
+        mistakable = math.prod(self.layout)
+        return row[..., :mistakable].unflatten(-1, self.layout), row[..., mistakable:]
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the coordinates that are not NaN."""

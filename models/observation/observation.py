@@ -10,7 +10,7 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 import copy
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Self
+from typing import Any, Self
 
 import torch
 from pyro.distributions import Chi2, Distribution, Normal, StudentT
@@ -42,7 +42,7 @@ class Observation:
     def __init__(self, *sensors: Sensor, family: str = "gaussian"):
         if family not in FAMILIES:
             raise ValueError(f"expected a noise family among {', '.join(FAMILIES)}, got {family!r}")
-        if not sensors or any(isinstance(each, Keypoints) and not each.sites for each in sensors):
+        if not sensors or any(isinstance(each, Keypoints) and not len(each.chosen) for each in sensors):
             raise ValueError("expected at least one sensor, and keypoints of at least one site, got none")
         names = [each.name for each in sensors]
         if len(set(names)) < len(names):
@@ -71,7 +71,7 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        return [] if self.keypoints is None or self.keypoints.confidence is None else [self.keypoints.confidence.doubt]
+        return [] if self.keypoints is None or self.keypoints.sureness is None else [self.keypoints.sureness.doubt]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
@@ -137,7 +137,7 @@ class Observation:
 
         Raises ValueError for mistakes of Student-t noise, which has its own account of stray detections.
         """
-        parts = [self._side_by_side(run, view, t, parameters) for run in self._runs]
+        parts: list[Any] = [self._side_by_side(run, view, t, parameters) for run in self._runs]
         return parts[0] if len(parts) == 1 else SideBySide(parts)
 
     def _side_by_side(
@@ -147,7 +147,7 @@ class Observation:
         first = run[0]
         if not isinstance(first, NoisySensor):
             return first.predict(view, t, parameters)
-        found = [each.location_scale(view, t, parameters) for each in run]
+        found = [each.location_scale(view, t, parameters) for each in run if isinstance(each, NoisySensor)]
         loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
         if view.mistakes and isinstance(first, Keypoints):
             if self.family != "gaussian":

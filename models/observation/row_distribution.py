@@ -8,14 +8,14 @@ from torch.distributions import constraints
 
 
 class RowDistribution(TorchDistribution):
-    """Base of them; event shape (O,). :mod:`.missing` asks them, where it does the rest itself for torch's own."""
+    """Base of them; event shape (O,). :mod:`.missing` asks them, where it does the rest itself for torch's own.
+
+    Each has ``loc`` (..., O), the row without mistakes, about which methods linearise.
+    """
 
     support = constraints.real_vector
     has_rsample = False
     arg_constraints: dict = {}  # noqa: RUF012
-
-    loc: Tensor
-    """(..., O) the row without mistakes, about which methods linearise."""
 
     @abstractmethod
     def log_prob(self, value: Tensor) -> Tensor:

@@ -6,9 +6,11 @@ Shapes: rows (..., O), O the sum of the parts'; batches broadcast.
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import add
 
 import torch
-from pyro.distributions import Distribution
+from pyro.distributions import TorchDistribution
 from torch import Tensor
 
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob
@@ -23,7 +25,7 @@ class SideBySide(RowDistribution):
         parts: distributions of event shape (n,) each.
     """
 
-    def __init__(self, parts: Sequence[Distribution]):
+    def __init__(self, parts: Sequence[TorchDistribution]):
         batch = torch.Size(common(*(part.batch_shape for part in parts)))
         self.parts = [part.expand(batch) for part in parts]
         self.sizes = [part.event_shape[-1] for part in parts]
@@ -51,7 +53,7 @@ class SideBySide(RowDistribution):
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the entries that are not NaN."""
         pieces = value.split(self.sizes, -1)
-        return sum(_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
+        return reduce(add, (_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True)))
 
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of the parts, W as a vector where all of them are, else block by block."""
@@ -59,7 +61,7 @@ class SideBySide(RowDistribution):
         found = [gaussian_rows(part, piece) for part, piece in zip(self.parts, pieces, strict=True)]
         target = join(*(explained(part, piece) for part, piece in zip(self.parts, pieces, strict=True)))
         whitening = [each for each, _ in found]
-        constant = sum(each for _, each in found)
+        constant = reduce(add, (each for _, each in found))
         rank = max(len(self.batch_shape), value.ndim - 1) + 1
         flat = [each.ndim == rank for each in whitening]
         if all(flat):
@@ -78,7 +80,7 @@ class SideBySide(RowDistribution):
         return torch.cat([part.sample(torch.Size(sample_shape)) for part in self.parts], -1)
 
 
-def _log_prob(part: Distribution, value: Tensor) -> Tensor:
+def _log_prob(part: TorchDistribution, value: Tensor) -> Tensor:
     """Log-density (...) of one part over what was seen, without asking the device what that is."""
     if not isinstance(part, torch.distributions.MultivariateNormal):
         return observed_log_prob(part, value, ~torch.isnan(value))
