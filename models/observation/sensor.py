@@ -34,7 +34,7 @@ class Sensor(Protocol):
 
     @property
     def unit(self) -> str:
-        """ "length" for the recording's unit of length, else the unit itself, such as "rad"."""
+        """Of its entries: "length" for the recording's unit of length, else the unit itself, such as "rad"."""
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The sensor on a body, whose names and dimensions it then knows.
