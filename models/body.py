@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models import body_mjcf, body_toml, body_urdf
+from invdyn.models import body_mjcf, body_toml, body_urdf, body_xml
 from invdyn.models.scalars import (
     QUANTITIES,
     BodyError,
@@ -35,6 +35,7 @@ from invdyn.models.scalars import (
     prior,
     vector,
 )
+from invdyn.models.whole_file import read_whole
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
@@ -263,14 +264,20 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a body file of any kind: MJCF (.xml, .mjcf), URDF (.urdf), else TOML. Raises as they do."""
-        readers = {".xml": cls.from_mjcf, ".mjcf": cls.from_mjcf, ".urdf": cls.from_urdf}
-        return readers.get(Path(path).suffix.lower(), cls.from_toml)(path)
+        """Read a body file of any kind: MJCF (<mujoco>) or URDF (<robot>), whatever its name, else TOML.
+
+        Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
+        """
+        content = read_whole(path, body_xml.MOST)
+        if not body_xml.is_xml(content):
+            return cls._from_tables(body_toml.parse(content, str(path)), path)
+        root = body_xml.parse(content, str(path))
+        return cls._from_tables((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls._from_tables({"name": Path(path).stem, **body_toml.read(path)}, path)
+        return cls._from_tables(body_toml.read(path), path)
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Self:
@@ -282,7 +289,7 @@ class Body:
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
-        """Read a planar chain of revolute joints from URDF (extra `robots`); warns and raises as `from_mjcf`."""
+        """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
         return cls._from_tables(body_urdf.read(path), path)
 
     @classmethod
