@@ -141,7 +141,8 @@ def _axis(hinges: Sequence[Hinge], where: str) -> tuple[int, np.ndarray]:
     axes = np.array([hinge.axis for hinge in hinges])
     nearest = np.abs(axes).argmax(1)
     # most of them say which: of a turning base with an arm on it, the base is the odd one
-    axis = int(np.bincount(nearest, minlength=3).argmax())
+    counts = np.bincount(nearest, minlength=3)
+    axis = int(nearest[0] if counts[nearest[0]] == counts.max() else counts.argmax())
     for hinge, own in zip(hinges, axes, strict=True):
         if not abs(own[axis]) >= 1 - 1e-5:
             raise BodyError(

@@ -43,7 +43,8 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
     root[:] = [each for each in root if each.tag in SECTIONS]
     where_meshes = _mesh_folder(root)
     _prune(root)
-    return tostring(root, encoding="unicode"), _meshes(root, folder, where_meshes, path), told
+    meshes = _meshes(root, folder, where_meshes, path)
+    return tostring(root, encoding="unicode"), meshes, told
 
 
 def _include(parent: Element, folder: Path, where: str, seen: set[Path], depth: int) -> None:

@@ -18,7 +18,7 @@ DEEPEST = 200
 """Elements within each other."""
 OTHERS = {
     "sdf": "SDF is not read; write the arm as URDF or MJCF, or as a body in TOML",
-    "OpenSimDocument": "an OpenSim model is not read; write lengths, masses and inertias of its links as a body in TOML",
+    "OpenSimDocument": "an OpenSim model is not read; write its links' lengths, masses and inertias as a body in TOML",
     "COLLADA": "this is a mesh, not a robot; give the URDF or MJCF that uses it",
 }
 
@@ -69,7 +69,7 @@ def check_root(root: Element, wanted: str, where: str) -> None:
 
 
 def nearby(name: str, folder: Path, where: str) -> Path:
-    """The file that a robot's file names, within `folder`; raises `BodyError` for any other, and for what is no file."""
+    """The file called so within `folder`; raises `BodyError` for any other place, and for what is no file."""
     try:
         path = (folder / name).resolve()
         inside, there = path.is_relative_to(folder.resolve()), path.is_file()

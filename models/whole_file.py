@@ -1,4 +1,4 @@
-"""Write a text file whole or not at all, to a neighbour first, which then takes its place; read one, but not for ever."""
+"""Write a text file whole or not at all: to a neighbour first, which then takes its place. Read one up to a bound."""
 
 import os
 import secrets
