@@ -94,13 +94,13 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
         given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside**2}
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
     if found := [*notes, *left_out]:
-        warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=6)
+        warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
     if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:
         warnings.warn(
             f"{where}: {', '.join(against)} turn{'s' * (len(against) == 1)} clockwise in the plane of the picture; "
             "a recording's torques and angles are counter-clockwise positive",
             UserWarning,
-            stacklevel=6,
+            stacklevel=5,
         )
     return {
         "name": Path(where).stem,
