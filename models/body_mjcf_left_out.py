@@ -86,7 +86,8 @@ def _equality(mujoco, model, e: int) -> str:
 
 def _touching(mujoco, model) -> list[str]:
     """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions."""
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+    without = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    if model.opt.disableflags & without:
         return []
     kind, meets = np.zeros((2, model.nbody), int)
     np.bitwise_or.at(kind, model.geom_bodyid, model.geom_contype)

@@ -1,5 +1,6 @@
 """Derived equations are kept on disk, and a broken file does not matter."""
 
+import functools
 import hashlib
 import json
 import math
@@ -8,6 +9,15 @@ import pytest
 from chains import random_case
 
 from invdyn.models import euler_lagrange
+
+
+derive_once = functools.cache(euler_lagrange.generate)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Each chain is derived once for this file, however often its cache is thrown away."""
+    monkeypatch.setattr(euler_lagrange, "generate", derive_once)
 
 
 def evaluate(functions):
