@@ -39,6 +39,7 @@ from invdyn.models.whole_file import read_whole
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
+MAX_LINKS = 1000  # more is a slip, or a file made to keep a machine busy
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
 
@@ -126,6 +127,8 @@ class Body:
         object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
+        if len(self.links) > MAX_LINKS:
+            raise BodyError(f"{where}: expected at most {MAX_LINKS} links, got {len(self.links)}")
         for key in ("name", "joint", "tip"):
             names = [getattr(link, key) for link in self.links]
             for name in names:

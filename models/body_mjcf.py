@@ -5,6 +5,7 @@ frame and no geom's density is interpreted here. The compiler gets one text with
 the model has and a rigid body lacks is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -38,7 +39,10 @@ def of(root: Element, where: str) -> dict:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     hinges = _hinges(mujoco, model, data, where)
-    parts = [_part(mujoco, model, data, b, hinges.get(b)) for b in range(1, model.nbody)]
+    sites: dict[int, list[int]] = {}
+    for site, body in enumerate(model.site_bodyid):
+        sites.setdefault(int(body), []).append(site)
+    parts = [_part(mujoco, model, data, b, hinges.get(b), sites.get(b, ())) for b in range(1, model.nbody)]
     left_out = body_mjcf_left_out.named(mujoco, model, {h.name: j for j, h in enumerate(hinges.values())})
     left_out += [entry for words, names in dropped.items() for entry in listed(words, names)]
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
@@ -69,10 +73,11 @@ def _hinges(mujoco, model, data, where: str) -> dict[int, Hinge]:
     return found
 
 
-def _part(mujoco, model, data, body: int, hinge: Hinge | None) -> Part:
+def _part(mujoco, model, data, body: int, hinge: Hinge | None, sites: Sequence[int]) -> Part:
     turn = data.ximat[body].reshape(3, 3)  # principal axes are its columns
     name = model.body(body).name or f"link{body}"
-    sites = [s for s in range(model.nsite) if model.site_bodyid[s] == body]
+    first = int(model.body_geomadr[body])
+    geoms = range(first, first + int(model.body_geomnum[body]))
     return Part(
         name=name,
         parent=int(model.body_parentid[body]) - 1,
@@ -82,7 +87,7 @@ def _part(mujoco, model, data, body: int, hinge: Hinge | None) -> Part:
         origin=data.xpos[body].copy(),
         hinge=hinge,
         marks=[(model.site(s).name or f"{name}_tip", data.site_xpos[s].copy()) for s in sites],
-        ends=[end for g in range(model.ngeom) if model.geom_bodyid[g] == body for end in _ends(mujoco, model, data, g)],
+        ends=[end for geom in geoms for end in _ends(mujoco, model, data, geom)],
     )
 
 

@@ -16,6 +16,8 @@ DROPPED = {"material", "texture", "hfield", "skin", "camera", "light", "plugin",
 MULTIPLE = {"replicate", "attach", "composite", "flexcomp"}
 UNUSED = ("material", "user", "actdim", "nsample", "interp", "delay")
 """Attributes that name what is dropped, or ask for memory."""
+MOST_BODIES = 1000
+"""More is a scene, and no arm."""
 ALL_MESHES = 2**28
 """Bytes of all meshes of a body."""
 
@@ -41,6 +43,8 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
         if "delay" in each.attrib:
             told.setdefault("delays", []).append(each.get("name", each.tag))
     root[:] = [each for each in root if each.tag in SECTIONS]
+    if (count := sum(1 for _ in root.iter("body"))) > MOST_BODIES:
+        raise BodyError(f"{path}: expected at most {MOST_BODIES} bodies, got {count}")
     where_meshes = _mesh_folder(root)
     _prune(root)
     meshes = _meshes(root, folder, where_meshes, path)

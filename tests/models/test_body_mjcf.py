@@ -213,6 +213,7 @@ def test_contacts_are_those_that_mujoco_lets_happen(tmp_path):
         floor.replace("</mujoco>", '<contact><exclude body1="world" body2="b"/></contact></mujoco>'),
         floor.replace('name="floor"', 'name="floor" contype="0" conaffinity="0"'),
         floor.replace("<worldbody>", '<option><flag contact="disable"/></option><worldbody>'),
+        floor.replace("<worldbody>", '<option><flag constraint="disable"/></option><worldbody>'),
     ):
         read(text, tmp_path)  # a warning would be an error
     with pytest.warns(UserWarning, match=r"leaves out contacts \(b\)"):

@@ -96,6 +96,30 @@ def test_meshes_and_includes_in_the_folder_are_read(file, compiler, tmp_path):
     assert (link.length, link.com) == pytest.approx((2**-0.5, 2**0.5 / 4))
 
 
+def chain(count):
+    """A URDF of so many links, one after the other."""
+    heavy = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    links = "".join(f'<link name="l{k}">{heavy}</link>' for k in range(count + 1))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 0 1"/>'
+        '<origin xyz="0.1 0 0"/></joint>'
+        for k in range(count)
+    )
+    return (
+        f'<robot name="long">{links}{joints}<link name="end"/><joint name="e" type="fixed"><parent link="l{count}"/>'
+        '<child link="end"/><origin xyz="0.1 0 0"/></joint></robot>'
+    )
+
+
+def test_more_links_than_any_arm_has_are_refused(tmp_path):
+    assert load(chain(30), tmp_path / "arm.urdf").num_joints == 30
+    with pytest.raises(BodyError, match="at most 1000 links, got 1001"):
+        load(chain(1001), tmp_path / "arm.urdf")
+    scene = mjcf().replace("</worldbody>", "<body/>" * 1001 + "</worldbody>")
+    with pytest.raises(BodyError, match="at most 1000 bodies, got 1002"):
+        load(scene, tmp_path / "arm.xml")
+
+
 OUTSIDE = "outside its own folder"
 FILES = {
     "a mesh above": (mjcf(assets=mesh("../tri.obj")), OUTSIDE),

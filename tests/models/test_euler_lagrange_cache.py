@@ -10,7 +10,6 @@ from chains import random_case
 
 from invdyn.models import euler_lagrange
 
-
 derive_once = functools.cache(euler_lagrange.generate)
 
 
