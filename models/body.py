@@ -10,6 +10,7 @@ first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,7 +93,10 @@ class Link:
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
             )
-        if inertia + mass * com**2 == 0:
+        about_joint = inertia + mass * com * com
+        if not math.isfinite(about_joint):
+            raise BodyError(f"{where}: its moment about the joint is too large for a number; are the units SI?")
+        if about_joint == 0:
             raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
 
     def nominal(self, quantity: str) -> float:
@@ -102,7 +106,7 @@ class Link:
             return nominal(value)
         if quantity == "com":
             return self.nominal("length") / 2
-        return self.nominal("mass") * self.nominal("length") ** 2 / 12
+        return self.nominal("mass") * self.nominal("length") * self.nominal("length") / 12
 
 
 @dataclass(frozen=True)

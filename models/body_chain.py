@@ -91,7 +91,9 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
         if abs(aside) > ASIDE * length:
             notes.append(f"that the centre of mass of {name} is {aside:.3g} m beside the line of its joints")
         # about the hinge the inertia stays what it is
-        given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside**2}
+        given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside * aside}
+        if not np.isfinite(list(given.values())).all():
+            raise BodyError(f"{where}: link '{name}': its length or inertia is no finite number; are the units SI?")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
     if found := [*notes, *left_out]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)

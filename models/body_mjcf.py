@@ -5,7 +5,9 @@ frame and no geom's density is interpreted here. The compiler gets one text with
 the model has and a rigid body lacks is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -31,13 +33,14 @@ def of(root: Element, where: str) -> dict:
     """The tables of a parsed MJCF; see :func:`read`."""
     text, meshes, dropped = one_text(root, where)
     mujoco = _engine(where)
-    try:
-        model = mujoco.MjModel.from_xml_string(text, meshes)
-    except ValueError as error:
-        raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    with _own_warnings(mujoco, where):
+        try:
+            model = mujoco.MjModel.from_xml_string(text, meshes)
+        except ValueError as error:
+            raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
     hinges = _hinges(mujoco, model, data, where)
     sites: dict[int, list[int]] = {}
     for site, body in enumerate(model.site_bodyid):
@@ -56,6 +59,19 @@ def _engine(where: str):
     except ImportError as error:
         raise BodyError(f"{where}: MJCF needs `pip install 'invdyn[robots]'`; TOML and URDF do without") from error
     return mujoco
+
+
+@contextmanager
+def _own_warnings(mujoco, where: str) -> Iterator[None]:
+    """MuJoCo's warnings as ours: by itself it writes them to a log in the folder where one happens to be."""
+    before, said = mujoco.get_mju_user_warning(), []
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+    for line in dict.fromkeys(said):
+        warnings.warn(f"{where}: MuJoCo: {' '.join(str(line).split())}", UserWarning, stacklevel=5)
 
 
 def _hinges(mujoco, model, data, where: str) -> dict[int, Hinge]:

@@ -244,3 +244,12 @@ def test_defaults_and_their_classes(tmp_path):
     rod = 400 * volume * 0.3
     assert fore.mass == pytest.approx(rod + 0.25)
     assert fore.com == pytest.approx((rod * 0.15 + 0.25 * 0.3) / fore.mass)
+
+
+def test_warnings_of_mujoco_are_ours_and_leave_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = mujoco.get_mju_user_warning()
+    with pytest.warns(UserWarning, match="MuJoCo: .*NaN"):
+        read(exact().replace('<geom type="capsule"', '<geom type="capsule" solmix="nan"'), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
+    assert mujoco.get_mju_user_warning() == before
