@@ -1,7 +1,9 @@
 """A robot's file is data: another kind is told what to do, and nothing in it reads elsewhere or without bounds."""
 
 import os
+import re
 
+import numpy as np
 import pytest
 
 from invdyn.models import Body, BodyError
@@ -172,3 +174,52 @@ def test_what_asks_for_memory_and_is_no_body_is_dropped(tmp_path):
     with pytest.warns(UserWarning, match=r"leaves out delays \(engine\)$"):
         body = load(text, tmp_path / "arm.xml")
     assert body.links[0].mass == 1.0
+
+
+VALUES = [
+    "",
+    "nan",
+    "inf",
+    "-1",
+    "1e308",
+    "-1e308",
+    "1e400",
+    "1e-320",
+    "0",
+    "9" * 5000,
+    "a",
+    "0 0",
+    "1e155 1e155 1e155",
+]
+VALUES += ["1 2 3 4 5 6 7", "true", "&#0;", "${x}", "{}", "%s", "é" * 300]
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("kind", ["URDF", "MJCF"])
+def test_a_damaged_file_is_a_body_or_one_line(kind, tmp_path, monkeypatch):
+    """150 files with one to three values, elements or letters changed: never another error, and no file beside it."""
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    whole = chain(2) if kind == "URDF" else mjcf(geom='<geom type="capsule" size="0.1" fromto="0 0 0 0.3 0 0"/>')
+    rng = np.random.default_rng(5)
+    bodies, lines = 0, []
+    for _ in range(150):
+        text = whole
+        for _ in range(rng.integers(1, 4)):
+            value = rng.choice(list(re.finditer('="([^"]*)"', text)))
+            element = rng.choice(list(re.finditer("<[^>]+/>", text)) or [value])
+            letter = rng.integers(len(text))
+            text = [
+                text[: value.start(1)] + str(rng.choice(VALUES)) + text[value.end(1) :],
+                text[: element.start()] + text[element.end() :],
+                text[: element.start()] + 2 * element.group() + text[element.end() :],
+                text[:letter] + str(rng.choice(["\0", "<", ">", "&", "\x80", "X"])) + text[letter + 1 :],
+            ][rng.choice(4, p=[0.6, 0.15, 0.15, 0.1])]
+        try:
+            load(text, tmp_path / "arm.xml").parameters()
+            bodies += 1
+        except BodyError as refusal:
+            lines.append(str(refusal))
+    assert not [line for line in lines if "\n" in line]
+    assert 5 < bodies < 120  # the changes are neither all harmless nor all fatal
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
