@@ -213,9 +213,9 @@ def blind(
     ] = False,
 ) -> None:
     """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
-    from invdyn.diagnosis.blind.confined import confined
-    from invdyn.diagnosis.blind.counts import counted
-    from invdyn.diagnosis.blind.run import BlindRun
+    from invdyn.blindcheck.confined import confined
+    from invdyn.blindcheck.counts import counted
+    from invdyn.blindcheck.run import BlindRun
     from invdyn.recordings import InputError
 
     from .seeds import secret_seed

@@ -1,0 +1,1 @@
+"""Bodies, their parameters, and the files that describe them."""
