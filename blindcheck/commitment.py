@@ -21,6 +21,7 @@ import os
 import pathlib
 import subprocess
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from invdyn.recordings import InputError, atomic_path, write_text
 
@@ -101,13 +102,15 @@ def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict
     return answers
 
 
-def run_apart(command: Sequence[str], folder: str | pathlib.Path) -> subprocess.CompletedProcess[str]:
+def run_apart(command: Sequence[str], folder: str | pathlib.Path, **identity: Any) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis as a process of its own inside `folder`, a case's; nothing is inherited but the environment.
 
-    Neither memory nor open files pass to it, and its standard input is empty. Returns the finished process, whatever
-    its exit code. Raises OSError when it cannot be started.
+    Neither memory nor open files pass to it, and its standard input is empty. `identity` is who runs it: user, group,
+    extra_groups and env of `subprocess.run`. Returns the finished process, whatever its exit code. Raises OSError when
+    it cannot be started.
     """
-    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True)
+    own = {"stdin": subprocess.DEVNULL, "capture_output": True, "text": True, "errors": "replace", "close_fds": True}
+    return subprocess.run(command, cwd=folder, **own, **identity)
 
 
 def digest(folder: str | pathlib.Path) -> str:

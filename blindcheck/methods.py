@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 from invdyn.blindcheck.answer_schema import unreadable
-from invdyn.blindcheck.commitment import run_apart
+from invdyn.blindcheck.confined import Confined
 
 
 class Ours(AbstractContextManager):
@@ -60,10 +60,10 @@ def _ended(process: subprocess.Popen) -> int:
 
 
 class Theirs(AbstractContextManager):
-    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
+    """Another method: a process a case; words may hold {recording}, {body}, {out}, {held_out} and {case}, a folder."""
 
-    def __init__(self, command: str):
-        self._words = shlex.split(command)
+    def __init__(self, command: str, confined: Confined):
+        self._words, self._confined = shlex.split(command), confined
 
     def __exit__(self, *_: object) -> None:
         return None
@@ -71,12 +71,12 @@ class Theirs(AbstractContextManager):
     def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
         """Diagnose one case; returns what went wrong, if anything did."""
         case, out = case.resolve(), out.resolve()
-        places = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
+        places = {"case": case, "recording": case / "recording.csv", "body": case / "body.toml", "out": out}
         places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
         words = self._words
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
-        finished = run_apart(words, case)
+        finished = self._confined.run(words, case, out)
         told = out / "diagnosis.json"
         if finished.returncode or not told.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"

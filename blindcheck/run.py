@@ -30,6 +30,7 @@ from pathlib import Path
 from invdyn.blindcheck.answer_schema import unreadable
 from invdyn.blindcheck.cases import make_case, planned
 from invdyn.blindcheck.commitment import Locked, Sealed, digest
+from invdyn.blindcheck.confined import Confined
 from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.methods import Ours, Theirs
 from invdyn.blindcheck.page import write_page
@@ -39,6 +40,7 @@ from invdyn.recordings import InputError, write_text
 Progress = Callable[[int, int, str], None]
 OPENED = ("answers.json", "scores.json", "blind.html")
 """What tells answers."""
+OPEN = Confined()
 
 
 def nonce_of(seed: int) -> bytes:
@@ -55,13 +57,20 @@ class BlindRun:
         seed: the cases follow from it.
         workers: processes.
         command: of another method, or None for ours.
+        confined: how that method is kept from the seed and from the other cases.
     """
 
     def __init__(
-        self, folder: str | Path, counts: Mapping[str, int], seed: int, workers: int = 1, command: str | None = None
+        self,
+        folder: str | Path,
+        counts: Mapping[str, int],
+        seed: int,
+        workers: int = 1,
+        command: str | None = None,
+        confined: Confined = OPEN,
     ):
         self.folder, self.counts, self.seed = Path(folder), dict(counts), seed
-        self.workers, self.command = workers, command
+        self.workers, self.command, self.confined = workers, command, confined
         self._sealed: Sealed | None = None
 
     def check(self) -> None:
@@ -87,7 +96,14 @@ class BlindRun:
         strange = sorted(p.name for p in self.folder.iterdir() if p.name not in known) if self.folder.exists() else []
         if strange:
             raise InputError(f"{self.folder}: expected an empty folder or an earlier run, has {strange[0]}")
+        new = not self.folder.exists()
         self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self.confined.check(self.folder)
+        except InputError:
+            if new:
+                self.folder.rmdir()
+            raise
 
     def make(self, progress: Progress | None = None) -> str:
         """Make the cases, seal the answers, and return the hash. Raises InputError over a run of another kind."""
@@ -131,7 +147,8 @@ class BlindRun:
 
         `oracle`: diagnose once more with all but the true effects struck from the catalogue.
         """
-        before = digest(self.folder / "diagnoses")
+        # read before the answers open: what a method left running could change its own by them
+        before, found = digest(self.folder / "diagnoses"), self._read("diagnoses")
         answers = self._sealed.open_to(self.folder / "answers.json")
         if oracle and self.command is None:
             told = {
@@ -142,8 +159,7 @@ class BlindRun:
             told = {name: rest for name, rest in told.items() if answers[name]["kind"] != "leave_one_out"}
             done = {name for name in told if (self.folder / "oracle" / name / "took.json").exists()}
             self._diagnose("oracle", {n: w for n, w in told.items() if n not in done}, progress, "oracle")
-        found, knowing = self._read("diagnoses"), self._read("oracle")
-        scores = score(answers, found, knowing)
+        scores = score(answers, found, self._read("oracle"))
         took = [json.loads(p.read_text())["seconds"] for p in sorted(self.folder.glob("diagnoses/*/took.json"))]
         about = {
             "seed": self.seed,
@@ -184,7 +200,8 @@ class BlindRun:
 
             def one(name: str, without: Iterable[str]) -> None:
                 if not hasattr(own, "method"):
-                    method = Theirs(self.command) if self.command else Ours(1 if self.workers > 1 else None)
+                    ours = Ours(1 if self.workers > 1 else None)
+                    method = Theirs(self.command, self.confined) if self.command else ours
                     with lock:
                         own.method = methods.enter_context(method)
                 out, start = self.folder / kind / name, time.monotonic()

@@ -27,8 +27,9 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
+from invdyn.models.bodies.body_xml import MOST
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
-from invdyn.models.bodies.whole_file import write_whole
+from invdyn.models.bodies.whole_file import read_whole, write_whole
 
 BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
 REQUIRED = ("name", "joint", "tip", "length", "mass")
@@ -36,17 +37,24 @@ LINK_KEYS = (*REQUIRED, "com", "inertia")
 
 
 def read(path: str | Path) -> dict:
-    """Return the tables of a body file under the keys of `BODY_KEYS` that it has; `links` as a list of dicts.
+    """Return the tables of a body file under the keys of `BODY_KEYS`; `links` as a list of dicts.
 
-    A link's scalars come as float, prior or `Learned`. Raises `BodyError` for broken TOML, a TOML that
-    is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file cannot be read.
+    A link's scalars come as float, prior or `Learned`. A body without a name is called as its file. Raises `BodyError`
+    for broken TOML, a TOML that is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file
+    cannot be read.
     """
+    return parse(read_whole(path, MOST), str(path))
+
+
+def parse(content: bytes, path: str) -> dict:
+    """The tables of a body file's content; see :func:`read`."""
     try:
-        tables = tomllib.loads(Path(path).read_bytes().decode("utf-8"))
+        tables = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise BodyError(f"{path}: broken TOML: {error}") from error
+    except (ValueError, RecursionError) as error:  # a number of 5,000 digits is a ValueError, and no TOMLDecodeError
+        told = "brackets within each other, too many" if isinstance(error, RecursionError) else error
+        raise BodyError(f"{path}: broken TOML: {told}") from error
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
@@ -58,7 +66,7 @@ def read(path: str | Path) -> dict:
         raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
     check_keys(tables, BODY_KEYS, str(path))
     tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
-    return tables
+    return {"name": Path(path).stem, **tables}
 
 
 def write(path: str | Path, tables: dict) -> None:
