@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from invdyn.models import ArmModel, Body, Emission, OrnsteinUhlenbeck
+from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
@@ -37,7 +37,7 @@ def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Rec
     command = None if model.command is None else model.command.numpy()
     recording = Recording(
         time=time,
-        keypoints=observations.numpy().reshape(len(time), body.num_joints, 2),
+        keypoints=model.observation.points(observations).numpy(),
         keypoint_names=body.keypoint_names,
         torques=command,
         joint_names=() if command is None else body.joint_names,
@@ -84,14 +84,12 @@ def random_arm(
     if num_frames < 2:
         raise InputError(f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed")
     torque = OrnsteinUhlenbeck()
-    gravity_x, gravity_y = body.gravity
-    hanging = math.atan2(gravity_y, gravity_x) if any(body.gravity) else 0.0
 
     def model(command: np.ndarray | None = None) -> ArmModel:
         return ArmModel(
             body,
             np.arange(num_frames) / fps,
-            Emission(range(body.num_joints)),
+            Observation(Keypoints(body.keypoint_names)),
             torque=torque,
             command=command,
             substeps=math.ceil(1 / (fps * STEP)),
@@ -99,7 +97,7 @@ def random_arm(
                 "emission.keypoint_scale": noise,
                 "noise.angle": 0.0,
                 "noise.velocity": 0.0,
-                "initial.angle": [hanging] + [0.0] * (body.num_joints - 1),
+                "initial.angle": body.hanging,
                 "initial.angle_scale": 0.3,
                 "initial.velocity_scale": 0.1,
             },
@@ -122,7 +120,7 @@ def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
     return ArmModel(
         body,
         0.03 * np.arange(num_frames),
-        Emission(range(body.num_joints)),
+        Observation(Keypoints(body.keypoint_names)),
         torque=PAPER["torque"],
         integrator=PAPER["integrator"],
         parameters=PAPER["settings"],

@@ -89,14 +89,18 @@ class StateSpaceModel(ABC):
 
         Raises KeyError, naming the known ones, for a parameter that the model does not have.
         """
+        other = copy.copy(self)
+        other.parameters = self._replaced(values)
+        return other
+
+    def _replaced(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """All parameters, with other values for some; raises KeyError as :meth:`replace` says."""
         unknown = set(values) - set(self.parameters)
         if unknown:
             raise KeyError(
                 f"no parameter {', '.join(sorted(unknown))}; this model has {', '.join(sorted(self.parameters))}"
             )
-        other = copy.copy(self)
-        other.parameters = {**self.parameters, **values}
-        return other
+        return {**self.parameters, **values}
 
     def with_priors(self, **priors: Distribution) -> "StateSpaceModel":
         """Return the model in which these parameters are sampled by :meth:`sequence`."""

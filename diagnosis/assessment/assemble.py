@@ -72,7 +72,7 @@ def assembled(
     ]
     corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
     replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
-    moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
+    moved = seen_tips(best.model, path) - tips[:, list(model.observation.tracked)]
     shifts = (
         np.sqrt((moved**2).sum(-1).mean(0))
         / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
@@ -142,12 +142,12 @@ def assembled(
             {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
         joint_names=joints,
-        link_names=tuple(link.name for link in body.links),
+        link_names=body.link_names,
         lengths=tuple(model.body_parameters().length.tolist()),
         tracks=Tracks(
             time=model.time.numpy(),
-            observed=bound.observations[:, : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy(),
-            keypoint_names=tuple(body.keypoint_names[tip] for tip in model.emission_model.tips),
+            observed=model.observation.points(bound.observations).numpy(),
+            keypoint_names=model.observation.tracked_names,
             base=np.asarray(body.base, dtype=float),
             command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
             angle=q.numpy(),
@@ -263,7 +263,7 @@ def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, r
         not_identifiable=(),
         shrinkage=Shrinkage(None, None, False, empty),
         joint_names=joints,
-        link_names=tuple(link.name for link in body.links),
+        link_names=body.link_names,
         lengths=tuple(link.nominal("length") for link in body.links),
         tracks=None,
         screened=(),

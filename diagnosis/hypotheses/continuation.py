@@ -4,8 +4,6 @@ Gauss–Newton finds the path of highest density near where it starts. A first o
 lets the arm follow the data under any simulation, with heavy tails where there are stray detections.
 """
 
-import copy
-
 import torch
 from torch import Tensor
 
@@ -45,11 +43,8 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
 
 def _heavy_tailed(model: ArmModel) -> ArmModel:
     """The model with Student-t observations."""
-    other = copy.copy(model)
-    other.emission_model = copy.copy(model.emission_model)
-    other.emission_model.family = "student_t"
-    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
-    return other
+    other = model.observed_by(model.observation.with_family("student_t"))
+    return other.replace(**{"emission.df": torch.full((1,), 3.0, dtype=model.dtype)})
 
 
 def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:

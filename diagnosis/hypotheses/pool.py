@@ -133,8 +133,8 @@ def leaves(cause: Refined, none: Refined) -> bool:
 def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
     """Every effect of the catalogue at every place at which it can act in this regime, bound."""
     body = setting.model.body
-    emission, commanded = setting.model.emission_model, setting.regime == "commanded"
-    tracked = [body.keypoint_names[tip] for tip in emission.tips]
+    observation, commanded = setting.model.observation, setting.regime == "commanded"
+    tracked = list(observation.tracked_names)
     found = []
     for name, kind in EFFECTS.items():
         if name in without:
@@ -144,7 +144,7 @@ def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
         found += [
             effect.bound(body)
             for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, emission.doubt is not None)
+            if effect.tellable(commanded, bool(observation.data()))
         ]
     return found
 

@@ -9,7 +9,6 @@ what a gap in the dynamics is measured by. Three regimes:
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,7 +23,7 @@ from invdyn.diagnosis.problem.outliers import calm
 from invdyn.inference.posterior.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.bodies.scalars import QUANTITIES
-from invdyn.models.effects.scale import typical_inertia, typical_torque
+from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
 
@@ -134,9 +133,7 @@ class Setting:
 
     def in_substeps(self, count: int) -> "Setting":
         """The same setting in so many integrator sub-steps a row."""
-        model = copy(self.model)
-        model.substeps = count
-        return replace(self, problem=replace(self.problem, model=model))
+        return replace(self, problem=replace(self.problem, model=self.model.in_substeps(count)))
 
     def observing(self, observations: Tensor) -> "Setting":
         """The same setting with other observations (T, O)."""
@@ -209,7 +206,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    model.substeps = sufficient_substeps(model, usual)
+    model = model.in_substeps(sufficient_substeps(model, usual))
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
@@ -218,11 +215,11 @@ def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
 
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
     """
-    body = model.scale.body
+    body, dynamics = model.scale.body, model.dynamics
     if not bool(body.gravity.any()):
         return
     rms = (velocity.diff(dim=0) / model.dt[1:].unsqueeze(-1)).square().mean(0).sqrt()
-    needed = (typical_torque(body) + typical_inertia(body) * rms).norm().item()
+    needed = (typical_torque(dynamics, body) + dynamics.typical_inertia(body) * rms).norm().item()
     given = model.command.square().mean(0).sqrt().norm().item()
     if given > TOO_MUCH * needed:
         raise InputError(
@@ -242,16 +239,16 @@ def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
     ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
     """
     model = problem.model
-    points = 2 * len(model.emission_model.tips)
-    reach = model.body_parameters().length.sum().item()
+    observation = model.observation
+    reach = model.dynamics.reach(model.body_parameters()).item()
     found = {}
     if regime != "unknown_torque":
         found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
-    if points:
-        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
+    if observation.keypoints:
+        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), observation.points(usual).numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
-    if model.emission_model.num_encoders:
-        angles = problem.observations[:, points:].numpy()
+    if observation.encoders:
+        angles = observation.of(observation.encoders, problem.observations).numpy()
         sd = shrunk(jitter(angles), variance_of_log(np.isfinite(angles).sum(0)))
         found["emission.angle_scale"] = torch.as_tensor(sd).clamp_min(1e-5)
     return model.replace(**found)

@@ -6,7 +6,6 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 
 import math
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -206,9 +205,8 @@ def screen(
     """
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
-    quick = copy(model)
     # What an effect adds is small: half of the sub-steps tell it as well.
-    quick.substeps = (model.substeps + 1) // 2
+    quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened = []

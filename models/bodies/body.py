@@ -13,8 +13,9 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import pyro
 import pyro.distributions as dist
@@ -23,6 +24,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import (
     QUANTITIES,
     BodyError,
@@ -41,6 +43,7 @@ from invdyn.models.bodies.whole_file import read_whole
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
 MAX_LINKS = 1000  # more is a slip, or a file made to keep a machine busy
+FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
 
@@ -110,7 +113,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(ArticulatedBody):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
     Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and
@@ -122,6 +125,8 @@ class Body:
     gravity: Sequence[float] = (0.0, -9.81)
     base: Sequence[float] = (0.0, 0.0)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
+    space: ClassVar[int] = 2
+    signed: ClassVar[frozenset[str]] = frozenset({"com", "gravity", "base"})
 
     def __post_init__(self):
         check_name(self.name, "name of a body")
@@ -164,6 +169,11 @@ class Body:
         return tuple(link.joint for link in self.links)
 
     @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the K links, from the base outwards."""
+        return tuple(link.name for link in self.links)
+
+    @property
     def keypoint_names(self) -> tuple[str, ...]:
         """Names of the K tips, from the base outwards."""
         return tuple(link.tip for link in self.links)
@@ -172,6 +182,58 @@ class Body:
     def base_keypoint(self) -> str:
         """Name of the keypoint at the base: the first joint's."""
         return self.links[0].joint
+
+    @property
+    def learned(self) -> dict[str, tuple[int, ...]]:
+        """Links whose scalars are to be learned, by quantity."""
+        found = {
+            key: tuple(k for k, link in enumerate(self.links) if isinstance(getattr(link, key), Learned))
+            for key in QUANTITIES
+        }
+        return {key: links for key, links in found.items() if links}
+
+    @property
+    def hanging(self) -> list[float]:
+        """Angles at which it hangs; along the x axis without gravity."""
+        down = math.atan2(self.gravity[1], self.gravity[0]) if any(self.gravity) else 0.0
+        return [down] + [0.0] * (self.num_joints - 1)
+
+    def completed(self, numbers: BodyParameters) -> BodyParameters:
+        """The numbers with com and inertia following length and mass, of links that say neither."""
+        for key, which in self._left_out(numbers.length.device).items():
+            if key == "com":
+                numbers = numbers._replace(com=torch.where(which, numbers.length / 2, numbers.com))
+            else:
+                rod = numbers.mass * numbers.length**2 / 12
+                numbers = numbers._replace(inertia=torch.where(which, rod, numbers.inertia))
+        return numbers
+
+    def drawn(self, numbers: BodyParameters) -> dict[str, Tensor]:
+        """Scalars that are priors or learned, by `sample`; plain ones of the same quantity stand as in ``numbers``."""
+        own = self.sample(dtype=numbers.length.dtype, device=numbers.length.device)._asdict()
+        found = {}
+        for key in QUANTITIES:
+            free = [isinstance(getattr(link, key), dist.Distribution | Learned) for link in self.links]
+            if any(free):
+                which = torch.tensor(free, device=numbers.length.device)
+                found[key] = torch.where(which, own[key], getattr(numbers, key))
+        return found
+
+    def described(self, numbers: BodyParameters) -> dict[str, tuple[list[str], Tensor]]:
+        """Its numbers with their dims: links', and vectors of the plane."""
+        dims = {key: ["link"] if key in QUANTITIES else ["space"] for key in numbers._fields}
+        return {key: (dims[key], value.detach()) for key, value in numbers._asdict().items()}
+
+    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
+        """Of com and inertia which links (K,) leave them out; kept where they are asked for, as no row may wait."""
+        if device not in self._left_out_on:
+            missing = {key: torch.tensor([getattr(link, key) is None for link in self.links]) for key in FOLLOWING}
+            self._left_out_on[device] = {key: which.to(device) for key, which in missing.items() if bool(which.any())}
+        return self._left_out_on[device]
+
+    @cached_property
+    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
+        return {}
 
     def parameters(
         self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None, **given: Tensor

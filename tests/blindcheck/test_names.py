@@ -8,10 +8,16 @@ from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.injected_effects import CATALOGUE, Present, named
 from invdyn.blindcheck.motion import random_body
+from invdyn.models import planar_dynamics
 from invdyn.models.effects import EFFECTS, BaseMotion, Scale, TorqueRipple
 
 BODY = random_body(np.random.default_rng(1), 3, False)
-SCALE = Scale(BODY.parameters(), torch.arange(0, 3, 0.01, dtype=torch.float64), torch.ones(300, 3, dtype=torch.float64))
+SCALE = Scale(
+    planar_dynamics(BODY.num_joints),
+    BODY.parameters(),
+    torch.arange(0, 3, 0.01, dtype=torch.float64),
+    torch.ones(300, 3, dtype=torch.float64),
+)
 
 
 def reported(effect):

@@ -20,7 +20,7 @@ from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.filters import compiled as compiled_module
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.vsmc import GRADIENTS, VSMC_ELBO
-from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link
+from invdyn.models import ArmModel, Body, Keypoints, LinearGaussian, Link, Observation
 from invdyn.recordings import InputError
 
 STEPS = 12
@@ -31,7 +31,7 @@ def arm():
     """A two-joint arm with gaps among its keypoints, one row of them wholly missing."""
     links = [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)]
     body = Body("arm", links, gravity=(0.0, -9.81))
-    model = ArmModel(body, 0.02 * torch.arange(STEPS), Emission([0, 1])).to(torch.float32)
+    model = ArmModel(body, 0.02 * torch.arange(STEPS), Observation(Keypoints([0, 1]))).to(torch.float32)
     torch.manual_seed(0)
     y = model.simulate()[1]
     y[3] = torch.nan

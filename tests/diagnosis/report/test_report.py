@@ -43,7 +43,7 @@ from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, pe
 from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
 from invdyn.diagnosis.report.sentences import kind, left, verdict
-from invdyn.models import Body, Link
+from invdyn.models import Body, Link, planar_dynamics
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
 
@@ -218,7 +218,7 @@ def test_what_cannot_be_seen_is_by_one_measure():
 def test_a_softer_form_is_said_to_be_one():
     """By a parameter that the ideal form lacks."""
     arm = Body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
-    scale = Scale(arm.parameters(), torch.arange(9.0))
+    scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))
     for each in EFFECTS.values():
         ideal = each.everywhere(arm, arm.keypoint_names)[0].bound(arm)
         for effect in (ideal, ideal.softened()):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, dynamics_for
+from invdyn.models import Body, BodyError, planar_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -57,7 +57,7 @@ def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
-    parameters, dynamics = body.parameters(), dynamics_for(3)
+    parameters, dynamics = body.parameters(), planar_dynamics(3)
     sign, plane = AXES[axis][2], list(PLANE[AXES[axis][1]])
     for _ in range(5):
         data.qpos[:], data.qvel[:] = rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 3)
