@@ -2,7 +2,8 @@
 
 A likelihood of 0 says that nothing was found (OpenPose and COCO write 0, 0, 0), whatever place stands beside it. In
 pixels (0, 0) is the image's corner, where a sub-pixel estimate does not fall exactly. Both are missing. A place that is
-repeated to the last digit while the likelihood is low is the last good one, kept: this is told, since a still arm may be hidden.
+repeated to the last digit while the likelihood is low is the last good one, kept: this is told and no more, since a
+hidden arm may rest.
 """
 
 import warnings
@@ -37,7 +38,7 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
         for name, rows in zip(recording.keypoint_names, corner.sum(axis=0), strict=True):
             if rows:
                 warnings.warn(
-                    f"{name} is at the image's corner (0, 0) in {rows} of {len(points)} rows: taken to be missing there",
+                    f"{name} is at the image's corner (0, 0) in {rows} of {len(points)} rows: taken to be missing",
                     stacklevel=2,
                 )
     had, has = (np.isfinite(each).any(axis=(0, 2)) for each in (recording.keypoints, points))

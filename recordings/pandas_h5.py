@@ -103,7 +103,9 @@ def _texts(stored: h5py.Dataset) -> list[str]:
 
 class _Plain(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
-        raise InputError(f"its labels hold a pickled {module}.{name}, which is not read: it could run code; export a .csv")
+        raise InputError(
+            f"its labels hold a pickled {module}.{name}, which is not read: it could run code; export a .csv"
+        )
 
     def persistent_load(self, pid: Any) -> Any:
         raise InputError("its labels hold a pickled reference, which is not read; export a .csv")
