@@ -194,7 +194,25 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
             off = rows[:, :points] - tips[:, emission.tips].flatten(-2).numpy()
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).reshape(-1, 2).max(axis=1)
             values["emission.keypoint_scale"] = np.clip(misfit, noise, 0.3 * reach)
+            if emission.drop is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, emission.drop.numpy())
     return values
+
+
+def confidence_drop(off: np.ndarray, drop: np.ndarray, least: float = 0.1, most: float = 8.0) -> np.ndarray:
+    """Start of δ of each keypoint, (P,): the logarithm by which its doubtful rows' misfits are larger, per unit of drop.
+
+    From misfits (T, 2 P) and drops (T, P) of the confidence. Where lost points begin as good ones, the mode runs
+    through them, and the search for parameters ends there.
+    """
+    start = np.full(drop.shape[1], least)
+    for p, (size, d) in enumerate(zip(np.linalg.norm(off.reshape(len(off), -1, 2), axis=-1).T, drop.T, strict=True)):
+        low = np.isfinite(size) & (d > 0.5)
+        high = np.isfinite(size) & (d <= 0.5)
+        if low.any() and high.any() and np.median(size[high]) > 0:
+            ratio = np.median(size[low]) / np.median(size[high])
+            start[p] = np.clip(np.log(max(ratio, 1.0)) / (np.median(d[low]) - np.median(d[high])), least, most)
+    return start
 
 
 def jitter(columns: np.ndarray) -> np.ndarray:

@@ -40,6 +40,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         Free("emission.keypoint_scale", tied=True),
         Free("emission.confidence_slope", tied=True),
+        Free("emission.confidence_drop", tied=True),
         Free("emission.angle_scale", tied=True),
         Free("emission.df", sd=1.0),
     ]
@@ -185,7 +186,7 @@ def _fingerprint(problem: Problem, options: SMCOptions, seed: int, free: Sequenc
     model = problem.model
     emission, torque = model.emission_model, model.torque
     data = [problem.observations, model.time]
-    data += [tensor for tensor in (model.command, emission.doubt) if tensor is not None]
+    data += [tensor for tensor in (model.command, emission.doubt, emission.drop) if tensor is not None]
     return {
         "version": version("invdyn"),
         "recording": digest(*data),

@@ -70,7 +70,8 @@ def load_recording(
     """
     options["plane"] = options.get("plane") or FLAT
     lengths = [link.nominal("length") for link in body.links]
-    told = body_lengths or any((base, options.get("units"), options.get("scale")))
+    units = parse_units(options.get("units"))
+    told = body_lengths or any((base, units.length, units.angle, options.get("scale")))
     in_frame = as_filmed and not told and Path(name).exists()
     in_frame = in_frame and FORMATS[recognise(Path(name), options.get("format"))].read is None
     base = base or body.base_keypoint
@@ -99,18 +100,13 @@ def load_recording(
         recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
     if not in_frame and any(body.base) and base in load(name, joints=body.joint_names, **options).keypoint_names:
         # what was taken relative to the base's own track lies about the body's base
-        if recording.keypoints.shape[-1] != len(body.base):
-            raise InputError(
-                f"{name}: expected keypoints of {len(body.base)} coordinates, as the body's base has, "
-                f"got {recording.keypoints.shape[-1]}: leave out the one across the plane"
-            )
         recording = replace(recording, keypoints=recording.keypoints + np.asarray(body.base))
     if recording.length_unit == "px":
         raise InputError(
             f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"
         )
     with about(name):
-        check_plausible(recording, lengths, body.base, parse_units(options.get("units")))
+        check_plausible(recording, lengths, body.base, units)
         return bridged(recording.select(*frame_range(frames)), sum(lengths))
 
 

@@ -5,8 +5,11 @@
 
 F is Gaussian, or Student-t with "emission.df" degrees of freedom (1,) for stray detections.
 The tracker's confidence c is a monotone covariate and not a probability: the noise grows as
-s(c) = exp(γ (1 − rank(c))), where rank(c) in (0, 1] is c's place among that keypoint's own
-confidences and γ = "emission.confidence_slope" (P,) ≥ 0; so only the order of c matters.
+s(c) = exp(γ (1 − rank(c)) + δ (c⁺ − c) / (c⁺ − c⁻)), with γ = "emission.confidence_slope" and
+δ = "emission.confidence_drop", (P,) ≥ 0. rank(c) in (0, 1] is c's place among that keypoint's own
+confidences, which most of the differences between good rows follow; c⁻ and c⁺ are the least and the
+greatest of them, so that a few rows with a c far below all others can be as good as lost (e^δ)
+while the rows just above them in order stay sure. c may be of any scale.
 
 An observation row is the keypoints' coordinates, keypoint by keypoint, then the angles:
 (O,) with O = 2 P + K_encoders. NaN is missing.
@@ -56,6 +59,7 @@ class Emission:
         self.num_encoders = num_encoders
         self.family = family
         self.doubt = None if confidence is None else torch.as_tensor(1 - _rank(confidence))
+        self.drop = None if confidence is None else torch.as_tensor(_drop(confidence))
         self.doubt_itself = None if confidence is None else torch.as_tensor(1 - np.nan_to_num(confidence, nan=1.0))
 
     @property
@@ -68,7 +72,8 @@ class Emission:
         if self.doubt is None:
             return self
         other = copy.copy(self)
-        other.doubt, other.doubt_itself = self.doubt.to(device), self.doubt_itself.to(device)
+        for name in ("doubt", "drop", "doubt_itself"):
+            setattr(other, name, getattr(self, name).to(device))
         return other
 
     def doubted(self, t: int | Tensor, q: Tensor) -> Tensor | None:
@@ -90,7 +95,8 @@ class Emission:
         if self.tips:
             parameters["emission.keypoint_scale"] = torch.full((len(self.tips),), keypoint_scale)
             if self.doubt is not None:
-                parameters["emission.confidence_slope"] = torch.full((len(self.tips),), 0.1)
+                for name in ("emission.confidence_slope", "emission.confidence_drop"):
+                    parameters[name] = torch.full((len(self.tips),), 0.1)
         if self.num_encoders:
             parameters["emission.angle_scale"] = torch.full((self.num_encoders,), angle_scale)
         if self.family == "student_t":
@@ -156,7 +162,8 @@ class Emission:
         scale = parameters["emission.keypoint_scale"]
         if self.doubt is None:
             return scale
-        return scale * torch.exp(parameters["emission.confidence_slope"] * self.doubt[t].to(scale))
+        by_order = parameters["emission.confidence_slope"] * self.doubt[t].to(scale)
+        return scale * torch.exp(by_order + parameters["emission.confidence_drop"] * self.drop[t].to(scale))
 
 
 class _UncheckedStudentT(StudentT):
@@ -179,3 +186,13 @@ def _rank(confidence: np.ndarray) -> np.ndarray:
     """Each entry's rank among its column's finite ones, in (0, 1]; a missing confidence ranks lowest."""
     filled = np.where(np.isfinite(confidence), confidence, -np.inf)
     return rankdata(filled, method="max", axis=0) / len(filled)
+
+
+def _drop(confidence: np.ndarray) -> np.ndarray:
+    """How far each entry lies below its column's greatest, of the column's range: in [0, 1]; 1 where it is missing."""
+    known = np.isfinite(confidence)
+    least = np.where(known, confidence, np.inf).min(axis=0)
+    greatest = np.where(known, confidence, -np.inf).max(axis=0)
+    apart = greatest > least  # False in a column of one value, or of none
+    fall = np.where(known & apart, greatest - confidence, 0.0) / np.where(apart, greatest - least, 1.0)
+    return np.where(known, fall, 1.0)

@@ -34,6 +34,7 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
         points[confidence == 0] = np.nan
     if pixels:
         corner = (points == 0).all(axis=-1)
+        corner &= corner.mean(axis=0) < 0.5  # otherwise it is the origin, to which the tracks are relative
         points[corner] = np.nan
         for name, rows in zip(recording.keypoint_names, corner.sum(axis=0), strict=True):
             if rows:
@@ -44,7 +45,7 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
     had, has = (np.isfinite(each).any(axis=(0, 2)) for each in (recording.keypoints, points))
     for name, before, after in zip(recording.keypoint_names, had, has, strict=True):
         if before and not after:
-            raise InputError(f"keypoint {name!r} is lost in every frame: its likelihood is 0, or its place (0, 0)")
+            raise InputError(f"keypoint {name!r} is lost in every frame: its likelihood is 0")
     if confidence is not None:
         for name, track, sure in zip(recording.keypoint_names, np.moveaxis(points, 1, 0), confidence.T, strict=True):
             _tell_still(name, track, sure)

@@ -62,7 +62,7 @@ def check_plausible(
         total = 1.0  # of an arm whose size is not known, at most
     if recording.length_unit == "body length" and abs(total - 1) > WORST_BODY_LENGTH:
         raise InputError(
-            f"keypoints are in body lengths, in which a body is 1 long, but this body's links are {total:.3g} together: "
+            f"keypoints are in body lengths, in which a body is 1 long, but this body's links are {total:.3g} long: "
             "give its lengths as shares of it, or scale the keypoints by its own length"
         )
     if units.time is None:
@@ -111,8 +111,8 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
             if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:
                 raise InputError(
                     f"{recording.keypoint_names[k - len(lengths)]} moves so fast about the joint before it that it "
-                    f"feels {number:.3g} times gravity in a quarter of the rows: check that times are seconds and --fps is "
-                    "right (--units s if they are)"
+                    f"feels {number:.3g} times gravity in a quarter of the rows: check that times are seconds and "
+                    "--fps is right (--units s if they are)"
                 )
 
 
