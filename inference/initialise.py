@@ -200,7 +200,7 @@ def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: 
 
 
 def confidence_drop(off: np.ndarray, drop: np.ndarray, least: float = 0.1, most: float = 8.0) -> np.ndarray:
-    """Start of δ of each keypoint, (P,): the logarithm by which its doubtful rows' misfits are larger, per unit of drop.
+    """Start of δ of each keypoint, (P,): by how much its doubtful rows' misfits are larger, in logarithms per drop.
 
     From misfits (T, 2 P) and drops (T, P) of the confidence. Where lost points begin as good ones, the mode runs
     through them, and the search for parameters ends there.

@@ -24,6 +24,7 @@ from .units import TIMES
 
 GRAVITY = 9.81  # m/s²
 QUICKEST = 1e-5  # s, ten times a fast camera's interval and a motor controller's
+USUAL = 0.02  # s, between a film's 1/30 and a robot's log
 FASTEST = 20.0  # Froude number: four turns a second of a link of .3 m
 BASELINE = 0.1  # √(L/g), over which a speed is taken
 
@@ -52,7 +53,8 @@ def check_interval(recording: Recording, length: float) -> None:
     if QUICKEST <= interval <= slowest:
         return
     whole = bool((time == np.round(time)).all()) and interval == 1.0
-    likely = next((unit for unit, size in TIMES.items() if 10 * QUICKEST <= interval * size <= slowest), None)
+    fitting = [unit for unit, size in TIMES.items() if 10 * QUICKEST <= interval * size <= slowest]
+    likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / USUAL)), default=None)
     if whole:
         hint = "these look like frame numbers: pass --units frames --fps with the frame rate"
     elif likely is not None:
