@@ -23,21 +23,26 @@ class Recorded:
 
     recording: Annotated[str, typer.Argument(help="File of keypoints, or the name of a known recording.")]
     body: BodyFile
-    units: Annotated[str | None, typer.Option(help="Of the file's numbers: px, mm, cm, m; deg, rad.")] = None
+    units: Annotated[str | None, typer.Option(help="Of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")] = None
     fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
     format: Annotated[str | None, typer.Option(help="Of the file, if it is not plain from it.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[
-        bool, typer.Option("--body-lengths", help="No scale known: divide by the body's own length.")
+        bool, typer.Option("--body-lengths", help="No scale known: take it from the body's own length.")
     ] = False
     base: Annotated[
         str | None, typer.Option(help="Keypoint to subtract; default: the first joint's (`diagnose`: none in metres).")
+    ] = None
+    individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
+    plane: Annotated[
+        str | None,
+        typer.Option(help="Of a file's three axes, right and up: xy, xz …; default: without a constant one."),
     ] = None
     frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
 
-    def read(self, name: str, body: Any, as_filmed: bool = False) -> Any:
+    def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording
 
@@ -47,10 +52,13 @@ class Recorded:
             self.base,
             self.body_lengths,
             as_filmed,
+            frames,
             units=self.units,
             fps=self.fps,
             format=self.format,
             scale=self.scale,
+            individual=self.individual,
+            plane=self.plane,
         )
 
 
@@ -99,12 +107,11 @@ class Inference(Recorded):
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
         from invdyn.models import TORQUE_PROCESSES
 
-        from .inputs import frame_range, load_body, load_known
+        from .inputs import load_body, load_known
 
         body = load_body(self.body)
-        recording = self.read(self.recording, body)
         return {
-            "recording": recording.select(*frame_range(self.frames)),
+            "recording": self.read(self.recording, body, frames=self.frames),
             "body": body,
             "truth": None if self.truth is None else load_known(self.truth, body),
             "num_filters": self.filters,
@@ -182,18 +189,18 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from .inputs import frame_range, load_body
+        from .inputs import load_body
 
         body = load_body(self.body)
 
-        def read(name: str) -> Any:
-            recording = self.read(name, body, as_filmed=True)
+        def read(name: str, frames: str = ":") -> Any:
+            recording = self.read(name, body, as_filmed=True, frames=frames)
             if self.hide_torque and recording.torques is not None:
                 joints = recording.joint_names if recording.angles is not None else ()
                 recording = replace(recording, torques=None, joint_names=joints)
             return recording
 
-        recording = read(self.recording).select(*frame_range(self.frames))
+        recording = read(self.recording, self.frames)
         return {
             "recording": [recording, *map(read, self.others)] if self.others else recording,
             "body": body,

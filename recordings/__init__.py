@@ -9,10 +9,12 @@ from .joined import joined
 from .keypoint_csv import read_keypoint_csv, write_keypoint_csv
 from .loader import load
 from .opensim import read_sto, read_trc, write_moments, write_sto
+from .pace import bridged
+from .plausible import check_plausible
 from .recording import Recording
 from .tables import read_table, write_table
 from .truth import Truth, read_truth, write_truth
-from .units import check_plausible, in_body_lengths, median_link_lengths, parse_units
+from .units import in_body_lengths, median_link_lengths, parse_units
 
 __all__ = [
     "FORMATS",
@@ -21,6 +23,7 @@ __all__ = [
     "Recording",
     "Truth",
     "atomic_path",
+    "bridged",
     "check_plausible",
     "check_writable",
     "demo_frames",

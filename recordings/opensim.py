@@ -16,6 +16,9 @@ from .recording import Recording
 from .tables import read_numbers
 from .units import METRES
 
+TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
+"""Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
+
 
 def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
     """Write columns (T,) by label, `time` first, NaN as `nan`. Raises InputError if time is not first."""

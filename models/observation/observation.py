@@ -71,7 +71,9 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        return [] if self.keypoints is None or self.keypoints.confidence is None else [self.keypoints.confidence.doubt]
+        if self.keypoints is None or self.keypoints.confidence is None:
+            return []
+        return [self.keypoints.confidence.doubt, self.keypoints.confidence.drop]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
