@@ -1,0 +1,1 @@
+"""What sensors see of a body: pixels of cameras."""

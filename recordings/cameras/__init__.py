@@ -1,0 +1,1 @@
+"""Several cameras at one scene: calibrations read and written, pixels to points in space, poses adjusted."""
