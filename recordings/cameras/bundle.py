@@ -1,10 +1,11 @@
 """Bundle adjustment: poses of the cameras, and if asked their lenses, together with the points that they see.
 
-Minimises Σ ρ(√w (y − π_c(R_c X + t_c)) / σ) over all pixels by SciPy's trust-region least squares with a sparse, exact
-Jacobian (Triggs et al., "Bundle adjustment: a modern synthesis", 2000); ρ is the negative log of a Student-t with ν = 4
-for each coordinate. What no pixel can tell is held: the first camera's pose, and the scale, by the distance from the
-first camera to the one farthest from it. Lenses stay as they are unless asked for: few points of one body say little of
-a focal length, and a fit that may move it moves it far.
+Maximises the likelihood of `triangulate`, Student-t with ν = 4 in the plane, over cameras and points at once: EM's
+weights in turn with a few steps of SciPy's trust-region least squares on an exact, sparse Jacobian (Triggs et al.,
+"Bundle adjustment: a modern synthesis", 2000). What no pixel can tell is held: the first camera's pose, and the scale,
+by the distance from the first camera to the one farthest from it. Lenses stay as they are unless asked for: few points
+of one body say little of a focal length, and a fit that may move it moves it far. Nor are poses better than a careful
+calibration's where a tracker is wrong in one view for long: the poses take that over.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,8 @@ from .projection import project_with_jacobian
 from .triangulate import FAR, FREEDOM, triangulate
 
 INTRINSICS = ("focal", "distortion")
+STEPS = 4
+"""Evaluations of a least-squares problem before its weights are taken anew."""
 FEWEST = 8
 """Points that a camera must share with others: six numbers of its pose, and some to spare."""
 
@@ -48,7 +51,7 @@ def bundle_adjust(
     pixels: np.ndarray,
     confidence: np.ndarray | None = None,
     intrinsics: Sequence[str] = (),
-    most_evaluations: int = 200,
+    rounds: int = 100,
 ) -> Adjusted:
     """Adjust C cameras and N points.
 
@@ -58,7 +61,7 @@ def bundle_adjust(
         confidence: (N, C), in [0, 1]; default 1.
         intrinsics: of `INTRINSICS`, what to free beside the poses: "focal", one factor a camera for fx and fy;
             "distortion", the first two radial coefficients of Brown's law.
-        most_evaluations: of the residuals.
+        rounds: of weights and least squares, at most.
 
     Raises:
         InputError: as `triangulate`; an unknown name, a fisheye lens whose distortion is to be freed, or a camera that
@@ -78,19 +81,8 @@ def bundle_adjust(
         if "distortion" in intrinsics and camera.fisheye:
             raise InputError(f"camera {camera.name!r} has a fisheye lens, whose distortion stays as it is")
     problem = _Bundle(calibration, pixels[known], trust[known] * used[known], start.scale, tuple(intrinsics))
-    found = least_squares(
-        problem.residuals,
-        problem.pack(start.points[known]),
-        jac=problem.jacobian,
-        loss=_student,
-        x_scale="jac",
-        tr_solver="lsmr",
-        ftol=1e-10,
-        xtol=1e-10,
-        gtol=1e-10,
-        max_nfev=most_evaluations,
-    )
-    cameras, points = problem.unpack(found.x)
+    vector, converged = problem.fit(problem.pack(start.points[known]), rounds)
+    cameras, points = problem.unpack(vector)
     adjusted, factor = _held_scale(calibration, replace(calibration, cameras=tuple(cameras)))
     whole = np.full((len(pixels), 3), np.nan)
     origin = calibration.cameras[0].position
@@ -105,15 +97,8 @@ def bundle_adjust(
         points=whole,
         before=median(calibration.cameras, start.points),
         after=median(adjusted.cameras, whole),
-        converged=bool(found.status > 0),
+        converged=converged,
     )
-
-
-def _student(square: np.ndarray) -> np.ndarray:
-    """ρ, ρ′, ρ″ of squared residuals, as SciPy asks for them."""
-    inner = 1 + square / FREEDOM
-    slope = (FREEDOM + 1) / FREEDOM / inner
-    return np.stack([(FREEDOM + 1) * np.log(inner), slope, -slope / (FREEDOM * inner)])
 
 
 def _held_scale(before: Calibration, after: Calibration) -> tuple[Calibration, float]:
@@ -181,17 +166,37 @@ class _Bundle:
             camera = replace(camera, distortion=camera.distortion + np.array([*lens, 0, 0, 0]))
         return camera
 
-    def residuals(self, vector: np.ndarray) -> np.ndarray:
-        """Of all pixels, in σ; those of pixels that are not there are 0."""
+    def fit(self, vector: np.ndarray, rounds: int) -> tuple[np.ndarray, bool]:
+        """Weights and least squares in turn, until the cost stays; the last vector, and whether it did."""
+        cost = np.inf
+        for _ in range(rounds):
+            square = (self._misses(vector) ** 2).sum(-1)
+            before, cost = cost, 0.5 * (FREEDOM + 2) * np.log1p(square / FREEDOM).sum()
+            if before - cost < 1e-7 * cost:
+                return vector, True
+            root = np.sqrt((FREEDOM + 2) / (FREEDOM + square))
+            vector = least_squares(
+                lambda v, root=root: (root[..., None] * self._misses(v)).ravel(),
+                vector,
+                jac=lambda v, root=root: self._jacobian(v, root),
+                x_scale="jac",
+                tr_solver="lsmr",
+                tr_options={"atol": 1e-9, "btol": 1e-9, "maxiter": 500},
+                max_nfev=STEPS,
+            ).x
+        return vector, False
+
+    def _misses(self, vector: np.ndarray) -> np.ndarray:
+        """(C, M, 2) projection less pixel, in σ; 0 of a pixel that is not there."""
         cameras, points = self.unpack(vector)
         rows = []
         for c, camera in enumerate(cameras):
             miss = np.nan_to_num(project_with_jacobian(camera, points)[0] - self.pixels[:, c], nan=FAR)
             rows.append(np.sqrt(self.trust[:, c, None]) * miss / self.sigma)
-        return np.concatenate(rows).ravel()
+        return np.stack(rows)
 
-    def jacobian(self, vector: np.ndarray) -> csr_matrix:
-        """Of `residuals`, by blocks: each pixel depends on one camera and one point."""
+    def _jacobian(self, vector: np.ndarray, root_weight: np.ndarray) -> csr_matrix:
+        """Of the weighted misses, by blocks: each pixel depends on one camera and one point."""
         cameras, points = self.unpack(vector)
         many = len(points)
         values, rows, columns = [], [], []
@@ -203,7 +208,7 @@ class _Bundle:
 
         for c, camera in enumerate(cameras):
             pixels, by_local, local = project_with_jacobian(camera, points)
-            root = np.sqrt(self.trust[:, c])[:, None, None] / self.sigma
+            root = (root_weight[c] * np.sqrt(self.trust[:, c]))[:, None, None] / self.sigma
             by_local = np.nan_to_num(root * by_local)
             row = (2 * (c * many + np.arange(many))[:, None] + [0, 1])[:, :, None]
             at = self.camera_size + 3 * np.arange(many)[:, None] + [0, 1, 2]

@@ -168,6 +168,11 @@ class Calibration:
             raise InputError(f"a scale must be positive and finite, got {factor}")
         return replace(self, cameras=tuple(camera.scaled(factor) for camera in self.cameras), metric=metric)
 
+    def turned(self, rotation: np.ndarray) -> "Calibration":
+        """The same cameras in a frame that `rotation` (3, 3) takes the present one to: X′ = rotation X."""
+        cameras = (replace(camera, rotation=camera.rotation @ rotation.T) for camera in self.cameras)
+        return replace(self, cameras=tuple(cameras))
+
     def baseline(self, first: str, second: str) -> float:
         """Distance of two cameras. Raises InputError for one that is not there."""
         one, two = self.select([first, second])

@@ -9,8 +9,8 @@
        dt: d
        data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
 
-Layout: OpenCV, "XML/YAML/JSON file storages". The part of YAML that these files use is read here line by line: blocks of
-`key: value` told apart by their indent, and lists in brackets over one line or more. No tag makes an object, so that
+Layout: OpenCV, "XML/YAML/JSON file storages". The part of YAML that these files use is read here line by line: blocks
+of `key: value` told apart by their indent, and lists in brackets over one line or more. No tag makes an object, so that
 a file can do nothing but hold numbers; what goes beyond this part is an InputError with its line.
 """
 

@@ -4,7 +4,7 @@ Pixel y of camera c is a Student-t about the projection of X, in the plane, with
 
     −log p = Σ_c (ν + 2)/2 · log(1 + w_c |y_c − π_c(X)|² / (ν σ²)) + constant
 
-w is the tracker's confidence. Gauss–Newton with Levenberg's damping on reweighted least squares (the EM algorithm of the
+w is the tracker's confidence. Gauss–Newton with Levenberg's damping on reweighted least squares (EM for a
 t-distribution: Lange, Little and Taylor, JASA 84, 1989) starts from the point nearest to all rays and from the one
 of each pair of cameras, and the likeliest end is kept: one camera that follows another limb drags no point along.
 σ, one for all, is where EM's step for it ends, with three coordinates a point taken off the degrees of freedom.
