@@ -103,8 +103,8 @@ def reconstruct(
         name: of the recording.
 
     Raises:
-        InputError: as `triangulate` and `bundle_adjust`; an axis or a name that is not known, two kinds of length, or none
-            for a calibration that is not metric.
+        InputError: as `triangulate` and `bundle_adjust`; an axis or a name that is not known, two kinds of length, or
+            none for a calibration that is not metric.
     """
     if up not in UP:
         raise InputError(f"up is one of {', '.join(UP)}, got {up!r}")

@@ -1,12 +1,12 @@
 """One scene in several films: the tracks of each camera, brought to the same times.
 
-Pixels as a tracker writes them, y down the picture. Films whose time stamps agree are taken row by row. An offset says by
-how much a camera's stamps run ahead of the first one's at the same moment, s; its tracks are then interpolated, linearly
-and never across a gap.
+Pixels as a tracker writes them, y down the picture. Films whose time stamps agree are taken row by row. An offset says
+by how much a camera's stamps run ahead of the first one's at the same moment, s; its tracks are then interpolated,
+linearly and never across a gap.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +94,8 @@ def read_views(
         offsets: camera → s, see above; a camera that is named is interpolated to the first one's times.
 
     Raises:
-        InputError: fewer than two cameras, names that are not the same in all files, times that do not agree, tracks in
-            metres, outside the picture or where the lens's law has no ray.
+        InputError: fewer than two cameras, names that are not the same in all files, times that do not agree, tracks
+            in metres, outside the picture or where the lens's law has no ray.
         OSError: a file that cannot be opened.
     """
     offsets = dict(offsets or {})
@@ -130,8 +130,6 @@ def read_views(
 
 
 def _y_down(recording: Recording) -> Recording:
-    from dataclasses import replace
-
     return replace(recording, keypoints=recording.keypoints * [1.0, -1.0])
 
 
