@@ -39,8 +39,8 @@ class Board:
         dictionary: of a ChArUco board's markers, as OpenCV calls it.
 
     Raises:
-        InputError: an unknown kind or dictionary, fewer than 3 columns or rows, sizes that are not positive, or markers that
-            are not smaller than squares.
+        InputError: an unknown kind or dictionary, fewer than 3 columns or rows, sizes that are not positive, or markers
+            that are not smaller than squares.
     """
 
     kind: str

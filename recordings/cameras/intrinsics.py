@@ -1,8 +1,8 @@
 """A camera's matrix and lens from pictures of a board, by OpenCV (extra `cameras`; Zhang, IEEE PAMI 22, 2000).
 
 Of many pictures forty are kept that differ most in where and how large the board is. Brown's k1, k2, p1, p2 are fitted;
-k3 is 0, because boards rarely reach the corners that would tell it. A focal length that the pictures leave open, such as
-of a board that never tilts, is refused, and so are strays: pictures whose own error is many times the median are left out.
+k3 is 0, because boards rarely reach the corners that would tell it. A focal length that the pictures leave open, as do
+those of a board that never tilts, is refused. Pictures whose own error is many times the median are left out.
 """
 
 from dataclasses import dataclass
@@ -67,8 +67,8 @@ def fit_intrinsics(name: str, board: Board, found: dict[int, np.ndarray], size: 
     focal, focal_sd = matrix[[0, 1], [0, 1]], np.ravel(spread)[:2]
     if not np.isfinite(focal_sd).all() or (focal_sd > LOOSE * focal).any():
         raise InputError(
-            f"camera {name!r}: its focal length is {focal[0]:.4g} ± {focal_sd[0]:.2g} px, too loose: tilt the board by 30° "
-            "and more, this way and that, near and far"
+            f"camera {name!r}: its focal length is {focal[0]:.4g} ± {focal_sd[0]:.2g} px, too loose: tilt the board by "
+            "30° and more, this way and that, near and far"
         )
     return Intrinsics(matrix, np.ravel(distortion)[:5], size, float(error), focal_sd, len(chosen))
 

@@ -1,10 +1,12 @@
 """Where several cameras stand, from pictures of one board that they took at the same moments.
 
 OpenCV's `solvePnP` gives the board's pose in each picture. Two cameras that see it together have the relative pose
-R₂ R₁ᵀ, t₂ − R₂ R₁ᵀ t₁; of all their moments, the one that agrees best with the others starts a tree that hangs every camera on
-the first one. Then all poses, of cameras and of boards, are fitted to all corners at once, lenses held, with a loss that
-grows slowly (soft L1 of 1 px). The scene's frame is the first camera's: x right, y down, z ahead.
+R₂ R₁ᵀ, t₂ − R₂ R₁ᵀ t₁; of all their moments the one that agrees best with the others counts. A tree of such pairs hangs
+every camera on the first. Then all poses, of cameras and of boards, are fitted to all corners at once, lenses held,
+with a loss that grows slowly (soft L1 of 1 px). The scene's frame is the first camera's: x right, y down, z ahead.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -37,8 +39,8 @@ def fit_rig(board: Board, lenses: dict[str, Intrinsics], found: dict[str, dict[i
     names = list(lenses)
     if len(names) > 1 and not board.told_apart:
         raise InputError(
-            f"a checkerboard of {board.columns} × {board.rows} corners looks the same turned round, so two cameras cannot "
-            "tell its corners apart: take one of an odd and an even side, or a ChArUco board"
+            f"a checkerboard of {board.columns} × {board.rows} corners looks the same turned round, so two cameras "
+            "cannot tell its corners apart: take one of an odd and an even side, or a ChArUco board"
         )
     cameras = {name: _camera(name, lens, (np.eye(3), np.zeros(3))) for name, lens in lenses.items()}
     boards = {name: {at: _board_pose(board, cameras[name], found[name][at]) for at in found[name]} for name in names}
@@ -116,8 +118,6 @@ def _board_in_scene(at: int, boards: dict[str, dict[int, Pose]], poses: dict[str
 
 def _refine(board: Board, cameras: list[Camera], starts: list[Pose], corners: np.ndarray) -> tuple[list[Camera], float]:
     """Cameras (the first stays) and boards fitted to corners (C, M, n, 2); also the error left, RMS px."""
-    from dataclasses import replace
-
     seen = np.isfinite(corners).all(-1)
     first = 6 * (len(cameras) - 1)
 

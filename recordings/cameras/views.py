@@ -116,8 +116,8 @@ def read_views(
         if set(track.keypoint_names) != set(first.keypoint_names):
             odd = sorted(set(track.keypoint_names) ^ set(first.keypoint_names))[0]
             raise InputError(
-                f"keypoint {odd!r} is not in the tracks of both {first.name!r} and {name!r}: expected the same names in "
-                "all; a column may be empty"
+                f"keypoint {odd!r} is not in the tracks of both {first.name!r} and {name!r}: expected the same names "
+                "in all; a column may be empty"
             )
     rows = [_at(track, first, name, offsets) for name, track in tracks.items()]
     return Views(
