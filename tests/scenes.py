@@ -1,6 +1,9 @@
 """Cameras around a scene, and pictures of a board as such a camera takes them."""
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from invdyn.recordings.cameras.camera import Calibration, Camera
 from invdyn.recordings.cameras.projection import rays
@@ -40,6 +43,21 @@ def swinging(frames=40):
     shoulder = np.stack([0.1 * np.sin(time), 0.05 * time, 1.3 + 0.02 * np.cos(5 * time)], -1)
     elbow = shoulder + 0.3 * along(first)
     return np.stack([shoulder, elbow, elbow + 0.25 * along(second)], 1)
+
+
+def moved(calibration, seed=0):
+    """All cameras but the first pushed by some cm and turned by a degree."""
+    rng = np.random.default_rng(seed)
+    first, *others = calibration
+    pushed = [
+        replace(
+            camera,
+            rotation=Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix() @ camera.rotation,
+            translation=camera.translation + rng.normal(0, 0.03, 3),
+        )
+        for camera in others
+    ]
+    return Calibration((first, *pushed), calibration.metric)
 
 
 def picture_of(camera, texture, millimetre, pose, finer=2):

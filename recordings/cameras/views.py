@@ -181,9 +181,10 @@ def _interpolated(
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     before = after - 1
     share = (at - time[before]) / (time[after] - time[before])
-    inside = (share >= -1e-9) & (share <= 1 + 1e-9) & (time[after] - time[before] <= gap)
-    share = np.where(inside, np.clip(share, 0, 1), np.nan)[:, None, None]
+    share = np.where(np.abs(share - np.rint(share)) < 1e-9, np.rint(share), share)
     # A stamp that is met exactly needs no second neighbour.
+    inside = (share == 0) | (share == 1) | ((share > 0) & (share < 1) & (time[after] - time[before] <= gap))
+    share = np.where(inside, share, np.nan)[:, None, None]
     low = np.where(share == 1, 0.0, (1 - share) * pixels[before])
     high = np.where(share == 0, 0.0, share * pixels[after])
     return low + high, np.minimum(confidence[before], confidence[after])

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ring, swinging
-from scipy.spatial.transform import Rotation
+from scenes import moved, ring, swinging
 
 import invdyn.recordings.cameras.bundle as bundle
 from invdyn.recordings import InputError
@@ -16,21 +15,6 @@ from invdyn.recordings.cameras.projection import project
 TRUE = ring(4)
 POINTS = swinging().reshape(-1, 3) * [2, 2, 1]
 PIXELS = np.stack([project(camera, POINTS) for camera in TRUE], 1)
-
-
-def moved(calibration, seed=0):
-    """All cameras but the first pushed by some cm and turned by a degree."""
-    rng = np.random.default_rng(seed)
-    first, *others = calibration
-    pushed = [
-        replace(
-            camera,
-            rotation=Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix() @ camera.rotation,
-            translation=camera.translation + rng.normal(0, 0.03, 3),
-        )
-        for camera in others
-    ]
-    return Calibration((first, *pushed), calibration.metric)
 
 
 def to_the_scale_of(calibration, points, start):
@@ -76,12 +60,13 @@ def test_strays_and_gaps_are_borne():
 def test_a_focal_length_moves_only_if_asked():
     wrong = TRUE.cameras[1].matrix.copy()
     wrong[[0, 1], [0, 1]] *= 1.05
+    pixels = PIXELS[::2]
     start = Calibration(tuple(replace(c, matrix=wrong) if c.name == "cam2" else c for c in TRUE), metric=True)
-    fixed = bundle_adjust(start, PIXELS)
-    assert fixed.after > 0.1
+    fixed = bundle_adjust(start, pixels)
     np.testing.assert_array_equal(fixed.calibration.cameras[1].matrix, wrong)
-    free = bundle_adjust(start, PIXELS, intrinsics=("focal", "distortion"))
-    assert free.after < 0.01
+    free = bundle_adjust(start, pixels, intrinsics=("focal", "distortion"))
+    # Nearer and with a shorter lens looks almost the same: what is left is small, but not nothing.
+    assert fixed.after > 20 * free.after
     ratio = free.calibration.cameras[1].focal / TRUE.cameras[1].focal
     np.testing.assert_allclose(ratio, 1, atol=2e-3)
 

@@ -77,7 +77,7 @@ def same(one, other):
 
 @pytest.mark.parametrize("metric", [True, False])
 def test_our_own_file_reads_back(tmp_path, metric):
-    fish = looking('a "fish" \\ eye', (1, 1, 1), distortion=(0.1, 0.2, 0.3, 0.4), fisheye=True, size=None or (8, 6))
+    fish = looking('a "fish" \\ eye', (1, 1, 1), distortion=(0.1, 0.2, 0.3, 0.4), fisheye=True, size=(8, 6))
     calibration = Calibration((*ring(3).cameras, fish), metric, error=0.25)
     write_calibration(calibration, tmp_path / "calibration.toml")
     again = read_calibration(tmp_path / "calibration.toml")
@@ -139,7 +139,7 @@ def test_qualisys_own_file_and_a_triangulation_of_its_films(data_folder):
     for camera in calibration:
         tracks = np.genfromtxt(folder / f"{camera.name}_mediapipe2d.csv", delimiter=",", skip_header=1)[:, 1:]
         miss = np.linalg.norm(project(camera, points) - tracks.reshape(-1, 8, 3)[..., :2], axis=-1)
-        assert np.nanmedian(miss) < 16  # 10.5 over all: the tracker's; a wrong law of the file would be off by 100 s
+        assert np.nanmedian(miss) < 25  # 10 to 17: the tracker's; a wrong law of the file would be off by 100 s
 
 
 def test_opencv_yaml_by_hand(tmp_path):

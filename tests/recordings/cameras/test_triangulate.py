@@ -40,18 +40,18 @@ def test_as_opencv_does_with_two_cameras():
 
 
 def test_the_covariance_is_that_of_the_errors():
-    """Student-t pixels of σ 3: the squared error in its own covariance has the mean of a χ² with 3 degrees."""
+    """Student-t pixels of σ 3: the squared error in its own covariance has the quantiles of a χ² with 3 degrees."""
     calibration, rng = ring(4), np.random.default_rng(0)
-    points = np.tile(POINTS, (10, 1))
+    points = np.tile(POINTS, (5, 1))
     clean = pixels_of(calibration, points)
     tails = np.sqrt(rng.chisquare(4, clean.shape[:2]) / 4)[..., None]
     found = triangulate(calibration, clean + 3 * rng.standard_normal(clean.shape) / tails)
     assert found.scale == pytest.approx(3, rel=0.1)
     error = found.points - points
     normal = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
-    # χ²: mean 3, 90 % below 6.25. Weights of few pixels tell less than those of many: within a fifth.
-    assert np.mean(normal < 6.25) == pytest.approx(0.9, abs=0.05)
-    assert np.median(normal) == pytest.approx(2.37, rel=0.2)
+    # Of 600 points 90 % below 6.25 is ± 1.2 %; weights of four pixels are less than all of the truth: 2 % are missing.
+    assert np.mean(normal < 6.25) == pytest.approx(0.9, abs=0.04)
+    assert np.mean(normal < 2.37) == pytest.approx(0.5, abs=0.05)
 
 
 def test_a_camera_that_strays_does_not_drag_the_point_along():

@@ -1,0 +1,162 @@
+"""The commands of films of several cameras: `invdyn calibrate` and `invdyn triangulate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import ProgressBar, check_outputs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(calibrate)
+    app.command()(triangulate)
+
+
+def calibrate(
+    films: Annotated[
+        list[str], typer.Argument(help="CAMERA=FILM for each camera, a film or a folder of pictures of one board.")
+    ],
+    board: Annotated[str, typer.Option(help="checkerboard:9x6 (inner corners) or charuco:7x5 (squares).")],
+    square: Annotated[float, typer.Option(help="Side of a square, m.")],
+    out: Annotated[Path, typer.Option(help="The calibration: .toml.")],
+    marker: Annotated[float | None, typer.Option(help="Side of a marker, m; default: half a square.")] = None,
+    dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV calls it.")] = "DICT_4X4_50",
+    every: Annotated[int, typer.Option(min=1, help="Search every n-th frame of a film.")] = 10,
+) -> None:
+    """Calibrate cameras from films of a board that was shown to all of them."""
+    from invdyn.recordings import InputError
+    from invdyn.recordings.cameras.boards import Board
+    from invdyn.recordings.cameras.calibrate import calibrate as run
+    from invdyn.recordings.cameras.camera_tables import write_calibration
+
+    sources: dict[str, Path] = {}
+    for film in films:
+        name, equals, path = film.partition("=")
+        path = Path(path if equals else film)
+        name = name if equals else path.stem
+        if name in sources:
+            raise InputError(f"camera {name!r} has two films: write CAMERA=FILM, each with its own name")
+        sources[name] = path
+    check_outputs([out], sources.values())
+    shown = Board.parse(board, square, marker, dictionary)
+    with ProgressBar() as progress:
+        calibration, lenses = run(sources, shown, every, progress)
+    write_calibration(calibration, out)
+    typer.echo(f"{'camera':<14} {'pictures':>8} {'error px':>8} {'focal px':>18} {'position m':>26}")
+    for camera in calibration:
+        lens = lenses[camera.name]
+        focal = f"{lens.matrix[0, 0]:.1f} ± {lens.focal_sd[0]:.1f}"
+        place = ", ".join(f"{each:.3f}" for each in camera.position)
+        typer.echo(f"{camera.name:<14} {lens.pictures:>8} {lens.error:>8.3f} {focal:>18} {place:>26}")
+    typer.echo(
+        f"{len(calibration)} cameras together: {calibration.error:.3f} px; frame and origin are {calibration.names[0]}'s"
+    )
+    typer.echo(f"calibration  {out}")
+
+
+def triangulate(
+    tracks: Annotated[
+        list[str], typer.Argument(help="Tracks in pixels, one file a camera: CAMERA=FILE, or files called as cameras.")
+    ],
+    calibration: Annotated[
+        list[Path],
+        typer.Option(
+            help=".toml (ours, aniposelib, Pose2Sim), .qca.txt (Qualisys), .yml or .json (OpenCV, repeatable)."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
+    unit: Annotated[str | None, typer.Option(help="Of the calibration, if it does not say: m, cm, mm.")] = None,
+    length: Annotated[
+        list[str] | None, typer.Option(help="A known length: shoulder:elbow=0.28, m; repeatable.")
+    ] = None,
+    baseline: Annotated[str | None, typer.Option(help="Known distance of two cameras: cam1:cam2=1.2, m.")] = None,
+    offset: Annotated[
+        list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+    ] = None,
+    up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
+    refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
+    free: Annotated[str, typer.Option(help="With --refine, of the lenses: focal, distortion, or both.")] = "",
+    noise: Annotated[float | None, typer.Option(min=1e-6, help="Scale of a pixel's error, px; default: found.")] = None,
+    errors: Annotated[Path | None, typer.Option(help="Reprojection errors by camera and keypoint: .csv.")] = None,
+    sd: Annotated[Path | None, typer.Option(help="Standard deviations of all coordinates: .csv, m.")] = None,
+    calibration_out: Annotated[
+        Path | None, typer.Option(help="The cameras in the recording's frame, in metres: .toml.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the files do not say.")] = None,
+    format: Annotated[str | None, typer.Option(help="Of the files, if it is not plain from them.")] = None,
+    individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
+) -> None:
+    """Turn the tracks of several cameras into one recording in space."""
+    from invdyn.recordings import write_keypoint_csv, write_table, write_text
+    from invdyn.recordings.cameras.camera_tables import write_calibration
+    from invdyn.recordings.cameras.formats import read_calibration
+    from invdyn.recordings.cameras.reprojection import csv_text, table
+    from invdyn.recordings.cameras.scene import Length, reconstruct
+    from invdyn.recordings.cameras.views import match_names, read_views
+
+    cameras = read_calibration(calibration, unit)
+    files = match_names(tracks, cameras.names)
+    check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
+    with ProgressBar() as progress:
+        views = read_views(
+            files, cameras, fps=fps, format=format, individual=individual, offsets=dict(map(_offset, offset or ()))
+        )
+        progress(1, 2, "triangulate")
+        scene = reconstruct(
+            views,
+            lengths=[Length.parse(text) for text in length or ()],
+            baseline=None if baseline is None else Length.parse(baseline),
+            up=up,
+            refine=refine,
+            intrinsics=[word.strip() for word in free.split(",") if word.strip()],
+            scale=noise,
+            name=out.stem,
+        )
+        progress(2, 2, "triangulate")
+    recording = scene.recording
+    write_keypoint_csv(recording, out)
+    written = {"recording": out}
+    if errors is not None:
+        write_text(errors, csv_text(scene.rows))
+        written["errors"] = errors
+    if sd is not None:
+        columns = {
+            f"{point}_{axis}_sd": scene.sd[:, p, s]
+            for p, point in enumerate(recording.keypoint_names)
+            for s, axis in enumerate("xyz")
+        }
+        write_table({"time": recording.time, **columns}, sd)
+        written["spread"] = sd
+    if calibration_out is not None:
+        write_calibration(scene.calibration, calibration_out)
+        written["cameras"] = calibration_out
+    typer.echo(table(scene.rows))
+    known = _share_known(recording.keypoints)
+    typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
+    if scene.factor != 1:
+        typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
+    typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
+
+
+def _share_known(points: object) -> float:
+    import numpy as np
+
+    return float(np.isfinite(points).all(-1).mean())
+
+
+def _offset(text: str) -> tuple[str, float]:
+    """Read "cam2=0.02". Raises InputError for anything else."""
+    import math
+
+    from invdyn.recordings import InputError
+
+    name, _, number = text.partition("=")
+    try:
+        seconds = float(number)
+    except ValueError:
+        seconds = math.nan
+    if not (name and math.isfinite(seconds)):
+        raise InputError(f"an offset is CAMERA=SECONDS, such as cam2=0.02, got {text!r}")
+    return name, seconds
