@@ -62,9 +62,7 @@ def triangulate(
     ],
     calibration: Annotated[
         list[Path],
-        typer.Option(
-            help=".toml (ours, aniposelib, Pose2Sim), .qca.txt (Qualisys), .yml or .json (OpenCV, repeatable)."
-        ),
+        typer.Option(help="Calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
     ],
     out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
     unit: Annotated[str | None, typer.Option(help="Of the calibration, if it does not say: m, cm, mm.")] = None,

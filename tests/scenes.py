@@ -1,6 +1,7 @@
 """Cameras around a scene, and pictures of a board as such a camera takes them."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -60,6 +61,16 @@ def moved(calibration, seed=0):
     return Calibration((first, *pushed), calibration.metric)
 
 
+@cache
+def _finer_rays(camera, finer):
+    """Rays through a camera's pixels, so many along each side of one: the same for all pictures."""
+    width, height = camera.size
+    offset = (np.arange(finer) + 0.5) / finer - 0.5
+    column = (np.arange(width)[:, None] + offset).ravel()
+    row = (np.arange(height)[:, None] + offset).ravel()
+    return rays(camera, np.stack(np.meshgrid(column, row), -1))
+
+
 def picture_of(camera, texture, millimetre, pose, finer=2):
     """Grey picture (H, W) of a flat board: each pixel is where its ray meets the board's plane.
 
@@ -73,10 +84,7 @@ def picture_of(camera, texture, millimetre, pose, finer=2):
     import cv2
 
     width, height = camera.size
-    offset = (np.arange(finer) + 0.5) / finer - 0.5
-    column = (np.arange(width)[:, None] + offset).ravel()
-    row = (np.arange(height)[:, None] + offset).ravel()
-    aim = rays(camera, np.stack(np.meshgrid(column, row), -1))
+    aim = _finer_rays(camera, finer)
     rotation, place = pose
     normal = rotation[:, 2]
     reach = ((place - camera.position) @ normal) / (aim @ normal)

@@ -13,6 +13,8 @@ from ..errors import InputError
 from .boards import Board, opencv
 
 FEWEST, MOST = 5, 40
+LEAST_PERSPECTIVE = 0.03
+"""Of the board that tilts most: how much larger its near edge looks than its middle."""
 LOOSE = 0.03
 """Largest standard deviation of a focal length, of itself."""
 STRAY = 4.0
@@ -56,6 +58,11 @@ def fit_intrinsics(name: str, board: Board, found: dict[int, np.ndarray], size: 
             f"camera {name!r}: the board was found in {len(found)} pictures, expected {FEWEST} or more: check its kind "
             "and size, or show it longer, whole and sharp"
         )
+    if (perspective := max(_perspective(board, pixels) for pixels in found.values())) < LEAST_PERSPECTIVE:
+        raise InputError(
+            f"camera {name!r}: the board's near edge looks {perspective:.1%} larger than its middle at most, so "
+            "nothing tells the focal length: tilt the board by 30° and more, this way and that, near and far"
+        )
     chosen = _spread([found[number] for number in sorted(found)])
     fit = _fit(board, chosen, size)
     errors = np.ravel(fit[-1])
@@ -71,6 +78,15 @@ def fit_intrinsics(name: str, board: Board, found: dict[int, np.ndarray], size: 
             "30° and more, this way and that, near and far"
         )
     return Intrinsics(matrix, np.ravel(distortion)[:5], size, float(error), focal_sd, len(chosen))
+
+
+def _perspective(board: Board, pixels: np.ndarray) -> float:
+    """Relative change of size from a board's middle to its edge, by the homography that takes one to the other."""
+    seen = np.isfinite(pixels).all(-1)
+    middle = board.corners.mean(0)
+    places = (board.corners - middle)[:, :2] / np.abs(board.corners - middle)[:, :2].max(0)
+    homography, _ = opencv().findHomography(places[seen], pixels[seen])
+    return 0.0 if homography is None else float(np.abs(homography[2, :2]).sum() / np.abs(homography[2, 2]))
 
 
 def _fit(board: Board, pictures: list[np.ndarray], size: tuple[int, int]) -> tuple:

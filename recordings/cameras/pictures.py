@@ -1,11 +1,14 @@
 """Grey pictures of a film, decoded by ffmpeg (extra `cameras`), or of a folder of images, in order."""
 
+import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
-from ..errors import InputError, first_line
+from ..errors import InputError
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -54,13 +57,27 @@ def _film(path: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
         import imageio_ffmpeg
     except ImportError:
         raise InputError(f"{path}: decoding a film needs one more package: pip install 'invdyn[cameras]'") from None
-    frames = imageio_ffmpeg.read_frames(str(path), pix_fmt="gray", bits_per_pixel=8)
-    try:
-        width, height = next(frames)["size"]
-        for number, frame in enumerate(frames):
-            if number % every == 0:
-                yield number, np.frombuffer(frame, np.uint8).reshape(height, width)
-    except (OSError, RuntimeError, IndexError, KeyError, StopIteration) as error:
-        raise InputError(f"{path}: not a film that ffmpeg can decode ({first_line(error)})") from None
-    finally:
-        frames.close()
+    # YUV4MPEG2: a line that says the size, then each frame behind a line of its own; every frame once, as it is stored.
+    form = ["-f", "yuv4mpegpipe", "-strict", "-1", "-pix_fmt", "gray", "-fps_mode", "passthrough", "-"]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", "-i", str(path), "-map", "0:v:0", *form]
+    with tempfile.TemporaryFile() as complaints:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints) as decoder:
+            try:
+                yield from _frames(decoder.stdout, every)
+            finally:
+                decoder.kill()  # whoever asked may have had enough
+        complaints.seek(0)
+        told = complaints.read().decode(errors="replace").strip().splitlines()
+    if told and decoder.returncode > 0:
+        raise InputError(f"{path}: not a film that ffmpeg can decode ({told[-1][:200]})")
+
+
+def _frames(stream: IO[bytes], every: int) -> Iterator[tuple[int, np.ndarray]]:
+    words = stream.readline().decode("ascii", errors="replace").split()
+    side = {word[0]: int(word[1:]) for word in words if word[0] in "WH"}
+    number = 0
+    while stream.readline():
+        frame = stream.read(side["W"] * side["H"])
+        if len(frame) == side["W"] * side["H"] and number % every == 0:
+            yield number, np.frombuffer(frame, np.uint8).reshape(side["H"], side["W"])
+        number += 1

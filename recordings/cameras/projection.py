@@ -85,7 +85,9 @@ class Lens:
                 reach = 0.5 + 0.5 * np.linalg.norm(plane, axis=-1, keepdims=True)
                 step /= np.maximum(1, np.linalg.norm(step, axis=-1, keepdims=True) / reach)
                 plane = plane + step
-                if not (np.abs(step) > 1e-15 * (1 + np.abs(plane))).any():  # NaN compares false
+                if not (
+                    np.abs(step) > 1e-11 * (1 + np.abs(plane))
+                ).any():  # what is left is its square; NaN is not more
                     break
             miss = np.linalg.norm(self.distort(plane)[0] - bent, axis=-1)
             found = (miss < 1e-9 * (1 + np.linalg.norm(bent, axis=-1))) & (np.linalg.norm(plane, axis=-1) <= self.limit)

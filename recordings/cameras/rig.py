@@ -3,7 +3,8 @@
 OpenCV's `solvePnP` gives the board's pose in each picture. Two cameras that see it together have the relative pose
 R₂ R₁ᵀ, t₂ − R₂ R₁ᵀ t₁; of all their moments the one that agrees best with the others counts. A tree of such pairs hangs
 every camera on the first. Then all poses, of cameras and of boards, are fitted to all corners at once, lenses held,
-with a loss that grows slowly (soft L1 of 1 px). The scene's frame is the first camera's: x right, y down, z ahead.
+with a loss that a mistaken board barely moves (Cauchy's, of 1 px). The scene's frame is the first camera's: x right,
+y down, z ahead.
 """
 
 from dataclasses import replace
@@ -146,6 +147,6 @@ def _refine(board: Board, cameras: list[Camera], starts: list[Pose], corners: np
         pattern[2 * row : 2 * row + 2, first + 6 * m : first + 6 * m + 6] = 1
         if c:
             pattern[2 * row : 2 * row + 2, 6 * (c - 1) : 6 * c] = 1
-    fit = least_squares(misses, vector, jac_sparsity=pattern, x_scale="jac", loss="soft_l1", f_scale=1.0, max_nfev=50)
+    fit = least_squares(misses, vector, jac_sparsity=pattern, x_scale="jac", loss="cauchy", f_scale=1.0, max_nfev=50)
     error = np.sqrt(2 * np.mean(misses(fit.x) ** 2))
     return cameras_of(fit.x), float(error)

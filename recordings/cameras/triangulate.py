@@ -153,7 +153,7 @@ class _Problem:
         return max(float(np.median(distance)) / 1.18, 1e-6)
 
     def new_scale(self, points: np.ndarray, sigma: float) -> float:
-        """EM's step for σ, weights over their own mean (Kent, Tyler and Vardi, Communications in Statistics 23, 1994)."""
+        """EM's step for σ, weights over their mean (Kent, Tyler and Vardi, Communications in Statistics 23, 1994)."""
         square = (self._look(points)[0] ** 2).sum(-1)
         seen = self.trust > 0
         tau = self._tau(square, sigma, self.trust)[seen]
