@@ -50,9 +50,8 @@ def calibrate(
         focal = f"{lens.matrix[0, 0]:.1f} ± {lens.focal_sd[0]:.1f}"
         place = ", ".join(f"{each:.3f}" for each in camera.position)
         typer.echo(f"{camera.name:<14} {lens.pictures:>8} {lens.error:>8.3f} {focal:>18} {place:>26}")
-    typer.echo(
-        f"{len(calibration)} cameras together: {calibration.error:.3f} px; frame and origin are {calibration.names[0]}'s"
-    )
+    first = calibration.names[0]
+    typer.echo(f"{len(calibration)} together: {calibration.error:.3f} px; frame and origin are those of {first}")
     typer.echo(f"calibration  {out}")
 
 
