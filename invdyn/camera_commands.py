@@ -27,9 +27,8 @@ def calibrate(
 ) -> None:
     """Calibrate cameras from films of a board that was shown to all of them."""
     from invdyn.recordings import InputError
-    from invdyn.recordings.cameras.boards import Board
-    from invdyn.recordings.cameras.calibrate import calibrate as run
-    from invdyn.recordings.cameras.camera_tables import write_calibration
+    from invdyn.recordings.cameras import Board, write_calibration
+    from invdyn.recordings.cameras import calibrate as run
 
     sources: dict[str, Path] = {}
     for film in films:
@@ -87,11 +86,15 @@ def triangulate(
 ) -> None:
     """Turn the tracks of several cameras into one recording in space."""
     from invdyn.recordings import write_keypoint_csv, write_table, write_text
-    from invdyn.recordings.cameras.camera_tables import write_calibration
-    from invdyn.recordings.cameras.formats import read_calibration
+    from invdyn.recordings.cameras import (
+        Length,
+        match_names,
+        read_calibration,
+        read_views,
+        reconstruct,
+        write_calibration,
+    )
     from invdyn.recordings.cameras.reprojection import csv_text, table
-    from invdyn.recordings.cameras.scene import Length, reconstruct
-    from invdyn.recordings.cameras.views import match_names, read_views
 
     cameras = read_calibration(calibration, unit)
     files = match_names(tracks, cameras.names)

@@ -12,6 +12,7 @@ radius: past that the picture would fold back, so such points, and those behind 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class Lens:
     limit: float
 
     @classmethod
+    @lru_cache(maxsize=64)  # a camera never changes
     def of(cls, camera: Camera) -> "Lens":
         """The lens of a camera."""
         return cls(camera.distortion, camera.fisheye, valid_radius(camera.distortion, camera.fisheye))

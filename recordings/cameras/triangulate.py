@@ -5,11 +5,12 @@ Pixel y of camera c is a Student-t about the projection of X, in the plane, with
     −log p = Σ_c (ν + 2)/2 · log(1 + w_c |y_c − π_c(X)|² / (ν σ²)) + constant
 
 w is the tracker's confidence. Gauss–Newton with Levenberg's damping on reweighted least squares (EM for a
-t-distribution: Lange, Little and Taylor, JASA 84, 1989) starts from the point nearest to all rays and from the one
-of each pair of cameras, and the likeliest end is kept: one camera that follows another limb drags no point along.
+t-distribution: Lange, Little and Taylor, JASA 84, 1989) starts from the point nearest to all rays and from the
+likeliest of those that each pair of cameras has, and the better end is kept: a camera that follows another limb drags
+no point along.
 σ, one for all, is where EM's step for it ends, with three coordinates a point taken off the degrees of freedom.
 Covariance: inverse of J' Λ J with Λ = (ν + 2)/(ν + 4) · τ w/σ², the t-distribution's information at EM's weights τ
-over their mean. Measured on simulated pixels of that distribution: 90 % regions hold 87 to 89 % of points.
+over their mean. Measured on simulated pixels of that distribution: 90 % regions of two to six cameras hold 86 to 88 % of points.
 """
 
 from dataclasses import dataclass
@@ -74,6 +75,8 @@ def triangulate(
     problem = _Problem(calibration, pixels[several], trust[several])
     starts = _starts(calibration, aim[several], trust[several])
     sigma = scale or problem.first_scale(starts[0])
+    if len(starts) > 1:
+        starts = [starts[0], problem.likeliest(starts[1:], sigma)]
     ends = [problem.descend(start, sigma) for start in starts]
     points = problem.likeliest(ends, sigma)
     if scale is None:

@@ -164,3 +164,27 @@ def test_calibrate(films, run):
     assert outcome.exit_code == 2
     assert "'left': the board was found in 3 pictures, expected 5 or more" in outcome.stderr
     assert not (films / "c.toml").exists()
+
+
+def test_calibrate_writes_what_it_found_and_says_it(films, run, monkeypatch):
+    import invdyn.recordings.cameras as room
+    from invdyn.recordings.cameras.intrinsics import Intrinsics
+
+    def found(sources, board, every, progress):
+        assert {name: str(path) for name, path in sources.items()} == {"cam1": "a.mp4", "cam2": "b.mp4"}
+        assert (board.columns, board.rows, board.marker, every) == (7, 5, 0.02, 3)
+        progress(2, 2, "boards")
+        lenses = {
+            camera.name: Intrinsics(camera.matrix, camera.distortion, camera.size, 0.2, np.array([1.5, 1.5]), 17)
+            for camera in CAMERAS
+        }
+        return replace(CAMERAS, error=0.25), lenses
+
+    pytest.importorskip("cv2")
+    monkeypatch.setattr(room, "calibrate", found)
+    call = ("calibrate", "cam1=a.mp4", "cam2=b.mp4", "--board", "charuco:7x5", "--square", "0.03", "--marker", "0.02")
+    outcome = run(*call, "--every", "3", "--out", "c.toml")
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stdout.splitlines()[1].split()[:6] == ["cam1", "17", "0.200", "1100.0", "±", "1.5"]
+    assert "3 together: 0.250 px" in outcome.stdout
+    assert read_calibration(films / "c.toml").names == CAMERAS.names

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scenes import moved, ring, swinging
 
-import invdyn.recordings.cameras.bundle as bundle
 from invdyn.recordings import InputError
-from invdyn.recordings.cameras.bundle import bundle_adjust
+from invdyn.recordings.cameras.bundle import _Bundle, bundle_adjust
 from invdyn.recordings.cameras.camera import Calibration
 from invdyn.recordings.cameras.projection import project
 
@@ -72,7 +71,7 @@ def test_a_focal_length_moves_only_if_asked():
 
 
 def test_the_jacobian_is_that_of_differences():
-    problem = bundle._Bundle(TRUE, PIXELS[:3], np.ones((3, 4)), 2.0, ("focal", "distortion"))
+    problem = _Bundle(TRUE, PIXELS[:3], np.ones((3, 4)), 2.0, ("focal", "distortion"))
     rng = np.random.default_rng(4)
     vector = problem.pack(POINTS[:3])
     vector[: problem.camera_size] = rng.normal(0, 0.05, problem.camera_size)
