@@ -1,7 +1,7 @@
 """The commands of films of several cameras: `invdyn calibrate` and `invdyn triangulate`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -65,11 +65,18 @@ def triangulate(
     out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
     unit: Annotated[str | None, typer.Option(help="Of the calibration, if it does not say: m, cm, mm.")] = None,
     length: Annotated[
-        list[str] | None, typer.Option(help="A known length: shoulder:elbow=0.28, m; repeatable.")
+        list[str] | None,
+        typer.Option(help="Known: shoulder:elbow=0.28, m, or, with --body, upper_arm=0.28; repeatable."),
+    ] = None,
+    body: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Body whose links --length may name: .toml, .xml or .urdf.")
     ] = None,
     baseline: Annotated[str | None, typer.Option(help="Known distance of two cameras: cam1:cam2=1.2, m.")] = None,
     offset: Annotated[
         list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+    ] = None,
+    find: Annotated[
+        float | None, typer.Option("--find-offsets", min=0.001, help="Find offsets of up to so many seconds.")
     ] = None,
     up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
     refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
@@ -85,28 +92,35 @@ def triangulate(
     individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
 ) -> None:
     """Turn the tracks of several cameras into one recording in space."""
-    from invdyn.recordings import write_keypoint_csv, write_table, write_text
+    from invdyn.recordings import InputError, write_keypoint_csv, write_table, write_text
     from invdyn.recordings.cameras import (
         Length,
+        at_one_time,
+        find_offsets,
         match_names,
         read_calibration,
-        read_views,
+        read_tracks,
         reconstruct,
         write_calibration,
     )
     from invdyn.recordings.cameras.reprojection import csv_text, table
 
+    offsets = dict(map(_offset, offset or ()))
+    if offsets and find is not None:
+        raise InputError("--offset states what --find-offsets looks for: choose one")
+    lengths = [_length(text, body) for text in length or ()]
     cameras = read_calibration(calibration, unit)
     files = match_names(tracks, cameras.names)
     check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
     with ProgressBar() as progress:
-        views = read_views(
-            files, cameras, fps=fps, format=format, individual=individual, offsets=dict(map(_offset, offset or ()))
-        )
-        progress(1, 2, "triangulate")
+        films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
+        if find is not None:
+            offsets = find_offsets(films, cameras, find, progress)
+        views = at_one_time(films, cameras, offsets)
+        progress(0, 1, "triangulate")
         scene = reconstruct(
             views,
-            lengths=[Length.parse(text) for text in length or ()],
+            lengths=lengths,
             baseline=None if baseline is None else Length.parse(baseline),
             up=up,
             refine=refine,
@@ -114,7 +128,7 @@ def triangulate(
             scale=noise,
             name=out.stem,
         )
-        progress(2, 2, "triangulate")
+        progress(1, 1, "triangulate")
     recording = scene.recording
     write_keypoint_csv(recording, out)
     written = {"recording": out}
@@ -135,6 +149,8 @@ def triangulate(
     typer.echo(table(scene.rows))
     known = _share_known(recording.keypoints)
     typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
+    for name, seconds in offsets.items():
+        typer.echo(f"times of {name} run ahead by {seconds:+.4f} s")
     if scene.factor != 1:
         typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
     typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
@@ -144,6 +160,22 @@ def _share_known(points: object) -> float:
     import numpy as np
 
     return float(np.isfinite(points).all(-1).mean())
+
+
+def _length(text: str, body: str | None) -> Any:
+    """Read "shoulder:elbow=0.28", or a link of the body file, "upper_arm=0.28". Raises InputError for anything else."""
+    from invdyn.recordings import InputError
+    from invdyn.recordings.cameras import Length
+
+    name, equals, number = text.partition("=")
+    if body is not None and ":" not in name:
+        from .inputs import load_body
+
+        links = {link.name: link for link in load_body(body).links}
+        if name not in links:
+            raise InputError(f"--length {text}: the body has no link {name!r}, but {', '.join(links)}")
+        text = f"{links[name].joint}:{links[name].tip}{equals}{number}"
+    return Length.parse(text)
 
 
 def _offset(text: str) -> tuple[str, float]:

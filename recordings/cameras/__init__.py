@@ -9,8 +9,9 @@ from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
+from .synchronise import find_offsets
 from .triangulate import Triangulated, triangulate
-from .views import Views, match_names, read_views
+from .views import Views, at_one_time, match_names, read_tracks
 
 __all__ = [
     "Adjusted",
@@ -21,13 +22,15 @@ __all__ = [
     "Scene",
     "Triangulated",
     "Views",
+    "at_one_time",
     "bundle_adjust",
     "calibrate",
+    "find_offsets",
     "match_names",
     "project",
     "rays",
     "read_calibration",
-    "read_views",
+    "read_tracks",
     "reconstruct",
     "reprojection",
     "triangulate",

@@ -10,7 +10,8 @@ likeliest of those that each pair of cameras has, and the better end is kept: a 
 no point along.
 σ, one for all, is where EM's step for it ends, with three coordinates a point taken off the degrees of freedom.
 Covariance: inverse of J' Λ J with Λ = (ν + 2)/(ν + 4) · τ w/σ², the t-distribution's information at EM's weights τ
-over their mean. Measured on simulated pixels of that distribution: 90 % regions of two to six cameras hold 86 to 88 % of points.
+over their mean. Measured on simulated pixels of that distribution: 90 % regions of two to six cameras hold 86 to 88 %
+of points.
 """
 
 from dataclasses import dataclass

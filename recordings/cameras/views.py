@@ -76,39 +76,32 @@ def match_names(files: list[str], names: tuple[str, ...]) -> dict[str, Path]:
     return found
 
 
-def read_views(
+def read_tracks(
     files: Mapping[str, Path],
     calibration: Calibration,
     *,
     fps: float | None = None,
     format: str | None = None,
     individual: str | None = None,
-    offsets: Mapping[str, float] | None = None,
-) -> Views:
-    """Read one file of tracks a camera, in pixels.
+) -> dict[str, Recording]:
+    """Read one file of tracks a camera, in pixels, y down.
 
     Args:
         files: camera → file, two or more; cameras of the calibration without a file are left out.
         calibration: the cameras.
         fps, format, individual: as `recordings.load`.
-        offsets: camera → s, see above; a camera that is named is interpolated to the first one's times.
 
     Raises:
-        InputError: fewer than two cameras, names that are not the same in all files, times that do not agree, tracks
-            in metres, outside the picture or where the lens's law has no ray.
+        InputError: fewer than two cameras, names that are not the same in all files, tracks in metres, outside the
+            picture or where the lens's law has no ray, or likelihoods that are none.
         OSError: a file that cannot be opened.
     """
-    offsets = dict(offsets or {})
     if len(files) < 2:
         raise InputError(f"expected tracks of two cameras or more, got {len(files)}: one picture tells no depth")
-    for name in offsets:
-        if name not in files:
-            raise InputError(f"an offset of camera {name!r}, which has no tracks: these have {', '.join(files)}")
-    cameras = calibration.select(list(files))
     tracks = {}
-    for camera, path in zip(cameras, files.values(), strict=True):
+    for camera, path in zip(calibration.select(list(files)), files.values(), strict=True):
         recording = read_file(path, units="px", fps=fps, format=format, individual=individual)
-        tracks[camera.name] = recording = _y_down(recording)
+        tracks[camera.name] = recording = replace(recording, keypoints=recording.keypoints * [1.0, -1.0])
         with about(path):
             _check_pixels(recording, camera)
     first = next(iter(tracks.values()))
@@ -119,9 +112,29 @@ def read_views(
                 f"keypoint {odd!r} is not in the tracks of both {first.name!r} and {name!r}: expected the same names "
                 "in all; a column may be empty"
             )
+    return tracks
+
+
+def at_one_time(
+    tracks: Mapping[str, Recording], calibration: Calibration, offsets: Mapping[str, float] | None = None
+) -> Views:
+    """Tracks of all cameras at the first one's times.
+
+    Args:
+        tracks: camera → its tracks.
+        calibration: the cameras.
+        offsets: camera → s, see above; a camera that is named is interpolated, the others must agree row by row.
+
+    Raises InputError for times that do not agree, or an offset of no camera.
+    """
+    offsets = dict(offsets or {})
+    for name in offsets:
+        if name not in tracks:
+            raise InputError(f"an offset of camera {name!r}, which has no tracks: these have {', '.join(tracks)}")
+    first = next(iter(tracks.values()))
     rows = [_at(track, first, name, offsets) for name, track in tracks.items()]
     return Views(
-        calibration=cameras,
+        calibration=calibration.select(list(tracks)),
         time=first.time,
         pixels=np.stack([pixels for pixels, _ in rows], 1),
         confidence=np.stack([confidence for _, confidence in rows], 1),
@@ -129,11 +142,9 @@ def read_views(
     )
 
 
-def _y_down(recording: Recording) -> Recording:
-    return replace(recording, keypoints=recording.keypoints * [1.0, -1.0])
-
-
 def _check_pixels(recording: Recording, camera: Camera) -> None:
+    if recording.confidence is not None and ((recording.confidence > 1) | (recording.confidence < 0)).any():
+        raise InputError("the likelihoods are not between 0 and 1: expected those of a tracker")
     points = recording.keypoints[np.isfinite(recording.keypoints).all(-1)]
     if len(points) and np.abs(points).max() < SMALL:
         raise InputError(f"tracks of at most {np.abs(points).max():.3g} px: these look like metres; expected pixels")
@@ -157,8 +168,6 @@ def _at(track: Recording, first: Recording, name: str, offsets: Mapping[str, flo
     order = [track.keypoint_names.index(point) for point in first.keypoint_names]
     pixels = track.keypoints[:, order]
     confidence = np.ones(pixels.shape[:2]) if track.confidence is None else track.confidence[:, order]
-    if (confidence > 1).any() or (confidence < 0).any():
-        raise InputError(f"the likelihoods of camera {name!r} are not between 0 and 1: expected those of a tracker")
     if name not in offsets:
         _check_times(track, first, name)
         return pixels, confidence

@@ -12,6 +12,15 @@ from invdyn.recordings.cameras.camera_tables import write_calibration
 from invdyn.recordings.cameras.formats import read_calibration
 from invdyn.recordings.cameras.projection import project
 
+BODY = """
+name = "arm"
+[[links]]
+name = "upper_arm"
+joint = "shoulder"
+tip = "elbow"
+length = 0.3
+mass = 0.5
+"""
 NAMES = ("shoulder", "elbow", "wrist")
 POINTS = swinging(30)
 TIME = np.arange(30) / 30
@@ -78,6 +87,17 @@ def test_triangulate_refines_and_turns(films, run):
     assert "scale of 1.50 px" in outcome.stdout
 
 
+def test_triangulate_finds_offsets_and_knows_a_bodys_links(films, run):
+    call = ("triangulate", "cam1.csv", "cam2.csv", "--calibration", "unknown.toml", "--out", "arm.csv")
+    lengths = ("--length", "upper_arm=0.3", "--body", "arm.toml")
+    (films / "arm.toml").write_text(BODY)
+    outcome = run(*call, *lengths, "--find-offsets", "0.1")
+    assert outcome.exit_code == 0, outcome.output
+    (said,) = [line for line in outcome.stdout.splitlines() if "run ahead" in line]
+    assert abs(float(said.split()[-2])) < 4e-3
+    assert "multiplied by 0.33" in outcome.stdout
+
+
 BAD = {
     "one camera": (("triangulate", "cam1.csv", *TRIANGULATE[4:]), "two cameras or more"),
     "no file": (("triangulate", "cam1.csv", "cam2=none.csv", *TRIANGULATE[4:]), "none.csv"),
@@ -92,6 +112,8 @@ BAD = {
     "a length of nothing": ((*TRIANGULATE, "--length", "elbow:hand=0.3"), "no keypoint 'hand'"),
     "two kinds of length": ((*TRIANGULATE, "--length", "elbow:wrist=0.3", "--baseline", "cam1:cam2=1"), "one of them"),
     "a distance of no camera": ((*TRIANGULATE, "--baseline", "cam1:cam9=1"), "no camera 'cam9'"),
+    "a link of no body": ((*TRIANGULATE, "--length", "shin=0.3", "--body", "paper_planar_arm"), "no link 'shin'"),
+    "two kinds of offset": ((*TRIANGULATE, "--offset", "cam2=0", "--find-offsets", "0.1"), "choose one"),
     "an offset in words": ((*TRIANGULATE, "--offset", "cam2=late"), "CAMERA=SECONDS"),
     "an offset of no camera": ((*TRIANGULATE, "--offset", "cam9=1"), "cam9"),
     "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--offset", "cam2=99"), "films overlap"),

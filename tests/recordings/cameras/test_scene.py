@@ -9,7 +9,7 @@ from invdyn.recordings.cameras.camera import Calibration
 from invdyn.recordings.cameras.projection import project
 from invdyn.recordings.cameras.reprojection import csv_text, table
 from invdyn.recordings.cameras.scene import UP, Length, reconstruct
-from invdyn.recordings.cameras.views import match_names, read_views
+from invdyn.recordings.cameras.views import at_one_time, match_names, read_tracks
 
 NAMES = ("shoulder", "elbow", "wrist")
 FRAMES, RATE = 40, 20.0
@@ -26,6 +26,10 @@ def write_tracks(folder, calibration, points=POINTS, time=TIME, names=NAMES, noi
         files[camera.name] = folder / f"{camera.name}.csv"
         write_keypoint_csv(Recording(time, pixels, names, np.full(pixels.shape[:2], 0.9)), files[camera.name])
     return files
+
+
+def read_views(files, calibration, offsets=None):
+    return at_one_time(read_tracks(files, calibration), calibration, offsets)
 
 
 def test_there_and_back(tmp_path):
