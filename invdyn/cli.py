@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from . import camera_commands
 from .console import Commands, ProgressBar, check_outputs
 from .options import BodyFile, Diagnosed, Inference, Seed, spread
 
@@ -25,6 +26,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+
+camera_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]

@@ -68,7 +68,7 @@ def load(
     else:
         if not path.exists():
             raise FileNotFoundError(*_no_such_file(path))
-        recording = _read(path, units, fps, keypoints, joints, format, base, scale, individual, plane)
+        recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane)
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
         for p, name in enumerate(recording.keypoint_names):
@@ -77,7 +77,19 @@ def load(
         return recording
 
 
-def _read(path, units, fps, keypoints, joints, format, base, scale, individual, plane) -> Recording:
+def read_file(
+    path,
+    units=None,
+    fps=None,
+    keypoints=None,
+    joints=None,
+    format=None,
+    base=None,
+    scale=None,
+    individual=None,
+    plane=None,
+) -> Recording:
+    """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
     kind = recognise(path, format)
     form = FORMATS[kind]
     with about(path):
