@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from .console import Commands, ProgressBar, check_outputs
-from .options import BodyFile, Diagnosed, Inference, Seed, spread
+from .options import LARGEST_SEED, MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, spread
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -145,11 +145,11 @@ def compare(
     outputs = ComparisonOutputs(out, names)
     outputs.check(*given.files)
     arguments = given.load()
-    out.mkdir(parents=True, exist_ok=True)
     with given.executor() as executor, ProgressBar() as progress:
         comparison = run(
             **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
         )
+    out.mkdir(parents=True, exist_ok=True)
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))
@@ -192,8 +192,8 @@ def blind(
         str | None,
         typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, four in ten commanded."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Cases follow from it; keep it from the method.")] = 1_000_000,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Cases follow from it; keep it from the method.")] = 1_000_000,
+    workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
@@ -251,10 +251,11 @@ def demo(
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
-    from .outputs import Outputs
+    from .outputs import Outputs, check_folder
     from .simulate import PAPER, paper_arm, record
     from .summary import summary_text
 
+    check_folder(out, [], [])
     out.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(
         out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", out / "torques.csv"

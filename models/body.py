@@ -23,7 +23,10 @@ from torch.distributions import constraints
 
 from invdyn.models import body_mjcf, body_toml, body_urdf
 from invdyn.models.scalars import (
+    KNOWN,
     QUANTITIES,
+    SMALLEST,
+    UNKNOWN,
     BodyError,
     Learned,
     Scalar,
@@ -90,8 +93,8 @@ class Link:
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
             )
-        if inertia + mass * com**2 == 0:
-            raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
+        if inertia + mass * com**2 < SMALLEST["inertia"]:
+            raise BodyError(f"{where}: com and inertia are both 0, or nearly so: nothing would resist a torque")
 
     def nominal(self, quantity: str) -> float:
         """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
@@ -136,8 +139,11 @@ class Body:
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
         check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
-        if any(sd < 0 for sd in sds.values()):
-            raise BodyError(f"{where}: expected relative standard deviations ≥ 0 as uncertainty, got {sds}")
+        if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
+            raise BodyError(
+                f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
+                f"as uncertainty, got {sds}"
+            )
         object.__setattr__(self, "uncertainty", sds)
 
     @property

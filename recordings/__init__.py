@@ -9,6 +9,7 @@ from .joined import joined
 from .keypoint_csv import read_keypoint_csv, write_keypoint_csv
 from .loader import load
 from .opensim import read_sto, read_trc, write_moments, write_sto
+from .paths import check_readable, resolved
 from .recording import Recording
 from .tables import read_table, write_table
 from .truth import Truth, read_truth, write_truth
@@ -22,6 +23,7 @@ __all__ = [
     "Truth",
     "atomic_path",
     "check_plausible",
+    "check_readable",
     "check_writable",
     "demo_frames",
     "in_body_lengths",
@@ -37,6 +39,7 @@ __all__ = [
     "read_table",
     "read_trc",
     "read_truth",
+    "resolved",
     "write_keypoint_csv",
     "write_moments",
     "write_sto",

@@ -13,6 +13,7 @@ from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
 from .opensim import read_trc
+from .paths import check_readable
 from .recording import Recording
 
 
@@ -59,8 +60,9 @@ def recognise(path: Path, name: str | None = None) -> str:
 
     Raises:
         InputError: an unknown format, or a file that looks like none.
-        OSError: a file that cannot be opened.
+        OSError: a file that cannot be opened, or is no ordinary one.
     """
+    check_readable(path)
     if name is not None:
         if name not in FORMATS:
             near = difflib.get_close_matches(name, FORMATS, 1, cutoff=0.0)[0]
@@ -73,8 +75,6 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_h5(path)
     by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
     if suffix not in by_suffix:
-        with open(path, "rb"):  # a folder or a missing file is told as such
-            pass
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
             f".trc (or say it: --format {'|'.join(FORMATS)})"

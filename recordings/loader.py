@@ -11,8 +11,11 @@ from . import catalogue
 from .errors import InputError, about
 from .formats import FORMATS, recognise
 from .keypoint_csv import read_keypoint_csv
+from .paths import resolved
 from .recording import Recording
 from .units import check_magnitudes, parse_units, to_si
+
+SLOWEST, FASTEST = 1e-3, 1e6  # frames a second
 
 
 def load(
@@ -51,6 +54,7 @@ def load(
         OSError: a file that cannot be opened.
     """
     path = Path(path_or_name)
+    resolved(path)
     if not path.exists() and str(path_or_name) in catalogue.names():
         given = {"units": units, "fps": fps, "format": format, "scale": scale, "individual": individual}
         if surplus := [f"--{option}" for option, value in given.items() if value is not None]:
@@ -79,8 +83,8 @@ def _read(path, units, fps, keypoints, joints, format, base, scale, individual) 
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
-        if fps is not None and not (np.isfinite(fps) and fps > 0):
-            raise InputError(f"--fps must be positive, got {fps}")
+        if fps is not None and not SLOWEST <= fps <= FASTEST:
+            raise InputError(f"--fps must be from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
         if kind == "trc" and units is not None:
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if form.read is None:

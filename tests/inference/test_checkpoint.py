@@ -12,9 +12,11 @@ import torch
 
 from invdyn.inference import checkpoint as checkpoint_module
 from invdyn.inference.checkpoint import Checkpoint, digest, random_state, restore_random_state
+from invdyn.inference.distribute import inside
 from invdyn.recordings import InputError
 
 pytest.importorskip("safetensors")
+from safetensors.torch import load_file, save_file  # noqa: E402
 
 RUN = {"seed": 3, "particles": 100}
 
@@ -65,6 +67,12 @@ def _cut(folder):
     file.write_bytes(file.read_bytes()[:-5])
 
 
+def _rewrite(folder, change):
+    """Well-formed tensors, but others."""
+    file = next(folder.glob("*.safetensors"))
+    save_file({name: change(value) for name, value in load_file(file).items()}, file)
+
+
 def _change(folder, **entries):
     path = folder / "manifest.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | entries))
@@ -75,12 +83,18 @@ def _change(folder, **entries):
     [
         (lambda folder: (folder / "manifest.json").write_bytes(b'{"schema": 1, "st'), "is no JSON"),
         (lambda folder: (folder / "manifest.json").write_bytes(b"\xff\xfe"), "is no JSON"),
-        (lambda folder: (folder / "manifest.json").write_text("[]"), "schema 1, got None"),
-        (lambda folder: (folder / "manifest.json").write_text('{"schema": 1}'), "no entry 'fingerprint'"),
-        (lambda folder: _change(folder, schema=9), "schema 1, got 9"),
-        (lambda folder: _change(folder, tensors="../../other.safetensors"), "not what this program writes"),
+        (lambda folder: (folder / "manifest.json").write_bytes(b"[" * 100_000), "is no JSON"),
+        (lambda folder: (folder / "manifest.json").write_text("[]"), "schema 2, got None"),
+        (lambda folder: (folder / "manifest.json").write_text('{"schema": 2}'), "not what this program wrote"),
+        (lambda folder: _change(folder, schema=1), "schema 2, got 1"),
+        (lambda folder: _change(folder, step=4), "not what this program wrote"),
+        (lambda folder: _change(folder, state={"loss": 3}), "not what this program wrote"),
+        (lambda folder: _change(folder, seal=None), "not what this program wrote"),
+        (lambda folder: _change(folder, tensors="../../other.safetensors"), "not what this program wrote"),
         (lambda folder: next(folder.glob("*.safetensors")).unlink(), "which is missing"),
-        (_cut, "cannot be read"),
+        (_cut, "which is not what was written"),
+        (lambda folder: _rewrite(folder, lambda x: x * torch.nan), "which is not what was written"),
+        (lambda folder: _rewrite(folder, lambda x: x[:-1]), "which is not what was written"),
     ],
 )
 def test_broken_files_are_named_in_one_line(tmp_path, damage, message):
@@ -91,6 +105,26 @@ def test_broken_files_are_named_in_one_line(tmp_path, damage, message):
         checkpoint.load()
     assert str(tmp_path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_part_in_another_ones_place_is_refused(tmp_path):
+    for name in ("part-0", "part-1"):
+        inside(Checkpoint(tmp_path, RUN), name).save({"x": torch.ones(2)})
+    (tmp_path / "part-0").rename(tmp_path / "aside")
+    (tmp_path / "part-1").rename(tmp_path / "part-0")
+    with pytest.raises(InputError, match="is of the part 'part-1', expected 'part-0'"):
+        inside(Checkpoint(tmp_path, RUN), "part-0").load()
+
+
+def test_a_manifest_of_another_save_is_refused(tmp_path):
+    """As when a folder is put together from two copies of it."""
+    checkpoint = Checkpoint(tmp_path, RUN)
+    checkpoint.save({"x": torch.ones(2)}, step=1)
+    earlier = next(tmp_path.glob("*.safetensors")).read_bytes()
+    checkpoint.save({"x": torch.zeros(2)}, step=2)
+    next(tmp_path.glob("*.safetensors")).write_bytes(earlier)
+    with pytest.raises(InputError, match="not what was written"):
+        checkpoint.load()
 
 
 class NoMatch:

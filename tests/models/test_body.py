@@ -179,7 +179,7 @@ BAD_FILES = {
     "joint twice": (LINK.format("a", "b", "c") + LINK.format("e", "b", "d"), "a joint of its own.*'b' twice"),
     "tip called as the base": (LINK.format("a", "b", "b"), "'b' is the tip of one link but the joint"),
     "unknown uncertainty": (ARM + "masss = 0.1\n", "uncertainty: unknown key 'masss'.*'mass'"),
-    "negative uncertainty": (ARM.replace("0.05", "-0.05"), "relative standard deviations ≥ 0"),
+    "negative uncertainty": (ARM.replace("0.05", "-0.05"), "relative standard deviations of 0, or from"),
     "uncertainty no table": ("uncertainty = 0.1\n" + ARM[: ARM.index("[unc")], "uncertainty.*as a table"),
     "prior without sd": (
         ARM.replace("mass = 1.5", "mass = {mean = 1.5}"),
