@@ -105,7 +105,10 @@ class Checkpoint:
             tensors = _safetensors().load(content)
         except Exception as error:  # safetensors has its own class for what it cannot read
             raise self._broken(f"names {name}, which cannot be read ({first_line(error)})") from None
-        return {key: value.to(device) for key, value in tensors.items()}, {**manifest["state"], "step": manifest["step"]}
+        return {key: value.to(device) for key, value in tensors.items()}, {
+            **manifest["state"],
+            "step": manifest["step"],
+        }
 
     def _manifest(self) -> dict[str, Any] | None:
         """The manifest, of this run and place, with the entries that this program wrote; None where there is none."""

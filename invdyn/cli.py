@@ -192,7 +192,9 @@ def blind(
         str | None,
         typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, four in ten commanded."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Cases follow from it; keep it from the method.")] = 1_000_000,
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Cases follow from it; keep it from the method.")
+    ] = 1_000_000,
     workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
     method_command: Annotated[
         str | None,

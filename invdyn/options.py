@@ -71,9 +71,9 @@ class Inference(Recorded):
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
     seed: Seed = 0
-    workers: Annotated[
-        int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")
-    ] = None
+    workers: Annotated[int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")] = (
+        None
+    )
     scheduler: Annotated[
         str | None, typer.Option(help="Whose workers share the filters: Dask's (tcp://host:8786), or mpi.")
     ] = None
@@ -147,7 +147,9 @@ class Diagnosed(Recorded):
     seed: Seed = 0
     workers: Annotated[
         int,
-        typer.Option(min=1, max=MOST_WORKERS, help="Processes side by side, with the same result (on Linux; one elsewhere)."),
+        typer.Option(
+            min=1, max=MOST_WORKERS, help="Processes side by side, with the same result (on Linux; one elsewhere)."
+        ),
     ] = 2
 
     def check(self) -> None:

@@ -83,7 +83,11 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
 
 def number(value: object, what: str) -> float:
     """Return a real number within ±`LARGEST` as float. Raises `BodyError`, which begins with `what`."""
-    if not isinstance(value, Real) or isinstance(value, bool) or (isinstance(value, float) and not math.isfinite(value)):
+    if (
+        not isinstance(value, Real)
+        or isinstance(value, bool)
+        or (isinstance(value, float) and not math.isfinite(value))
+    ):
         raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
     if abs(value) > LARGEST:  # an integer may be beyond every float, and too long to be shown
         shown = f"{value:g}" if isinstance(value, float) else "a larger one"

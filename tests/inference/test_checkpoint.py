@@ -16,7 +16,7 @@ from invdyn.inference.distribute import inside
 from invdyn.recordings import InputError
 
 pytest.importorskip("safetensors")
-from safetensors.torch import load_file, save_file  # noqa: E402
+from safetensors.torch import load_file, save_file
 
 RUN = {"seed": 3, "particles": 100}
 

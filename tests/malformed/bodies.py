@@ -79,7 +79,10 @@ def named(role: str, name: str) -> Iterator[Case]:
     quoted = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
     columns = [column.replace(f"{role}_", f"{name}_") for column in COLUMNS]
     header = ",".join('"' + column.replace('"', '""') + '"' for column in columns)
-    content = {"arm.toml": BODY.replace(f'"{role}"', f'"{quoted}"'), "rec.csv": header + table()[len(",".join(COLUMNS)) :]}
+    content = {
+        "arm.toml": BODY.replace(f'"{role}"', f'"{quoted}"'),
+        "rec.csv": header + table()[len(",".join(COLUMNS)) :],
+    }
     what = f"{role} called {name[:20]!r}"
     yield Case("name in a body", SIMULATE, content, what=what)
     if "$" in name or name == "é":

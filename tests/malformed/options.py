@@ -3,8 +3,19 @@
 from collections.abc import Iterator
 
 from .case import (
-    BLIND, COMPARE, DEMO, DIAGNOSE, HUGE, INFER, NUMBERS, PLOT, SIMULATE, TRACKED, Case, with_option,
-)  # fmt: skip
+    BLIND,
+    COMPARE,
+    DEMO,
+    DIAGNOSE,
+    HUGE,
+    INFER,
+    NUMBERS,
+    PLOT,
+    SIMULATE,
+    TRACKED,
+    Case,
+    with_option,
+)
 
 REALS = (*NUMBERS, "inf", "-inf", "1e9", "1e-9", "١٢", "one", "")
 COUNTS = ("-1", "0", str(2**31), str(2**63), str(2**64), str(-(2**63)), str(10**30), HUGE, "1e3", "1.5", "", "0x10")

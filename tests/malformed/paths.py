@@ -5,8 +5,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from .case import (
-    BLIND, COMPARE, DEMO, DIAGNOSE, DRAW, INFER, KEPT, PLOT, SIMULATE, Case, with_option,
-)  # fmt: skip
+    BLIND,
+    COMPARE,
+    DEMO,
+    DIAGNOSE,
+    DRAW,
+    INFER,
+    KEPT,
+    PLOT,
+    SIMULATE,
+    Case,
+    with_option,
+)
 
 
 def loop(name: str) -> Callable[[Path], None]:

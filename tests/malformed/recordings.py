@@ -3,8 +3,20 @@
 from collections.abc import Iterator
 
 from .case import (
-    COLUMNS, COMPARE, DIAGNOSE, FRAMES, INFER, NUMBERS, TRACKED, TRUTH, WORDS, Case, deeplabcut, table, with_option,
-)  # fmt: skip
+    COLUMNS,
+    COMPARE,
+    DIAGNOSE,
+    FRAMES,
+    INFER,
+    NUMBERS,
+    TRACKED,
+    TRUTH,
+    WORDS,
+    Case,
+    deeplabcut,
+    table,
+    with_option,
+)
 
 GOOD = table()
 LINES = GOOD.splitlines()
@@ -76,7 +88,9 @@ def cases() -> Iterator[Case]:
                 yield Case("form of a file", (*call, *more), content, what=f"{suffix} {more} {what}")
     for value in ("", "\0", "1e308", "-3", "0", "nan"):
         labels = ("\t" + value).join(["1", "2", "3"])
-        content = f"PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tUnits\n10\tmm\nFrame#\tTime\twrist\t\t\n\t\tX1\tY1\tZ1\n\n"
+        content = (
+            "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tUnits\n10\tmm\nFrame#\tTime\twrist\t\t\n\t\tX1\tY1\tZ1\n\n"
+        )
         rows = "".join(f"{row}\t{row / 30}\t{labels}\n" for row in range(FRAMES))
         call = ("infer", "rec.trc", "--body", "arm.toml", "--out", "out.nc")
         yield Case("form of a file", call, {"rec.trc": content + rows}, what=f"trc {value!r}")

@@ -292,7 +292,10 @@ def exchanged(one: str, other: str) -> Callable[[Path], None]:
     def touch(folder: Path) -> None:
         first, second = folder / one, folder / other
         files = [(path.name, path.read_bytes()) for path in first.iterdir() if path.is_file()]
-        for target, source in ((first, [(p.name, p.read_bytes()) for p in second.iterdir() if p.is_file()]), (second, files)):
+        for target, source in (
+            (first, [(p.name, p.read_bytes()) for p in second.iterdir() if p.is_file()]),
+            (second, files),
+        ):
             for path in list(target.iterdir()):
                 if path.is_file():
                     path.unlink()
