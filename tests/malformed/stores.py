@@ -80,7 +80,10 @@ def set_to(path: str, value: float) -> Callable[[h5py.File], None]:
     """All of a variable is that number."""
 
     def change(store: h5py.File) -> None:
-        store[path][...] = value
+        if store[path].dtype.kind == "f":
+            store[path][...] = value
+        else:  # integers have no such number
+            del store[path]
 
     return change
 
@@ -155,8 +158,8 @@ def posteriors() -> Iterator[Case]:
         for call in (PLOT, DRAW) if "torque" in what or "$" in what or "observed" in what else (PLOT,):
             yield Case("posterior", call, touch=changed(change), what=what)
     for what in ("no observed_data/position", "posterior/position is NaN", "no constant_data", "joint '$\\\\frac'"):
-        yield Case("posterior", FILM, touch=changed(changes[what]), what=what)
-        yield Case("posterior", STO, touch=changed(changes[what]), what=what)
+        yield Case("posterior", FILM, touch=changed(changes[what]), what=f"film: {what}")
+        yield Case("posterior", STO, touch=changed(changes[what]), what=f"film: {what}")
     for number in range(100):
         yield Case("posterior", PLOT, touch=flipped("posterior.nc", number / 100), what=f"a byte flipped at {number} %")
     for number in range(0, 100, 10):
