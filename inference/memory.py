@@ -30,7 +30,7 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
     if most > (there := total_memory()):
         raise InputError(
             f"{what}: {options.num_filters} filters of {options.num_particles} particles and {options.num_draws} draws "
-            f"over {rows} rows take {most / 1e9:.3g} GB of memory or more, the machine has {there / 1e9:.3g}: take fewer"
+            f"over {rows} rows take {most / 1e9:.3g} GB of memory or more, and {there / 1e9:.3g} are there: take fewer"
         )
 
 

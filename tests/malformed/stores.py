@@ -269,7 +269,7 @@ def edited(where: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[
 
         path = tensors_of(folder / where)
         tensors = load(path.read_bytes())
-        real = {key: change(value) if value.dtype.kind == "f" else value for key, value in tensors.items()}
+        real = {key: np.asarray(change(value)) if value.dtype.kind == "f" else value for key, value in tensors.items()}
         path.write_bytes(save(real))
 
     return touch
