@@ -149,12 +149,13 @@ def compare(
         comparison = run(
             **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
         )
+    if not comparison.posteriors:
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
+        raise InputError(f"no method succeeded: {reasons}")
     out.mkdir(parents=True, exist_ok=True)
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))
-    if not comparison.posteriors:
-        raise InputError("no method succeeded: see the reasons above")
 
 
 @app.command()
