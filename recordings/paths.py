@@ -13,10 +13,11 @@ from pathlib import Path
 def resolved(path: str | Path) -> Path:
     """The absolute `path`, links followed and ~ expanded; it need not be there.
 
-    Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no text of the system's, and a
-    name that is too long.
+    Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no UTF-8, and a name that
+    is too long.
     """
     try:
+        str(path).encode()  # else no file could say in UTF-8 where it came from
         whole = Path(path).expanduser()
         whole.exists()  # a name that is too long is an OSError here
         return whole.resolve()

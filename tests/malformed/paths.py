@@ -66,6 +66,12 @@ def directory(name: str) -> Callable[[Path], None]:
     return touch
 
 
+def in_latin(folder: Path) -> None:
+    """A recording and a body whose names are no UTF-8, as old systems wrote them."""
+    for name in ("rec.csv", "arm.toml"):
+        os.rename(folder / name, os.fsencode(folder) + b"/\xe9" + name.encode())
+
+
 def nothing(folder: Path) -> None:
     """Leave the folder as it is."""
 
@@ -116,7 +122,11 @@ def cases() -> Iterator[Case]:
         yield Case("path to read", call(inside), touch=ring("ring/x"), what=f"{inside} in a ring")
         for odd in (f"a\0b{suffix}", "x" * 5000 + suffix, f"rec.csv/x{suffix}", "", f"\n{suffix}", f"\udcff{suffix}"):
             yield Case("path to read", call(odd), what=f"{stem} {odd[:20]!r}")
+    latin = ("infer", "\udce9rec.csv", "--body", "\udce9arm.toml", "--out", "out.nc")
+    yield Case("path to read", latin, touch=in_latin, what="names in Latin-1")
+    yield Case("path to read", with_option(SIMULATE, "--body", "\udce9arm.toml"), touch=in_latin, what="Latin-1")
     for suffix, call in WRITTEN:
+        yield Case("path to write", call(f"\udce9{suffix}"), what="a name in Latin-1")
         name = f"new{suffix}"
         yield Case("path to write", call(name), touch=loop(name), what="a loop")
         yield Case("path to write", call(f"ring/x{suffix}"), touch=ring("ring/x"), what="in a ring")
