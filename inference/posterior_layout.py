@@ -87,8 +87,8 @@ def _check_variable(what: str, values: xr.DataArray, dims: tuple[str, ...], may_
     numbers = np.abs(values.to_numpy().astype(np.float64))
     if np.nanmax(numbers, initial=0.0) > LARGEST or (not may_miss and np.isnan(numbers).any()):
         raise InputError(f"{what}: expected finite numbers up to {LARGEST:.0e}, it has others")
-    if not _printable(values.attrs.get("units", "1")):
-        raise InputError(f"{what}: expected a unit as text")
+    if not _printable(values.attrs.get("units", None if what.startswith("posterior/") else "1")):
+        raise InputError(f"{what}: expected its unit as text, in the attribute units")
 
 
 def _check_time(posterior: xr.Dataset) -> None:

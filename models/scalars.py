@@ -83,16 +83,13 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
 
 def number(value: object, what: str) -> float:
     """Return a real number within ±`LARGEST` as float. Raises `BodyError`, which begins with `what`."""
-    if (
-        not isinstance(value, Real)
-        or isinstance(value, bool)
-        or (isinstance(value, float) and not math.isfinite(value))
-    ):
-        raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
-    if abs(value) > LARGEST:  # an integer may be beyond every float, and too long to be shown
-        shown = f"{value:g}" if isinstance(value, float) else "a larger one"
-        raise BodyError(f"{what}: expected a number up to {LARGEST:.0e}, got {shown}; is the unit right?")
-    return float(value)
+    if isinstance(value, Real) and not isinstance(value, bool):
+        if -LARGEST <= value <= LARGEST:
+            return float(value)
+        if math.inf > abs(value):  # an integer may be beyond every float, and too long to be shown
+            shown = "a larger one" if isinstance(value, int) else f"{value:g}"
+            raise BodyError(f"{what}: expected a number up to {LARGEST:.0e}, got {shown}; is the unit right?")
+    raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
 
 
 def vector(values: object, what: str) -> tuple[float, float]:
