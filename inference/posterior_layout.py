@@ -71,6 +71,8 @@ def check_layout(idata: az.InferenceData) -> None:
     for group, dim in (("posterior", "joint"), ("posterior", "keypoint"), ("observed_data", "keypoint")):
         if dim in idata[group].dims:
             _check_names(f"{group}/{dim}", idata[group])
+    if tracked is not None and not {*tracked["keypoint"].values} <= {*idata["posterior"]["keypoint"].values}:
+        raise InputError("observed_data/keypoint: expected names that posterior/keypoint has")
 
 
 def _there(idata: az.InferenceData) -> Iterator[tuple[str, str, tuple[str, ...]]]:
