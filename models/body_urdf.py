@@ -30,6 +30,8 @@ def read(path: str | Path) -> dict:
     ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", options)
     try:
         model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
+    except RecursionError:
+        raise BodyError(f"{path}: expected a robot, got XML nested too deep for one") from None
     except ValueError as error:
         raise BodyError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
     return body_mjcf.tables(model, str(path))

@@ -62,7 +62,6 @@ def recognise(path: Path, name: str | None = None) -> str:
         InputError: an unknown format, or a file that looks like none.
         OSError: a file that cannot be opened, or is no ordinary one.
     """
-    check_readable(path)
     if name is not None:
         if name not in FORMATS:
             near = difflib.get_close_matches(name, FORMATS, 1, cutoff=0.0)[0]
@@ -75,6 +74,7 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_h5(path)
     by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
     if suffix not in by_suffix:
+        check_readable(path)
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
             f".trc (or say it: --format {'|'.join(FORMATS)})"
@@ -83,6 +83,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
 
 def _recognise_csv(path: Path) -> str:
+    check_readable(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             header = [cell.strip() for cell in next(csv.reader(file), [])]
@@ -96,6 +97,7 @@ def _recognise_csv(path: Path) -> str:
 def _recognise_h5(path: Path) -> str:
     import h5py
 
+    check_readable(path)
     with open(path, "rb") as file:
         try:
             with h5py.File(file, "r") as store:

@@ -11,7 +11,7 @@ from . import catalogue
 from .errors import InputError, about
 from .formats import FORMATS, recognise
 from .keypoint_csv import read_keypoint_csv
-from .paths import resolved
+from .paths import check_readable, resolved
 from .recording import Recording
 from .units import check_magnitudes, parse_units, to_si
 
@@ -73,6 +73,7 @@ def load(
 
 
 def _read(path, units, fps, keypoints, joints, format, base, scale, individual) -> Recording:
+    check_readable(path)
     kind = recognise(path, format)
     form = FORMATS[kind]
     with about(path):
@@ -84,7 +85,7 @@ def _read(path, units, fps, keypoints, joints, format, base, scale, individual) 
         if not form.own_times and fps is None:
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
         if fps is not None and not SLOWEST <= fps <= FASTEST:
-            raise InputError(f"--fps must be from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
+            raise InputError(f"--fps must be positive, from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
         if kind == "trc" and units is not None:
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if form.read is None:

@@ -153,7 +153,10 @@ BAD_FILES = {
     "zero length": (ARM.replace("0.30", "0"), r"'upper_arm': length in m: expected a positive number, got 0"),
     "nan": (ARM.replace("0.30", "nan"), "length in m: expected a finite number, got nan"),
     "infinite": (ARM.replace("mass = 1.5", "mass = inf"), "expected a finite number, got inf"),
-    "beyond a float": (ARM.replace("mass = 1.5", "mass = 1" + "0" * 400), r"expected a number up to 1e\+07, got a larger one"),
+    "beyond a float": (
+        ARM.replace("mass = 1.5", "mass = 1" + "0" * 400),
+        r"expected a number up to 1e\+07, got a larger one",
+    ),
     "beyond what is read": (ARM.replace("mass = 1.5", "mass = 1" + "0" * 5000), "an integer too long to be read"),
     "near a float's limit": (ARM.replace("mass = 1.5", "mass = 1e308"), r"expected a number up to 1e\+07, got 1e\+308"),
     "hardly anything": (ARM.replace("mass = 1.5", "mass = 1e-308"), "expected 1e-09 or more, got 1e-308"),
