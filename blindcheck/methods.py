@@ -82,5 +82,5 @@ class Theirs(AbstractContextManager):
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
         try:
             return unreadable(json.loads(told.read_text(encoding="utf-8")))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return f"diagnosis.json: expected JSON in UTF-8: {error}"

@@ -11,7 +11,7 @@ import typer
 
 from . import camera_commands
 from .console import Commands, ProgressBar, check_outputs
-from .options import BodyFile, Diagnosed, Inference, Seed, spread
+from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, spread
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -148,16 +148,17 @@ def compare(
     outputs = ComparisonOutputs(out, names)
     outputs.check(*given.files)
     arguments = given.load()
-    out.mkdir(parents=True, exist_ok=True)
     with given.executor() as executor, ProgressBar() as progress:
         comparison = run(
             **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
         )
+    if not comparison.posteriors:
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
+        raise InputError(f"no method succeeded: {reasons}")
+    out.mkdir(parents=True, exist_ok=True)
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))
-    if not comparison.posteriors:
-        raise InputError("no method succeeded: see the reasons above")
 
 
 @app.command()
@@ -202,7 +203,7 @@ def blind(
     seed_file: Annotated[
         Path | None, typer.Option(help="A file with the seed: a method can read what stands on a command line.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
@@ -281,10 +282,11 @@ def demo(
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
-    from .outputs import Outputs
+    from .outputs import Outputs, check_folder
     from .simulate import PAPER, paper_arm, record
     from .summary import summary_text
 
+    check_folder(out, [], [])
     out.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(
         out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", out / "torques.csv"

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
+LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
 UsageError = typer.BadParameter.__base__
 
@@ -56,7 +57,12 @@ def _input_errors() -> tuple[type[ValueError], ...]:
 
 
 def _say(kind: str, message: object) -> None:
-    typer.echo(f"{kind}: {' '.join(str(message).split())}", err=True)
+    """One line that a terminal can show, whatever a file's name or content has put into it; its middle may go."""
+    line = " ".join(str(message).split())
+    line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
+    if len(line) > LONGEST:
+        line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
+    typer.echo(f"{kind}: {line}", err=True)
 
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
@@ -89,9 +95,9 @@ class ProgressBar:
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
     """Raise OSError or InputError unless each output can be written and has a path of its own."""
-    from invdyn.recordings import InputError, check_writable
+    from invdyn.recordings import InputError, check_writable, resolved
 
-    read = {path.resolve() for path in inputs}
+    read = {resolved(path) for path in inputs}
     taken: set[Path] = set()
     for path in outputs:
         if path is None:

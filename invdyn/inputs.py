@@ -16,12 +16,14 @@ from invdyn.recordings import (
     Truth,
     bridged,
     check_plausible,
+    check_readable,
     in_body_lengths,
     load,
     load_truth,
     names,
     parse_units,
     read_truth,
+    resolved,
 )
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
@@ -31,8 +33,8 @@ from invdyn.recordings.plane import FLAT
 
 def load_body(name: str) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
-    if Path(name).exists():
-        return Body.load(name)
+    if resolved(name).exists():
+        return Body.load(check_readable(name))
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
@@ -125,7 +127,7 @@ def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
 
 def load_known(name: str, body: Body) -> Truth:
     """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
-    known = load_truth(name) if not Path(name).exists() and name in names() else read_truth(name)
+    known = load_truth(name) if not resolved(name).exists() and name in names() else read_truth(name)
     if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:
         raise InputError(f"{name}: joint '{missing[0]}' is missing; it has {', '.join(known.joint_names)}")
     return known

@@ -13,7 +13,9 @@ import typer
 BodyFile = Annotated[
     str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or one that comes with us.")
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
+MOST_WORKERS = 1024
+Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -77,7 +79,9 @@ class Inference(Recorded):
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
     seed: Seed = 0
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes that share the filters.")] = None
+    workers: Annotated[int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")] = (
+        None
+    )
     scheduler: Annotated[
         str | None, typer.Option(help="Whose workers share the filters: Dask's (tcp://host:8786), or mpi.")
     ] = None
@@ -150,13 +154,15 @@ class Diagnosed(Recorded):
     seed: Seed = 0
     workers: Annotated[
         int,
-        typer.Option(min=1, help="Processes side by side, with the same result (on Linux; one elsewhere)."),
+        typer.Option(
+            min=1, max=MOST_WORKERS, help="Processes side by side, with the same result (on Linux; one elsewhere)."
+        ),
     ] = 2
 
     def check(self) -> None:
         """Raise InputError for an unknown effect, torques both 0 and hidden, and a recording that is given twice."""
         from invdyn.models.effects import EFFECTS
-        from invdyn.recordings import InputError
+        from invdyn.recordings import InputError, resolved
 
         for name in self.struck:
             if name not in EFFECTS:
@@ -165,10 +171,10 @@ class Diagnosed(Recorded):
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
         given: set[Path] = set()
         for name in (self.recording, *self.others, *([] if self.held_out is None else [self.held_out])):
-            if Path(name).resolve() in given:
+            if resolved(name) in given:
                 option = "--held-out" if name == self.held_out else "--also"
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
-            given.add(Path(name).resolve())
+            given.add(resolved(name))
 
     @property
     def struck(self) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ STYLE = {
     "ytick.color": "#555555",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "text.parse_math": False,  # a joint may be called $\\frac
     "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)

@@ -10,6 +10,7 @@ from .keypoint_csv import read_keypoint_csv, write_keypoint_csv
 from .loader import load
 from .opensim import read_sto, read_trc, write_moments, write_sto
 from .pace import bridged
+from .paths import check_readable, resolved
 from .plausible import check_plausible
 from .recording import Recording
 from .tables import read_table, write_table
@@ -25,6 +26,7 @@ __all__ = [
     "atomic_path",
     "bridged",
     "check_plausible",
+    "check_readable",
     "check_writable",
     "demo_frames",
     "in_body_lengths",
@@ -40,6 +42,7 @@ __all__ = [
     "read_table",
     "read_trc",
     "read_truth",
+    "resolved",
     "write_keypoint_csv",
     "write_moments",
     "write_sto",

@@ -13,6 +13,7 @@ from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
 from .opensim import TRC_AXES, read_trc
+from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
 from .sleap_csv import FIRST, read_sleap_csv
@@ -78,7 +79,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
     Raises:
         InputError: an unknown format, or a file that looks like none.
-        OSError: a file that cannot be opened.
+        OSError: a file that cannot be opened, or is no ordinary one.
     """
     if name is not None:
         if name not in FORMATS:
@@ -92,8 +93,7 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_h5(path)
     by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
     if suffix not in by_suffix:
-        with open(path, "rb"):  # a folder or a missing file is told as such
-            pass
+        check_readable(path)
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
             f".trc (or say it: --format {'|'.join(FORMATS)})"
@@ -102,6 +102,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
 
 def _recognise_csv(path: Path) -> str:
+    check_readable(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             header = [cell.strip() for cell in next(csv.reader(file), [])]
@@ -117,6 +118,7 @@ def _recognise_csv(path: Path) -> str:
 def _recognise_h5(path: Path) -> str:
     import h5py
 
+    check_readable(path)
     with open(path, "rb") as file:
         try:
             with h5py.File(file, "r") as store:

@@ -14,10 +14,13 @@ from .formats import FORMATS, Format, recognise
 from .keypoint_csv import read_keypoint_csv
 from .lost import without_lost
 from .naming import alike, nearest
+from .paths import check_readable, resolved
 from .plane import FLAT, planar
 from .plausible import check_magnitudes
 from .recording import Recording
 from .units import FRAMES, Units, parse_units, to_si
+
+SLOWEST, FASTEST = 1e-3, 1e6  # frames a second
 
 
 def load(
@@ -59,6 +62,7 @@ def load(
         OSError: a file that cannot be opened.
     """
     path = Path(path_or_name)
+    resolved(path)
     if not path.exists() and str(path_or_name) in catalogue.names():
         given = {"units": units, "fps": fps, "format": format, "scale": scale, "individual": individual}
         given["plane"] = None if plane == FLAT else plane
@@ -90,6 +94,7 @@ def read_file(
     plane=None,
 ) -> Recording:
     """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
+    check_readable(path)
     kind = recognise(path, format)
     form = FORMATS[kind]
     with about(path):
@@ -100,8 +105,8 @@ def read_file(
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
-        if fps is not None and not (np.isfinite(fps) and fps > 0):
-            raise InputError(f"--fps must be positive, got {fps}")
+        if fps is not None and not SLOWEST <= fps <= FASTEST:
+            raise InputError(f"--fps must be positive, from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
         if kind == "trc" and (declared.length or declared.angle):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if not form.animals and individual is not None:

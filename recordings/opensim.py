@@ -12,6 +12,7 @@ import numpy as np
 
 from .atomic import write_text
 from .errors import InputError, about
+from .paths import check_readable
 from .recording import Recording
 from .tables import read_numbers
 from .units import METRES
@@ -116,6 +117,6 @@ def read_trc(path: str | Path) -> Recording:
 
 def _text_lines(path: str | Path) -> list[str]:
     try:
-        return Path(path).read_text(encoding="utf-8-sig").splitlines()
+        return check_readable(path).read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file") from None

@@ -26,7 +26,10 @@ from torch.distributions import constraints
 from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import (
+    KNOWN,
     QUANTITIES,
+    SMALLEST,
+    UNKNOWN,
     BodyError,
     Learned,
     Scalar,
@@ -99,8 +102,8 @@ class Link:
         about_joint = inertia + mass * com * com
         if not math.isfinite(about_joint):
             raise BodyError(f"{where}: its moment about the joint is too large for a number; are the units SI?")
-        if about_joint == 0:
-            raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
+        if about_joint < SMALLEST["inertia"]:
+            raise BodyError(f"{where}: com and inertia are both 0, or nearly so: nothing would resist a torque")
 
     def nominal(self, quantity: str) -> float:
         """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
@@ -149,8 +152,11 @@ class Body(ArticulatedBody):
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
         check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
-        if any(sd < 0 for sd in sds.values()):
-            raise BodyError(f"{where}: expected relative standard deviations ≥ 0 as uncertainty, got {sds}")
+        if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
+            raise BodyError(
+                f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
+                f"as uncertainty, got {sds}"
+            )
         object.__setattr__(self, "uncertainty", sds)
 
     @property

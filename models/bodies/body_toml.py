@@ -52,9 +52,12 @@ def parse(content: bytes, path: str) -> dict:
         tables = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
-    except (ValueError, RecursionError) as error:  # a number of 5,000 digits is a ValueError, and no TOMLDecodeError
-        told = "brackets within each other, too many" if isinstance(error, RecursionError) else error
-        raise BodyError(f"{path}: broken TOML: {told}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BodyError(f"{path}: broken TOML: {error}") from error
+    except RecursionError:
+        raise BodyError(f"{path}: expected a body, got TOML nested too deep for one") from None
+    except ValueError:  # Python turns no more than 4,300 digits into an integer
+        raise BodyError(f"{path}: expected a body, got TOML with an integer too long to be read") from None
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
@@ -99,7 +102,10 @@ def _from_table(value: object, what: str) -> object:
     mean, sd = (number(value[key], f"{what}'s {key}") for key in ("mean", "sd"))
     if sd <= 0:
         raise BodyError(f"{what}: expected a positive sd, got {sd:g}; where it is known, write the number alone")
-    return prior(mean, sd)
+    try:
+        return prior(mean, sd)
+    except BodyError as error:
+        raise BodyError(f"{what}: {error}") from None
 
 
 def _to_table(value: str | Scalar, key: str) -> object:
