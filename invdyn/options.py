@@ -140,6 +140,10 @@ class Diagnosed(Recorded):
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    budget: Annotated[
+        float | None,
+        typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
+    ] = None
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -201,6 +205,7 @@ class Diagnosed(Recorded):
             "passive": self.passive,
             "without": self.struck,
             "most": self.most,
+            "budget": self.budget,
             "seed": self.seed,
             "workers": self.workers,
         }

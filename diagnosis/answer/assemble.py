@@ -157,6 +157,7 @@ def assembled(
         ),
         visibility=visibility,
         method=_method(bound, found, weighed, held_out),
+        not_looked_at=found.missed,
         posterior=_posterior(bound, best, weighed, seed),
     )
 
@@ -222,6 +223,8 @@ def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> d
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
         "noise scale at its likeliest (its integral adds the same to each); "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
+        "looked at",
         "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }

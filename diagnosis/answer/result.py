@@ -180,7 +180,8 @@ class Diagnosis:
     `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
     apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.overlap`), and
     `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
-    `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
+    `not_looked_at` counts the candidates for which the budget had nothing left when it ended the search, 0 where it did
+    not. `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
     candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
     In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
     its "end".
@@ -207,6 +208,7 @@ class Diagnosis:
     method: dict[str, str]
     overlaps: tuple[tuple[str, str, float], ...] = ()
     not_enough_data: str | None = None
+    not_looked_at: int = 0
     posterior: az.InferenceData | None = None
 
     def to_json(self) -> dict:
@@ -253,6 +255,7 @@ class Diagnosis:
                 "gain_per_frame": self.outside.gain_per_frame,
             },
             "not_identifiable": list(self.not_identifiable),
+            "search": {"stopped_at_the_budget": self.not_looked_at > 0, "not_looked_at": self.not_looked_at},
             "shrinkage": {
                 **_closed(self.shrinkage),
                 "held_out": self.shrinkage.held_out,

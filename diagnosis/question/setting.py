@@ -10,7 +10,7 @@ what a gap in the dynamics is measured by. Three regimes:
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.diagnosis.budget import Budget
 from invdyn.diagnosis.question.at_rest import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.question.jumps import calm
 from invdyn.diagnosis.question.labels import relabelled
@@ -85,6 +86,7 @@ class Setting:
         uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
+        budget: what is left of it; all settings of one diagnosis share it.
     """
 
     problem: Problem
@@ -92,6 +94,7 @@ class Setting:
     uncertain: tuple["Uncertain", ...] = ()
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
+    budget: Budget = field(default_factory=Budget, compare=False)
 
     @property
     def model(self) -> ArmModel:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
+from invdyn.diagnosis.question.cause import key_of
 from invdyn.diagnosis.question.setting import Setting
 from invdyn.diagnosis.question.unknowns import Unknowns
 from invdyn.diagnosis.screening.bursts import burst_products
@@ -32,6 +33,8 @@ SHORT, SURELY = 11, 10.0
 """Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
 beyond it, in twice the nats."""
 
+COLUMN = 0.1
+"""Passes (:mod:`..budget`) that a column takes."""
 BLOCK = 200
 """Columns that are whitened together."""
 HINGED, BEGUN = 10, 20
@@ -204,6 +207,7 @@ def screen(
     leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
     those where it would explain most if none are given.
     """
+    setting.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
     quick = copy(model)
@@ -219,6 +223,7 @@ def screen(
     for found, pieces, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
+        setting.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
         whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
@@ -260,7 +265,9 @@ def screen_in_halves(
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
     halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
-    one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
+    one, *rest = side_by_side(
+        [partial(screen, setting, model, path, half, *given) for half in halves], workers, setting.budget
+    )
     return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
 
 

@@ -58,6 +58,9 @@ class Whitened:
         """Observations seen."""
         return int(self.seen.sum())
 
+LINEARISED, FILTERED = 0.5, 0.1
+"""Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
+
 
 def sizes(regime: str) -> np.ndarray:
     """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
@@ -92,6 +95,7 @@ def filter_of(
     setting: Setting, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
 ) -> Filter:
     """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
+    setting.budget.spend(LINEARISED * (linear is None) + len(levels) * FILTERED, model, len(path))
     linear = linear or linear_of(setting, model, path)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))

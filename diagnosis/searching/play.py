@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.question.cause import Refined
+from invdyn.diagnosis.question.cause import Refined, key_of
 from invdyn.diagnosis.question.noise import grid, log_prior_of
 from invdyn.diagnosis.question.setting import Setting
 from invdyn.diagnosis.question.unknowns import unknowns, upper_bound
@@ -107,6 +107,7 @@ class Play:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
         width = min(float(np.exp(log_width)), upper_bound(self.parameter))
         if width not in self.tried:
+            self.setting.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
         return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], [width])
