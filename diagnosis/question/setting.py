@@ -20,6 +20,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.budget import Budget
 from invdyn.diagnosis.question.at_rest import noise_at_rest, shrunk, variance_of_log
+from invdyn.diagnosis.question.conventions import check_conventions
 from invdyn.diagnosis.question.jumps import calm
 from invdyn.diagnosis.question.labels import relabelled
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
@@ -209,6 +210,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime == "commanded":
         _check_torques(recording.name, model, velocity)
+    check_conventions(recording.name, model, problem.observations, angle)
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
