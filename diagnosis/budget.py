@@ -21,8 +21,10 @@ from invdyn.models import ArmModel
 
 T = TypeVar("T")
 
-PASSES = 4500.0
-"""A row, by default: two minutes at most for 1,000 rows on two cores (benchmarks/README.md has what was measured)."""
+PASSES = 1400.0
+"""A row, by default, of 1,000 rows at least: two minutes at most for those on two cores (benchmarks/README.md)."""
+SHORT = 1000
+"""Rows: a shorter recording may take as much, and most then hold no more than what they always took."""
 SEARCH = 0.75
 """Of the budget that the search may take; the rest is for what is said of its causes."""
 

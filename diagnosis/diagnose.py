@@ -21,10 +21,11 @@ from invdyn.diagnosis.answer.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.answer.describe import Formula, describe
 from invdyn.diagnosis.answer.enough import too_little
 from invdyn.diagnosis.answer.findings import key
+from invdyn.diagnosis.answer.matters import TOLERANCE
 from invdyn.diagnosis.answer.result import Diagnosis
 from invdyn.diagnosis.answer.shrinkage import Closed, Unseen, by_effect, closed, unseen
 from invdyn.diagnosis.answer.weigh import in_part_only, only, weigh
-from invdyn.diagnosis.budget import PASSES, Budget
+from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.question.cause import Refined
 from invdyn.diagnosis.question.prior import MOST
 from invdyn.diagnosis.question.setting import NotEnoughData, Setting, cannot_follow, setting
@@ -55,6 +56,7 @@ def diagnose(
     seed: int = 0,
     workers: int = 1,
     budget: float | None = None,
+    tolerance: float = TOLERANCE,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
@@ -72,11 +74,12 @@ def diagnose(
         workers: processes that may work side by side; this one is one of them.
         budget: s that the search may take, by the clock; what is found then depends on the machine. By default its
             work is counted (:mod:`.budget`), which does not.
+        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`).
         progress: called with (done, total, what).
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
     or when the simulation runs away from the recording whatever torque is added, or ``most`` or ``budget`` is not
-    positive, or
+    positive or ``tolerance`` no share, or
     ``without`` has a name that is no effect's. Too few
     rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
     a large torque could be missing and not show (:mod:`.enough`).
@@ -101,6 +104,8 @@ def diagnose(
             raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
     if most < 1:
         raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST}")
+    if not 0 <= tolerance < 1:
+        raise InputError(f"expected a tolerance from 0 to 1, a share of a typical torque, got {tolerance:g}")
     if budget is not None and not budget > 0:
         raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
     report(0, "bind")
@@ -109,7 +114,7 @@ def diagnose(
     except NotEnoughData as error:
         whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
         return nothing_to_say(whole, body, seed, passive, str(error))
-    work = PASSES * len(bound.observations) if budget is None else math.inf
+    work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
     bound = replace(bound, budget=allowed)
     other = None if held_out is None else replace(setting(held_out, body, passive=passive), budget=allowed)
@@ -158,7 +163,7 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
+    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows, tolerance)
     report(5, "done")
     return result
 

@@ -144,6 +144,9 @@ class Diagnosed(Recorded):
         float | None,
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
     ] = None
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+    ] = 0.005
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -206,6 +209,7 @@ class Diagnosed(Recorded):
             "without": self.struck,
             "most": self.most,
             "budget": self.budget,
+            "tolerance": self.tolerance,
             "seed": self.seed,
             "workers": self.workers,
         }

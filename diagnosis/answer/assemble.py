@@ -10,6 +10,7 @@ import torch
 from invdyn.diagnosis.answer.confirm import confirm, posterior
 from invdyn.diagnosis.answer.describe import Formula
 from invdyn.diagnosis.answer.findings import finding, key
+from invdyn.diagnosis.answer.matters import TOLERANCE, matters, tolerated
 from invdyn.diagnosis.answer.overlap import overlaps
 from invdyn.diagnosis.answer.result import Cause, Diagnosis, Gap, Outside, Part, Shrinkage, Tracks, Visibility, Where
 from invdyn.diagnosis.answer.separate import separating_experiment
@@ -42,12 +43,14 @@ def assembled(
     follows: Sequence[str],
     seed: int,
     held_out: str,
+    tolerance: float = TOLERANCE,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
     ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
+    A gap under ``tolerance`` of a typical torque does not matter (:mod:`.matters`).
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
@@ -60,7 +63,7 @@ def assembled(
         partial(residual, bound, none),
         *(partial(scores, bound, cause) for cause in (none, best)),
     ]
-    corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
+    corrected, nominal, (before, before_sd, unexplained), scored, improved = side_by_side(parts, found.workers)
     replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
     moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
     shifts = (
@@ -87,18 +90,21 @@ def assembled(
     visibility = tuple(
         Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
     )
-    probability = 1.0 - nothing
+    probability, limit = 1.0 - nothing, tolerated(bound, unexplained, tolerance)
+    large = matters(bound, none, best, before, limit)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
         seed=seed,
         regime=bound.regime,
         gap=Gap(
-            detected=probability > 0.5,
+            detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
             residual_torque_rms=_rms(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+            matters=large,
+            tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime != "unknown_torque" else {},
         ),
         where=where(
             model,

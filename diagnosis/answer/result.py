@@ -65,7 +65,8 @@ class Cause:
 class Gap:
     """Whether there is a gap, with what probability, and its size in the units that people use.
 
-    `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers; `residual_torque_rms`
+    `detected` says that there is one and that it `matters`, which a torque under `tolerated_torque`, joint to N·m, does
+    not. `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers; `residual_torque_rms`
     joint to N·m.
     """
 
@@ -74,6 +75,8 @@ class Gap:
     elpd_per_frame: dict[str, float]
     residual_torque_rms: dict[str, float]
     replay_rms_m: dict[str, float]
+    matters: bool = True
+    tolerated_torque: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -228,6 +231,8 @@ class Diagnosis:
                 "elpd_per_frame": self.gap.elpd_per_frame,
                 "residual_torque_rms": self.gap.residual_torque_rms,
                 "replay_rms_m": self.gap.replay_rms_m,
+                "matters": self.gap.matters,
+                "tolerated_torque": self.gap.tolerated_torque,
             },
             "where": {
                 "side": self.where.side,

@@ -23,6 +23,7 @@ from invdyn.diagnosis.question.at_rest import noise_at_rest, shrunk, variance_of
 from invdyn.diagnosis.question.conventions import check_conventions
 from invdyn.diagnosis.question.jumps import calm
 from invdyn.diagnosis.question.labels import relabelled
+from invdyn.diagnosis.question.thinned import thinned
 from invdyn.inference.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.effects.scale import typical_inertia, typical_torque
@@ -184,6 +185,7 @@ def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
 def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
+    recording = thinned(recording)
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
     uncertain = uncertain_numbers(body)

@@ -35,8 +35,8 @@ beyond it, in twice the nats."""
 
 COLUMN = 0.1
 """Passes (:mod:`..budget`) that a column takes."""
-BLOCK = 200
-"""Columns that are whitened together."""
+BLOCK, LONG = 200, 1500
+"""Columns that are whitened together, fewer of them along more rows: memory is what holds both."""
 HINGED, BEGUN = 10, 20
 """It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
 
@@ -88,9 +88,10 @@ def blocks(
     """
     plain = unchanged(model, path)
     found, pieces, first, count = [], [], [], 0
+    room = BLOCK if len(path) < LONG else BLOCK * LONG // len(path)
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, plain, times)
-        if count and count + columns.g.shape[-1] > BLOCK:
+        if count and count + columns.g.shape[-1] > room:
             yield found, pieces, first
             found, pieces, first, count = [], [], [], 0
         found += mine
