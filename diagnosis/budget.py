@@ -21,7 +21,7 @@ from invdyn.models import ArmModel
 
 T = TypeVar("T")
 
-PASSES = 1400.0
+PASSES = 1200.0
 """A row, by default, of 1,000 rows at least: two minutes at most for those on two cores (benchmarks/README.md)."""
 SHORT = 1000
 """Rows: a shorter recording may take as much, and most then hold no more than what they always took."""
