@@ -33,7 +33,7 @@ SHORT, SURELY = 11, 10.0
 """Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
 beyond it, in twice the nats."""
 
-COLUMN = 0.1
+COLUMN = 0.6
 """Passes (:mod:`..budget`) that a column takes."""
 BLOCK, LONG = 200, 1500
 """Columns that are whitened together, fewer of them along more rows: memory is what holds both."""

@@ -58,7 +58,7 @@ class Whitened:
         """Observations seen."""
         return int(self.seen.sum())
 
-LINEARISED, FILTERED = 0.5, 0.1
+LINEARISED, FILTERED = 0.75, 0.2
 """Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
 
 

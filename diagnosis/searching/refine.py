@@ -36,6 +36,8 @@ from invdyn.models.effects.base import Effect
 ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+REFUSED = 2
+"""Steps more that a round takes in the middle, of those that gain nothing and what is worked out along the last."""
 SHORTER = 25
 """Steps, ever shorter ones, where none of those was a gain."""
 
@@ -90,7 +92,7 @@ def refine(
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
-        setting.budget.spend(STEPS + 0.1 * len(point), here, len(path))
+        setting.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
             path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
