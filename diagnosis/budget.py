@@ -14,8 +14,9 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from invdyn.models import ArmModel
 
@@ -24,7 +25,7 @@ T = TypeVar("T")
 PASSES = 1200.0
 """A row, by default, of 1,000 rows at least: two minutes at most for those on two cores (benchmarks/README.md)."""
 SHORT = 1000
-"""Rows: a shorter recording may take as much, and most then hold no more than what they always took."""
+"""Rows: a shorter recording may take as much work as one of so many; nearly all need less."""
 SEARCH = 0.75
 """Of the budget that the search may take; the rest is for what is said of its causes."""
 
@@ -83,17 +84,29 @@ class Budget:
         plain = model.torque_size + 2 * model.body.num_joints
         self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
-    def apart(self, part: Callable[[], T]) -> tuple[T, float, frozenset[str]]:
-        """A part's result, its work and what it missed, as if it were the only one that was begun."""
-        before = self.done, self.missed
+    def apart(self, part: Callable[[], T]) -> "Outcome[T]":
+        """Run a part as if it were the only one that was begun."""
+        before, results = (self.done, self.missed), []
         try:
-            result = part()
-            return result, self.done - before[0], self.missed
+            with suppress(Spent):
+                results.append(part())
+            return Outcome(results, self.done - before[0], self.missed)
         finally:
             self.done, self.missed = before
 
-    def together(self, outcomes: Sequence[tuple[T, float, frozenset[str]]]) -> list[T]:
-        """Results of parts that ran :meth:`apart`, whose work counts from now on."""
-        self.done += sum(work for _, work, _ in outcomes)
-        self.missed = self.missed.union(*(missed for _, _, missed in outcomes))
-        return [result for result, _, _ in outcomes]
+    def together(self, outcomes: "Sequence[Outcome[T]]") -> list[T]:
+        """Results of parts that ran :meth:`apart`, whose work counts from now on; raises as one of them did."""
+        self.done += sum(each.work for each in outcomes)
+        self.missed = self.missed.union(*(each.missed for each in outcomes))
+        if not all(each.results for each in outcomes):
+            raise Spent("the budget is spent")
+        return [each.results[0] for each in outcomes]
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[T]):
+    """What came of a part: its result, none where the budget ended it, its work, and what was missed by then."""
+
+    results: list[T]
+    work: float
+    missed: frozenset[str]

@@ -175,7 +175,9 @@ def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = 
         bound = finely_stepped(bound.shaped(path), path)
         found = search(bound, path, stray, without, workers, most)
         return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
-    except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
+    except InputError:
+        raise
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:  # ValueError: no finite density
         raise cannot_follow(bound) from error
 
 
