@@ -40,7 +40,7 @@ def tolerated(setting: Setting, path: Tensor, share: float = TOLERANCE) -> np.nd
 
 
 def matters(setting: Setting, none: Refined, best: Refined, missing: np.ndarray, limit: np.ndarray) -> bool:
-    """Whether the torque that is ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
+    """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
     if setting.regime == "unknown_torque" or none.kappa > LOUD or any(is_noise(effect) for effect in best.effects):
         return True
     rows = max(round(WORST / float(setting.model.dt[1:].median())), 1)

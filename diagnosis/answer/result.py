@@ -66,8 +66,8 @@ class Gap:
     """Whether there is a gap, with what probability, and its size in the units that people use.
 
     `detected` says that there is one and that it `matters`, which a torque under `tolerated_torque`, joint to N·m, does
-    not. `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers; `residual_torque_rms`
-    joint to N·m.
+    not. `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers;
+    `residual_torque_rms` joint to N·m.
     """
 
     detected: bool

@@ -24,7 +24,7 @@ from invdyn.recordings import InputError
 APART, ALIKE = math.radians(20), 0.95
 """rad that encoders and keypoints may differ by all along, and the mean resultant length of a constant difference."""
 MISSED, NEAR = 0.3, 0.3
-"""Of the torques' rms that is missed where something is wrong, and of that what is still missed once it is put right."""
+"""Of the torques' rms what is missed where something is wrong, and of that what is missed once it is put right."""
 STEP, WINDOW = 0.01, 11
 """s between even rows, at least, and how many of them a local cubic has."""
 LEVER = 0.02
@@ -117,7 +117,8 @@ def _check_torques(name: str, model: ArmModel, angle: np.ndarray) -> None:
     own = missed([], 1, 1, 0.0)
     if own < MISSED:
         return
-    tried = [(missed(*mistake), words, mistake[0]) for words, *mistake in _mistakes(len(unit), model.emission_model.num_encoders > 0)]
+    known = _mistakes(len(unit), model.emission_model.num_encoders > 0)
+    tried = [(missed(*mistake), words, mistake[0]) for words, *mistake in known]
     best, words, joints = min(tried, key=lambda each: each[0])
     if best > NEAR * own or best > MISSED:
         return

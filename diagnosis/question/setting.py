@@ -268,6 +268,6 @@ def cannot_follow(setting: Setting) -> InputError:
     """The error of a simulation that runs away from its recording whatever is added to it."""
     return InputError(
         f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque of its "
-        "own at each joint: check units of torques (N·m), lengths and masses, signs and zeros of joints, or give a calmer "
-        "stretch: --frames 0:500"
+        "own at each joint: check units of torques (N·m), lengths and masses, signs and zeros of joints, or give a "
+        "calmer stretch: --frames 0:500"
     )

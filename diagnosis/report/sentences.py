@@ -59,7 +59,7 @@ def verdict(diagnosis: Diagnosis) -> str:
             "No gap shows, but the joint torques are unknown and could hide one in how the arm moves "
             f"(probability of a gap {probability})."
         )
-    if answer == "none" and not diagnosis.gap.matters:
+    if answer == "none" and diagnosis.gap.probability > 0.5:
         return f"No gap that matters: what the simulation lacks{_small(diagnosis)} is too little to look into."
     if answer == "none":
         return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
@@ -99,7 +99,7 @@ def _closing(diagnosis: Diagnosis, them: str) -> str:
 
 
 def _beyond(diagnosis: Diagnosis) -> str:
-    """Where something is left: what explains most, how far it closes the gap, and what is left; or that nothing does."""
+    """Where something is left: what explains most, how far that closes the gap, and the rest; or that nothing does."""
     place, outside = _place(diagnosis), percent(diagnosis.outside.probability)
     what = "no effect in the catalogue" if not diagnosis.not_looked_at else "no effect that the search came to"
     cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.in_part, default=None)
@@ -157,12 +157,12 @@ def details(diagnosis: Diagnosis) -> list[str]:
         found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")
     if answer in ("ambiguous", "outside", "unclear") and diagnosis.separating_experiment:
         found.append(f"What would tell: {diagnosis.separating_experiment.strip().rstrip('.')}.")
-    if answer == "none" and not diagnosis.gap.matters and (cause := best(diagnosis)) and diagnosis.gap.probability > 0.5:
+    if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
     if count := diagnosis.not_looked_at:
         found.append(
-            f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at (--budget gives it more)."
+            f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at (--budget gives more)."
         )
     if diagnosis.regime == "unknown_torque" and answer != "none":
         found.append("The joint torques are unknown, so what they could imitate by themselves cannot be blamed.")

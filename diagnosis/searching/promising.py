@@ -112,7 +112,8 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     clear = [s for s in screened if s.effect is not None and s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - HOPELESS}
-    for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers, setting.budget):
+    parts = [partial(_refined, setting, base, each, limits) for each in clear]
+    for causes in side_by_side(parts, found.workers, setting.budget):
         for cause in causes:
             found.add(cause)
 

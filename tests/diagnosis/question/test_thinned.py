@@ -14,7 +14,8 @@ def test_a_short_recording_is_itself():
 def test_each_stream_stays_even_and_commands_stay():
     log = robot_log(2.0)
     fewer = thinned(log, 400)
-    frames, encoders = (np.flatnonzero(np.isfinite(v).reshape(1000, -1).any(1)) for v in (fewer.keypoints, fewer.angles))
+    streams = (fewer.keypoints, fewer.angles)
+    frames, encoders = (np.flatnonzero(np.isfinite(values).reshape(1000, -1).any(1)) for values in streams)
     assert len(np.union1d(frames, encoders)) <= 400
     assert len(frames) == 120  # the camera has few, and keeps them
     assert set(np.diff(encoders)) == {4}
