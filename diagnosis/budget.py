@@ -4,7 +4,7 @@ A real recording always has something left, so a search that ends when nothing i
 not timed: the same recording is answered alike by every machine and any number of workers. Its unit is one pass, a
 linearisation of the plain arm along every row; a model with hidden states or sub-steps takes more of them,
 
-    work = passes · T (D/D₀)² (7 + s)/8,        T rows, D states, D₀ those of the plain arm, s sub-steps a row,
+    work = passes · T (D/D₀)² (3 + s)/4,        T rows, D states, D₀ those of the plain arm, s sub-steps a row,
 
 and a budget allows so many passes a row. Seconds, where somebody asks for them, end it by the clock instead; what is
 found then depends on the machine. The best so far is always an answer (anytime algorithms: Dean & Boddy 1988).
@@ -82,7 +82,7 @@ class Budget:
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
         plain = model.torque_size + 2 * model.body.num_joints
-        self.done += passes * rows * (model.state_dim / plain) ** 2 * (7 + model.substeps_taken) / 8
+        self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":
         """Run a part as if it were the only one that was begun."""

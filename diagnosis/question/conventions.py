@@ -21,8 +21,9 @@ from torch import Tensor
 from invdyn.models import ArmModel
 from invdyn.recordings import InputError
 
-APART, ALIKE = math.radians(20), 0.95
-"""rad that encoders and keypoints may differ by all along, and the mean resultant length of a constant difference."""
+APART, ROLLED, ALIKE = math.radians(10), math.radians(20), 0.95
+"""rad that encoders and keypoints may differ by all along; at the first joint, as a camera may be rolled; and the mean
+resultant length of a constant difference."""
 MISSED, NEAR = 0.3, 0.3
 """Of the torques' rms what is missed where something is wrong, and of that what is missed once it is put right."""
 STEP, WINDOW = 0.01, 11
@@ -67,7 +68,7 @@ def _check_keypoints(name: str, model: ArmModel, points: np.ndarray, angle: np.n
                 f"{name}: the encoder of joint {joint!r} turns the other way than its keypoints: does the robot count "
                 "it clockwise? Change the sign of its angles and torques"
             )
-        if abs(same) > ALIKE and abs(np.angle(same)) > APART:
+        if abs(same) > ALIKE and abs(np.angle(same)) > (APART if k else ROLLED):
             raise InputError(
                 f"{name}: the encoder of joint {joint!r} and its keypoints differ by "
                 f"{math.degrees(np.angle(same)):.0f}° all along: is its zero elsewhere? It is where the link lies "

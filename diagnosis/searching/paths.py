@@ -65,7 +65,7 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
         quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
         path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
-        setting.budget.spend(ITERATIONS / 2, loose, len(path))
+        setting.budget.spend(ITERATIONS, loose, len(path))
     return path
 
 

@@ -42,10 +42,10 @@ def whole():
 
 
 def test_work_is_passes_along_rows_by_states_and_sub_steps():
-    model = setting(recording_of(body=ARM), ARM).in_substeps(9).model
+    model = setting(recording_of(body=ARM), ARM).in_substeps(5).model
     budget = Budget(work=1000.0)
     budget.spend(2.0, model, 100)
-    assert budget.done == 400.0  # each of nine sub-steps an eighth of what a row takes, and seven for the row
+    assert budget.done == 400.0  # each of five sub-steps a quarter of what a row takes, and three for the row
     budget.share = 0.5
     budget.ask("payload")
     budget.spend(0.5, model, 100)

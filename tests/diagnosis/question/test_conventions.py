@@ -29,6 +29,7 @@ def test_a_log_that_is_right_is_bound(camera):
     [
         (True, {"zero": (0, QUARTER)}, "encoder of joint 'elbow' and its keypoints differ by 90° all along"),
         (True, {"zero": (-QUARTER, 0)}, "encoder of joint 'shoulder' and its keypoints differ by -90° all along"),
+        (True, {"zero": (0, 0.2)}, "'elbow' and its keypoints differ by 11° all along"),
         (True, {"angle": (1, -1), "torque": (1, -1)}, "encoder of joint 'elbow' turns the other way"),
         (False, {"zero": (QUARTER, 0)}, r"'shoulder' the angles' zero is \+90° off"),
         (False, {"angle": (1, -1), "torque": (1, -1)}, "'elbow' angles and torques are counted the other way"),
