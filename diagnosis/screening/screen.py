@@ -20,7 +20,7 @@ from invdyn.diagnosis.question.unknowns import Unknowns
 from invdyn.diagnosis.screening.bursts import burst_products
 from invdyn.diagnosis.screening.candidates import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.screening.evidence import Regression, regression
-from invdyn.diagnosis.screening.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.screening.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, products, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.linearisation import Linearisation
 from invdyn.models import ArmModel
@@ -225,7 +225,7 @@ def screen(
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
         setting.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
-        whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
+        whitened = products(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
