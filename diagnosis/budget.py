@@ -26,6 +26,8 @@ PASSES = 4000.0
 """A row, by default, of 1,000 rows at least: two minutes at most for those on two cores (benchmarks/README.md)."""
 SHORT = 1000
 """Rows: a shorter recording may take as much work as one of so many; nearly all need less."""
+GAP = 10.0
+"""Times as long as other models one with play takes, whose gap is worked out row by row."""
 SEARCH = 0.75
 """Of the budget that the search may take; the rest is for what is said of its causes."""
 
@@ -82,6 +84,7 @@ class Budget:
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
         plain = model.torque_size + 2 * model.body.num_joints
+        passes *= GAP if model.driven is not None else 1.0
         self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":

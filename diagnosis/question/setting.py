@@ -184,8 +184,8 @@ def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
 
 def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
-    recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
-    recording = thinned(recording)
+    given = [recording] if isinstance(recording, Recording) else recording
+    recording, starts = joined([thinned(each) for each in given])
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
     uncertain = uncertain_numbers(body)

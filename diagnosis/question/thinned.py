@@ -11,8 +11,8 @@ import numpy as np
 
 from invdyn.recordings import Recording
 
-ROWS = 3000
-"""With an observation, at most."""
+ROWS = 2000
+"""With an observation, at most, of one recording."""
 
 
 def thinned(recording: Recording, most: int = ROWS) -> Recording:
