@@ -71,7 +71,10 @@ def _show_warning(message: object, category: type[Warning], *_: object) -> None:
 
 
 class ProgressBar:
-    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches."""
+    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches.
+
+    What follows a semicolon in `what` changes while the bar stays: "refine; payload".
+    """
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None
@@ -86,10 +89,12 @@ class ProgressBar:
 
     def __call__(self, done: int, total: int, what: str) -> None:
         """Show that `done` of `total` steps of `what` are done."""
-        if self._bar is None or self._what != what:
+        stage, _, detail = what.partition("; ")
+        if self._bar is None or self._what != stage:
             self.__exit__()
-            self._bar, self._what = tqdm(total=total, desc=what, file=sys.stderr, disable=None), what
+            self._bar, self._what = tqdm(total=total, desc=stage, file=sys.stderr, disable=None), stage
         self._bar.total = total
+        self._bar.set_postfix_str(detail)
         self._bar.update(done - self._bar.n)
 
 

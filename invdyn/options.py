@@ -151,6 +151,13 @@ class Diagnosed(Recorded):
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    budget: Annotated[
+        float | None,
+        typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
+    ] = None
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+    ] = 0.005
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -214,6 +221,8 @@ class Diagnosed(Recorded):
             "passive": self.passive,
             "without": self.struck,
             "most": self.most,
+            "budget": self.budget,
+            "tolerance": self.tolerance,
             "seed": self.seed,
             "workers": self.workers,
         }

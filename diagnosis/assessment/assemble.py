@@ -12,6 +12,7 @@ from invdyn.diagnosis.assessment.confusability import overlaps
 from invdyn.diagnosis.assessment.findings import finding, key
 from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
+from invdyn.diagnosis.assessment.matters import TOLERANCE, matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed
 from invdyn.diagnosis.assessment.result import (
     Cause,
@@ -52,12 +53,14 @@ def assembled(
     follows: Sequence[str],
     seed: int,
     held_out: str,
+    tolerance: float = TOLERANCE,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
     ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
+    A gap under ``tolerance`` of a typical torque does not matter (:mod:`.matters`).
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
@@ -70,7 +73,7 @@ def assembled(
         partial(residual, bound, none),
         *(partial(scores, bound, cause) for cause in (none, best)),
     ]
-    corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
+    corrected, nominal, (before, before_sd, unexplained), scored, improved = side_by_side(parts, found.workers)
     replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
     moved = seen_tips(best.model, path) - tips[:, list(model.observation.tracked)]
     shifts = (
@@ -97,18 +100,21 @@ def assembled(
     visibility = tuple(
         Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
     )
-    probability = 1.0 - nothing
+    probability, limit = 1.0 - nothing, tolerated(bound, unexplained, tolerance)
+    large = matters(bound, none, best, before, limit)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
         seed=seed,
         regime=bound.regime,
         gap=Gap(
-            detected=probability > 0.5,
+            detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
             residual_torque_rms=_rms(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+            matters=large,
+            tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime != "unknown_torque" else {},
         ),
         where=where(
             model,
@@ -167,6 +173,7 @@ def assembled(
         ),
         visibility=visibility,
         method=_method(bound, found, weighed, held_out),
+        not_looked_at=found.missed,
         posterior=_posterior(bound, best, weighed, seed),
     )
 
@@ -232,6 +239,8 @@ def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> d
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
         "noise scale at its likeliest (its integral adds the same to each); "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
+        "looked at",
         "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
