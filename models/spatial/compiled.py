@@ -42,49 +42,61 @@ class Compiled:
     def __init__(self, numba):
         self._numba = numba
         self._loops: dict[tuple, Any] = {}
+        self._bodies: dict[str, tuple] = {}
         self.seconds: dict[str, float] = {}
 
     def __call__(
         self, method: str, traced: Program, joint: Mapping[str, Tensor], numbers: Sequence[Tensor], batch: Sequence[int]
     ) -> Tensor:
         """Outputs (*batch, O) of arguments (..., columns) by word, and of numbers (...), laid out by column."""
-        words = sorted({word for word, _ in traced.moving})
-        like = next(iter(joint.values()))
-        split = _first_shared(numbers, len(batch))
-        B, N = math.prod(batch[:split]), math.prod(batch[split:])
-        own = N == 1 < B
-        if own:
-            B, N = 1, B
-        given = [_by_column(joint[word], batch, (B, N)) for word in words]
-        shape = (*batch[:split], *(1 for _ in batch[split:]))
-        body = np.empty((len(numbers), B, N if own else 1), DTYPES[like.dtype])
-        for row, number in zip(body, numbers, strict=True):
-            row[...] = number.expand(shape).reshape(row.shape).numpy()
-        out = np.empty((len(traced.source.results), B, N), DTYPES[like.dtype])
-        literals = np.array(list(traced.source.literals.values()), DTYPES[like.dtype])
-        self._loop(method, traced, words, own, like.dtype)(*given, body, literals, out)
-        return torch.from_numpy(out).reshape(-1, *batch).movedim(0, -1)
+        dtype = joint["q"].dtype
+        body, own = self._body(method, numbers, batch, dtype)
+        _, B, N = shape = (-1, *body.shape[1:]) if own else (-1, body.shape[1], math.prod(batch) // body.shape[1])
+        given = [_by_column(joint[word], batch, shape) for word in traced.words]
+        out = torch.empty(len(traced.source.results), B, N, dtype=dtype)
+        loop, literals = self._loop(method, traced, own, dtype)
+        loop(*given, body, literals, out.numpy())
+        return out.view(-1, *batch).movedim(0, -1)
 
-    def _loop(self, method: str, traced: Program, words: Sequence[str], own: bool, dtype: torch.dtype):
+    def _body(self, method: str, numbers: list[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
+        """Numbers as an array (count, B, 1), or (count, 1, N) where each particle has its own: True then.
+
+        It is kept for as long as the same list of numbers comes.
+        """
+        known, of, found = self._bodies.get(method, (None, None, None))
+        if known is not numbers or of != batch:
+            split = _first_shared(numbers, len(batch))
+            B, N = math.prod(batch[:split]), math.prod(batch[split:])
+            own = N == 1 < B
+            array = np.empty((len(numbers), B), DTYPES[dtype])
+            shape = (*batch[:split], *(1 for _ in batch[split:]))
+            for row, number in zip(array, numbers, strict=True):
+                row[...] = number.detach().expand(shape).reshape(B).numpy()
+            found = array[:, None, :] if own else array[:, :, None], own
+            self._bodies[method] = numbers, batch, found
+        return found
+
+    def _loop(self, method: str, traced: Program, own: bool, dtype: torch.dtype):
         key = (id(traced), own, dtype)
         if key not in self._loops:
             began = time.perf_counter()
             scalar = self._numba.from_dtype(np.dtype(DTYPES[dtype]))
             array = scalar[:, :, ::1]
-            types = (*(array for _ in words), array, scalar[::1], array)
+            types = (*(array for _ in traced.words), array, scalar[::1], array)
             compiling = self._numba.njit(
                 self._numba.void(*types), fastmath=FASTMATH, error_model="numpy", nogil=True
             )
             # the program is kept with its loop: the id of one that is gone could become another's
-            self._loops[key] = compiling(_loop_source(traced, words, own)), traced
+            literals = np.array(list(traced.source.literals.values()), DTYPES[dtype])
+            self._loops[key] = compiling(_loop_source(traced, own)), literals, traced
             took = time.perf_counter() - began
             self.seconds[f"{method} {str(dtype).removeprefix('torch.')}"] = took
             _log.info("numba compiled %s of %d operations in %.1f s", method, traced.operations, took)
-        return self._loops[key][0]
+        return self._loops[key][:2]
 
 
-def _loop_source(traced: Program, words: Sequence[str], own: bool):
-    source = traced.source
+def _loop_source(traced: Program, own: bool):
+    source, words = traced.source, traced.words
     loads = [f"{name} = {word}[{place}, b, i]" for name, (word, place) in zip(source.arguments, traced.moving, strict=True)]
     numbers = [f"{name} = body[{place}, b, {'i' if own else 0}]" for place, name in enumerate(source.numbers)]
     stores = [f"out[{place}, b, i] = {name}" for place, name in enumerate(source.results)]
@@ -113,6 +125,8 @@ def _first_shared(numbers: Sequence[Tensor], ndim: int) -> int:
     return split
 
 
-def _by_column(value: Tensor, batch: Sequence[int], shape: tuple[int, int]) -> np.ndarray:
-    columns = value.detach().movedim(-1, 0).expand(-1, *batch)
-    return columns.reshape(-1, *shape).contiguous().numpy()
+def _by_column(value: Tensor, batch: Sequence[int], shape: tuple[int, ...]) -> np.ndarray:
+    array = value.numpy(force=True)  # without its gradient
+    if array.shape[:-1] != batch:
+        array = np.broadcast_to(array, (*batch, array.shape[-1]))
+    return np.ascontiguousarray(array.transpose(array.ndim - 1, *range(array.ndim - 1)).reshape(shape))

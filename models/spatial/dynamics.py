@@ -42,6 +42,15 @@ class Driven(NamedTuple):
     qdd: Tensor
 
 
+class _Body(NamedTuple):
+    """Parameters that came: the key of which of them are known to be 0 or ±1, and their common leading dimensions."""
+
+    p: TreeParameters
+    structure: bytes
+    batch: tuple[int, ...]
+    is_differentiated: bool
+
+
 class SpatialDynamics(Dynamics):
     """What a tree does; interface, shapes and units as in `Dynamics`, with p a `TreeParameters`.
 
@@ -57,12 +66,13 @@ class SpatialDynamics(Dynamics):
         self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
         self._patterns: dict[bytes, list[np.ndarray]] = {}
         self._programs: dict[tuple, Program] = {}
-        self._seen: tuple[TreeParameters | None, bytes] = None, b""
+        self._seen: _Body | None = None
         self._known: dict[tuple, tuple[TreeParameters, list]] = {}
-        numba = engine() if fast else None
-        self._compiled = Compiled(numba) if numba else None
+        self._compiled: Compiled | None = None
         if not rotors:
             self._check_inertia()
+        if fast and (numba := engine()):
+            self._compiled = Compiled(numba)
 
     @property
     def compile_seconds(self) -> dict[str, float]:
@@ -71,7 +81,7 @@ class SpatialDynamics(Dynamics):
 
     def operations(self, method: str) -> int:
         """Number of operations of a method's program for one state of the tree as it stands."""
-        return self._program(method, self._structure(self._nominal)).operations
+        return self._program(method, self._body(self._nominal).structure).operations
 
     def inertia_matrix(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
         """D(q), kg·m² (kg for slides), (..., K, K)."""
@@ -148,17 +158,17 @@ class SpatialDynamics(Dynamics):
     def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **joint: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
         joint = self._with_driven(driven, {name: value for name, value in joint.items() if value is not None})
-        structure = self._structure(p)
-        traced = self._program(method, structure, "own" in joint)
-        words = {word for word, _ in traced.moving}
-        joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in words}
-        numbers = self._numbers((method, structure, "own" in joint), traced, p)
-        batch = common(*(value.shape[:-1] for value in joint.values()), *_batches(p))
+        body = self._body(p)
+        traced = self._program(method, body.structure, "own" in joint)
+        joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
+        numbers = self._numbers((method, body.structure, "own" in joint), traced, p)
+        batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
-        asked = torch.is_grad_enabled() and any(map(_is_differentiated, (*joint.values(), *numbers)))
-        if self._compiled and not asked and like.device.type == "cpu":
-            return self._compiled(method, traced, joint, numbers, batch)
-        columns = {word: joint[word].unbind(-1) for word in words}
+        if self._compiled and like.device.type == "cpu":
+            asked = body.is_differentiated or any(map(_is_differentiated, joint.values()))
+            if not (asked and torch.is_grad_enabled()):
+                return self._compiled(method, traced, joint, numbers, batch)
+        columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
         return stacked([x.expand(batch) if isinstance(x, Tensor) else like.new_full(batch, x) for x in outputs])
 
@@ -205,14 +215,13 @@ class SpatialDynamics(Dynamics):
         body, numbers = self._known.get(key, (None, []))
         if body is not p:
             numbers = traced.numbers([getattr(p, field)[(..., *place)] for field, place in traced.constants])
-            if not any(map(_is_differentiated, p)):
+            if not self._body(p).is_differentiated:
                 self._known[key] = p, numbers
         return numbers
 
-    def _structure(self, p: TreeParameters) -> bytes:
-        """Which numbers of p are known to be 0 or ±1, as the key of a pattern that has NaN for all others."""
-        seen, key = self._seen
-        if seen is not p:
+    def _body(self, p: TreeParameters) -> "_Body":
+        """What was seen of p when it came first."""
+        if self._seen is None or self._seen.p is not p:
             pattern = []
             for known, value in zip(self._constants, p, strict=True):
                 if _is_differentiated(value):
@@ -221,10 +230,11 @@ class SpatialDynamics(Dynamics):
                     own = value.detach().cpu().double().reshape(-1, *known.shape).numpy()
                     known = np.where((own == known).all(0), known, np.nan)
                 pattern.append(known)
-            key = b"".join(np.isnan(known).tobytes() for known in pattern)
-            self._patterns.setdefault(key, pattern)
-            self._seen = p, key
-        return key
+            structure = b"".join(np.isnan(known).tobytes() for known in pattern)
+            self._patterns.setdefault(structure, pattern)
+            batches = [value.shape[: value.ndim - known.ndim] for known, value in zip(pattern, p, strict=True)]
+            self._seen = _Body(p, structure, common(*batches), any(map(_is_differentiated, p)))
+        return self._seen
 
     def _check_inertia(self) -> None:
         """Raise `BodyError` for a coordinate that nothing resists, whatever the pose."""
@@ -281,11 +291,6 @@ def _constants(name: str, value: Tensor) -> np.ndarray:
     value = value.numpy()
     known = (value == 0) | ((name == "rotation") & (np.abs(value) == 1))
     return np.where(known, value, np.nan)
-
-
-def _batches(p: TreeParameters) -> list[tuple[int, ...]]:
-    """Leading dimensions of each field."""
-    return [value.shape[: value.ndim - own] for value, own in zip(p, (1, 2, 2, 2, 3, 2, 1), strict=True)]
 
 
 def _is_differentiated(value: Tensor) -> bool:

@@ -6,6 +6,7 @@ with: torch tensors, or single numbers in the loops that numba compiles (`compil
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from invdyn.models.spatial.expressions import Expression, Graph, Node, Scalar
 
@@ -28,7 +29,7 @@ class Lines:
 class Program:
     """`numbers` takes the values of `constants` and gives a list; `values` takes those of `moving`, and that list.
 
-    Constants and moving are keys of arguments, as the graph has them; `source` is what `values` is made of.
+    Constants and moving are keys of arguments, (word, place), as the graph has them; `source` is what `values` is made of.
     """
 
     constants: Sequence
@@ -36,6 +37,11 @@ class Program:
     numbers: Callable[[Sequence], list]
     values: Callable[[Sequence, Sequence], list]
     source: Lines
+
+    @cached_property
+    def words(self) -> list:
+        """The first parts of the keys of `moving`, each once."""
+        return sorted({word for word, _ in self.moving})
 
     @property
     def operations(self) -> int:
