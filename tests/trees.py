@@ -52,18 +52,35 @@ def panda():
 def mobile_arm(driven=False):
     """An arm of three hinges on a base that rolls in the plane and turns, with a mast and a gripper fixed to it."""
     rod = (0.002, 0.03, 0.03, 0.0, 0.001, 0.0)
+    ball = (0.01, 0.01, 0.01, 0, 0, 0)
     slide = Joint("forward", "slide", (1.0, 0.0, 0.0), driven=driven)
     return Tree(
         "mobile arm",
         [
-            SpatialLink("gripper", Joint("mount", "fixed"), "forearm", origin=(0.3, 0, 0.01), mass=0.2, sites={"grasp": (0.1, 0, 0)}),
-            SpatialLink("cart_x", slide),
-            SpatialLink("cart_y", Joint("sideways", "slide", (0.0, 1.0, 0.0)), "cart_x"),
-            SpatialLink("cart", Joint("heading"), "cart_y", mass=12.0, com=(0.02, 0, 0.1), inertia=(0.3, 0.4, 0.5, 0, 0, 0)),
-            SpatialLink("mast", Joint("bolts", "fixed"), "cart", origin=(0.1, 0, 0.3), mass=2.0, com=(0, 0, 0.2)),
-            SpatialLink("turret", Joint("turret"), "mast", origin=(0, 0, 0.4), mass=1.5, inertia=(0.01, 0.01, 0.015, 0, 0, 0)),
+            SpatialLink(
+                "gripper",
+                Joint("mount", "fixed"),
+                "forearm",
+                origin=(0.3, 0, 0.01),
+                mass=0.2,
+                inertia=ball,
+                sites={"grasp": (0.1, 0, 0)},
+            ),
+            SpatialLink("cart_x", slide, mass=1.0, inertia=ball),
+            SpatialLink("cart_y", Joint("sideways", "slide", (0.0, 1.0, 0.0)), "cart_x", mass=0.5, inertia=ball),
+            SpatialLink(
+                "cart", Joint("heading"), "cart_y", mass=12.0, com=(0.02, 0, 0.1), inertia=(0.3, 0.4, 0.5, 0, 0, 0)
+            ),
+            SpatialLink(
+                "mast", Joint("bolts", "fixed"), "cart", origin=(0.1, 0, 0.3), mass=2.0, com=(0, 0, 0.2), inertia=ball
+            ),
+            SpatialLink(
+                "turret", Joint("turret"), "mast", origin=(0, 0, 0.4), mass=1.5, inertia=(0.01, 0.01, 0.015, 0, 0, 0)
+            ),
             SpatialLink("upper_arm", Joint("shoulder"), "turret", (0.05, 0, 0), UPRIGHT, 1.2, (0.15, 0.01, 0), rod),
-            SpatialLink("forearm", Joint("elbow"), "upper_arm", (0.3, 0, 0), mass=0.8, com=(0.12, 0, 0.02), inertia=rod),
+            SpatialLink(
+                "forearm", Joint("elbow"), "upper_arm", (0.3, 0, 0), mass=0.8, com=(0.12, 0, 0.02), inertia=rod
+            ),
         ],
     )
 
@@ -81,7 +98,9 @@ def random_tree(K, seed):
         second = spread @ spread.T + 0.01 * np.eye(3)
         inertia = np.trace(second) * np.eye(3) - second
         name = f"link{len(links)}"
-        chart = {"universal": ("zy", "xz", "yx"), "ball": ("zyx", "zxz", "yxz"), "free": ("zyx", "xyz")}.get(kind, ("",))
+        chart = {"universal": ("zy", "xz", "yx"), "ball": ("zyx", "zxz", "yxz"), "free": ("zyx", "xyz")}.get(
+            kind, ("",)
+        )
         joint = Joint(
             f"joint{len(links)}",
             kind,
@@ -118,11 +137,14 @@ def _turn(rng):
 
 
 def random_state(K, seed, batch=(), dtype=F64):
-    """q, q̇ and torques (or accelerations), (*batch, K) each."""
+    """q, q̇ and torques (or accelerations), (*batch, K) each; no angle is near a multiple of 90°, where charts end."""
     rng = torch.Generator().manual_seed(seed)
-    return [
-        (bound * (2 * torch.rand(*batch, K, generator=rng, dtype=F64) - 1)).to(dtype) for bound in (math.pi, 3.0, 10.0)
-    ]
+
+    def uniform(low, high):
+        return low + (high - low) * torch.rand(*batch, K, generator=rng, dtype=F64)
+
+    q = uniform(0.3, 1.2) + math.pi / 2 * uniform(-2, 2).floor()
+    return [value.to(dtype) for value in (q, uniform(-3, 3), uniform(-10, 10))]
 
 
 class MuJoCo:
@@ -192,20 +214,29 @@ def _text(numbers):
 
 
 def pinocchio_of(tree):
-    """The tree as a Pinocchio model, one joint a coordinate, in the order of the tree's motions if parents allow."""
+    """Pinocchio, the tree as its model with one joint a coordinate, and where it has the tree's motions."""
     pin = pytest.importorskip("pinocchio")
-    model, p, carriers = pin.Model(), tree.parameters(), []
+    model, p, carriers = pin.Model(), tree.parameters(), {-1: (0, pin.SE3.Identity())}
     model.gravity.linear = np.array(tree.gravity)
-    for place, (link, parent) in enumerate(zip(tree.links, tree.parents, strict=True)):
-        at, pose = carriers[parent] if parent >= 0 else (0, pin.SE3.Identity())
+    for place in _branch_by_branch(tree, -1):
+        link = tree.links[place]
+        at, pose = carriers[tree.parents[place]]
         pose = pose * pin.SE3(np.array(link.rotation), p.position[place].numpy())
         for motion in link.joint.motions():
             kind = pin.JointModelRevoluteUnaligned if motion.turns else pin.JointModelPrismaticUnaligned
             at = model.addJoint(at, kind(motion.axis), pose, motion.name)
             pose = pin.SE3.Identity()
         pose = pose * pin.SE3(np.array(link.joint.reference), np.zeros(3))
-        carriers.append((at, pose))
+        carriers[place] = at, pose
         xx, yy, zz, xy, xz, yz = p.inertia[place].tolist()
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         model.appendBodyToJoint(at, pin.Inertia(p.mass[place].item(), p.com[place].numpy(), tensor), pose)
     return pin, model, np.array([model.idx_vs[model.getJointId(motion.name)] for _, motion in tree.motions()])
+
+
+def _branch_by_branch(tree, parent):
+    """Places of the links, depth first: Pinocchio wants what a joint carries in one piece."""
+    for place, inner in enumerate(tree.parents):
+        if inner == parent:
+            yield place
+            yield from _branch_by_branch(tree, place)

@@ -59,7 +59,9 @@ def accelerations(frames: Frames, motion: Motion, own_inertia: Sequence[Scalar] 
         frame = frames.frames[k]
         has_parent = frame.parent >= 0
         if frames.is_driven(frame):
-            handed = _carried(bodies[k], speeds[k][2], frame.turns, motion.qdd[frame.coordinate]) if has_parent else None
+            handed = (
+                _carried(bodies[k], speeds[k][2], frame.turns, motion.qdd[frame.coordinate]) if has_parent else None
+            )
         else:
             own = 0.0 if own_inertia is None else own_inertia[frame.coordinate]
             solved[k], handed = _released(

@@ -83,9 +83,7 @@ class Compiled:
             scalar = self._numba.from_dtype(np.dtype(DTYPES[dtype]))
             array = scalar[:, :, ::1]
             types = (*(array for _ in traced.words), array, scalar[::1], array)
-            compiling = self._numba.njit(
-                self._numba.void(*types), fastmath=FASTMATH, error_model="numpy", nogil=True
-            )
+            compiling = self._numba.njit(self._numba.void(*types), fastmath=FASTMATH, error_model="numpy", nogil=True)
             # the program is kept with its loop: the id of one that is gone could become another's
             literals = np.array(list(traced.source.literals.values()), DTYPES[dtype])
             self._loops[key] = compiling(_loop_source(traced, own)), literals, traced
@@ -97,7 +95,9 @@ class Compiled:
 
 def _loop_source(traced: Program, own: bool):
     source, words = traced.source, traced.words
-    loads = [f"{name} = {word}[{place}, b, i]" for name, (word, place) in zip(source.arguments, traced.moving, strict=True)]
+    loads = [
+        f"{name} = {word}[{place}, b, i]" for name, (word, place) in zip(source.arguments, traced.moving, strict=True)
+    ]
     numbers = [f"{name} = body[{place}, b, {'i' if own else 0}]" for place, name in enumerate(source.numbers)]
     stores = [f"out[{place}, b, i] = {name}" for place, name in enumerate(source.results)]
     inner = [*(numbers if own else ()), *loads, *source.lines, *stores]

@@ -204,7 +204,9 @@ class SpatialDynamics(Dynamics):
 
             state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau", K))
             own = moving("own", K) if with_own else None
-            self._programs[key] = program(graph, TRACED[method](frames_of(self.tree, entry, method != "potential_energy"), state, own))
+            self._programs[key] = program(
+                graph, TRACED[method](frames_of(self.tree, entry, method != "potential_energy"), state, own)
+            )
         return self._programs[key]
 
     def _numbers(self, key: tuple, traced: Program, p: TreeParameters) -> list[Tensor]:

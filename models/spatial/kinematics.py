@@ -1,6 +1,6 @@
 """Where things are: sites and their Jacobian, and what weight has gained, in the world's axes.
 
-    ∂x/∂q_j = z_j × (x − p_j) for a turn about z_j through p_j, z_j for a shift; 0 for joints that do not carry the site
+∂x/∂q_j = z_j × (x − p_j) for a turn about z_j through p_j, z_j for a shift; 0 for joints that do not carry the site
 """
 
 from invdyn.models.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
