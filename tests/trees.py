@@ -155,10 +155,14 @@ class MuJoCo:
         children = [[] for _ in range(len(tree.links) + 1)]
         for place, parent in enumerate(tree.parents):
             children[parent].append(place)
-        gravity = _text(tree.gravity)
         self.model = self.mj.MjModel.from_xml_string(
-            f'<mujoco><compiler boundmass="0" boundinertia="0" angle="radian"/><option gravity="{gravity}" timestep="1e-3" integrator="Euler">'
-            f'<flag energy="enable" contact="disable"/></option><worldbody>{self._bodies(tree, children, -1)}</worldbody></mujoco>'
+            f"""<mujoco>
+            <compiler boundmass="0" boundinertia="0" angle="radian"/>
+            <option gravity="{_text(tree.gravity)}" timestep="1e-3" integrator="Euler">
+              <flag energy="enable" contact="disable"/>
+            </option>
+            <worldbody>{self._bodies(tree, children, -1)}</worldbody>
+            </mujoco>"""
         )
         self.data = self.mj.MjData(self.model)
         names = [motion.name for _, motion in tree.motions()]
@@ -172,15 +176,18 @@ class MuJoCo:
             reference = np.array(link.joint.reference)
             pose = np.array(link.rotation) @ reference
             joints = "".join(
-                f'<joint name="{motion.name}" type="{"hinge" if motion.turns else "slide"}" axis="{_text(reference.T @ motion.axis)}"/>'
+                f'<joint name="{motion.name}" type="{"hinge" if motion.turns else "slide"}" '
+                f'axis="{_text(reference.T @ motion.axis)}"/>'
                 for motion in link.joint.motions()
             )
-            inertial = f'<inertial pos="{_text(p.com[place])}" mass="{p.mass[place].item()!r}" fullinertia="{_text(p.inertia[place])}"/>'
+            inertial = (
+                f'<inertial pos="{_text(p.com[place])}" mass="{p.mass[place].item()!r}" '
+                f'fullinertia="{_text(p.inertia[place])}"/>'
+            )
             sites = "".join(
                 f'<site name="{name}" pos="{_text(p.sites[tree.keypoint_names.index(name)])}"/>' for name in link.sites
             )
             pinned = f'pos="{_text(p.position[place])}" xyaxes="{_text(pose[:, :2].T.ravel())}"'
-            inertial = inertial if p.mass[place] else ""
             xml += f"<body {pinned}>{joints}{inertial}{sites}{self._bodies(tree, children, place)}</body>"
         return xml
 

@@ -44,7 +44,7 @@ def check_inertia(matrix: np.ndarray, turning: np.ndarray, where: str) -> None:
         raise BodyError(f"{where}: expected principal moments of inertia ≥ 0, got {smallest:.4g} kg·m²")
     if largest > (smallest + middle) + SLACK * largest:
         raise BodyError(
-            f"{where}: its largest principal moment of inertia, {largest:.4g} kg·m², exceeds the sum of the two others, "
-            f"{smallest + middle:.4g}; no rigid body has that: is the order xx, yy, zz, xy, xz, yz, about the centre of "
-            "mass?"
+            f"{where}: its largest principal moment of inertia, {largest:.4g} kg·m², exceeds the sum of the two "
+            f"others, {smallest + middle:.4g}; no rigid body has that: is the order xx, yy, zz, xy, xz, yz, about the "
+            "centre of mass?"
         )

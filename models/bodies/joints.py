@@ -17,6 +17,7 @@ A `driven` joint's motion is given (a shoulder that a camera follows, say), so t
 
 import dataclasses
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -69,7 +70,7 @@ class Joint:
         if not self.chart:
             return usual
         letters = list(self.chart) if isinstance(self.chart, str) else []
-        apart = all(one != other for one, other in zip(letters, letters[1:], strict=False))
+        apart = all(one != other for one, other in pairwise(letters))
         if len(letters) != len(usual) or not usual or set(letters) - set("xyz") or not apart:
             wanted = f"{len(usual)} letters of x, y and z, no two alike in a row" if usual else "none"
             raise BodyError(f"{where}: a {self.type} joint's chart: expected {wanted}, got {self.chart!r:.40}")

@@ -39,7 +39,7 @@ def checked_scalars(values: object, count: int, what: str) -> tuple[Scalar, ...]
 
 
 def ordered(links: Sequence, where: str) -> tuple:
-    """Links with parents before their children, else as given. Raises `BodyError` for a parent that is none, a cycle."""
+    """Links with parents before their children, else as given. Raises `BodyError` for unknown parents and a cycle."""
     names = {link.name for link in links}
     for link in links:
         if link.parent != WORLD and link.parent not in names:

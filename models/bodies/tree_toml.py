@@ -24,8 +24,8 @@
     driven = false              # true: its motion is given, as a base's is that is moved
     mass = 1.0
     com = [0.12, 0.0, 0.0]      # m, in the link's frame
-    inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]    # kg·m² about the com: xx, yy, zz, xy, xz, yz
-    sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}    # m, named points
+    inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
+    sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}   # m, named points
 
 `reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be a table, as in
 planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's three too.
@@ -126,7 +126,8 @@ def _link(link: dict, where: str) -> dict:
     if "reference" in link:
         joint["reference"] = _rows(link["reference"], "axes", f"{where}: reference")
     made = {key: link[key] for key in ("name", "parent", "tip") if key in link} | {"joint": joint}
-    made |= {"rotation": _rows(link[key], key, f"{where}: {key}") for key in said}
+    for key in said:
+        made["rotation"] = _rows(link[key], key, f"{where}: {key}")
     made |= {key: scalar_from_table(link[key], f"{where}: {key}") for key in SCALARS if key in link}
     made |= {key: _vector(link[key], f"{where}: {key}") for key in VECTORS if key in link}
     if "sites" in link:

@@ -18,7 +18,7 @@ def add(*vectors: Vector) -> Vector:
 
 
 def subtract(a: Vector, b: Vector) -> Vector:
-    """a − b."""
+    """A − b."""
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
@@ -28,12 +28,12 @@ def scale(factor: Scalar, a: Vector) -> Vector:
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """a · b."""
+    """A · b."""
     return _sum([x * y for x, y in zip(a, b, strict=True)])
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """a × b."""
+    """A × b."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 

@@ -9,6 +9,7 @@ each: where they do not, or where a gradient of them is asked for, a program tha
 
 import math
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -100,7 +101,7 @@ class SpatialDynamics(Dynamics):
         return self._evaluate("gravity_load", p, driven, q=q)
 
     def bias(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
-        """h + c, N·m or N, (..., K)."""
+        """H + c, N·m or N, (..., K)."""
         self._check(q=q, qd=qd)
         return self._evaluate("bias", p, driven, q=q, qd=qd)
 
@@ -259,7 +260,11 @@ class SpatialDynamics(Dynamics):
 TURNED = {"cos": torch.cos, "sin": torch.sin}
 
 
-def _still(frames: Frames, motion: Motion, *still: str) -> Motion:
+def _flat(nested: list) -> list:
+    return list(chain.from_iterable(nested))
+
+
+def _still(motion: Motion, *still: str) -> Motion:
     """The motion with these quantities 0."""
     return motion._replace(**{word: [0.0] * len(motion.q) for word in still})
 
@@ -272,19 +277,19 @@ def _undriven(frames: Frames, motion: Motion) -> Motion:
 TRACED = {
     "forward": lambda frames, motion, own: articulated_bodies.accelerations(frames, motion, own),
     "response": lambda frames, motion, own: articulated_bodies.accelerations(
-        replace(frames, gravity=ZERO), _still(frames, motion, "qd", "qdd"), own
+        replace(frames, gravity=ZERO), _still(motion, "qd", "qdd"), own
     ),
     "inverse": lambda frames, motion, _: newton_euler.torques(frames, motion),
     "bias": lambda frames, motion, _: newton_euler.torques(frames, _undriven(frames, motion)),
     "coriolis": lambda frames, motion, _: newton_euler.torques(
         replace(frames, gravity=ZERO), _undriven(frames, motion)
     ),
-    "gravity_load": lambda frames, motion, _: newton_euler.torques(frames, _still(frames, motion, "qd", "qdd")),
+    "gravity_load": lambda frames, motion, _: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
     "kinetic_energy": lambda frames, motion, _: [newton_euler.kinetic_energy(frames, motion)],
     "potential_energy": lambda frames, motion, _: [kinematics.potential_energy(frames, motion)],
-    "inertia_matrix": lambda frames, motion, _: sum(composite_bodies.inertia_matrix(frames, motion), []),
-    "keypoints": lambda frames, motion, _: sum(map(list, kinematics.sites(frames, motion)), []),
-    "jacobian": lambda frames, motion, _: sum(sum(kinematics.jacobian(frames, motion), []), []),
+    "inertia_matrix": lambda frames, motion, _: _flat(composite_bodies.inertia_matrix(frames, motion)),
+    "keypoints": lambda frames, motion, _: _flat(kinematics.sites(frames, motion)),
+    "jacobian": lambda frames, motion, _: _flat(_flat(kinematics.jacobian(frames, motion))),
 }
 
 

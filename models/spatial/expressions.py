@@ -70,7 +70,7 @@ class Expression:
         self.graph, self.place = graph, place
 
     def _negated(self) -> "Expression | None":
-        """x where this is −x."""
+        """X where this is −x."""
         node = self.graph.nodes[self.place]
         return Expression(self.graph, node.operands[0]) if node.kind == "neg" else None
 

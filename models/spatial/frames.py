@@ -11,7 +11,7 @@ I_O = I + m (com² 1 − com comᵀ) kg·m².
 Of each body, what its coordinate cannot move belongs to the parent as well: of a turn about z a thin rod on that axis,
 with all of m, h_z and I_yy; of a shift the tensor. Regrouped so, from the outermost body inwards, they are zeros that
 shorten every recursion, and no torque or acceleration is another: W. Khalil and J.-F. Kleinfinger, "Minimum operations
-and minimum parameters of the dynamic models of tree structure robots", IEEE Journal of Robotics and Automation 3 (1987).
+and minimum parameters of the dynamic models of tree structure robots", IEEE J. Robotics and Automation 3 (1987).
 """
 
 from collections.abc import Callable, Sequence

@@ -30,7 +30,7 @@ def placed(frames: Frames, motion: Motion) -> list[PlacedFrame]:
 
 
 def velocities(frames: Frames, motion: Motion) -> list[tuple[Vector, Vector, tuple[Vector, Vector]]]:
-    """Of each frame, in its axes: angular velocity, velocity of its origin, and the pair v × S q̇ (its angular first)."""
+    """Of each frame, in its axes: angular velocity, velocity of its origin, and the pair v × S q̇, angular first."""
     found: list[tuple[Vector, Vector, tuple[Vector, Vector]]] = []
     for frame, place in zip(frames.frames, placed(frames, motion), strict=True):
         w, v = found[frame.parent][:2] if frame.parent >= 0 else (ZERO, ZERO)

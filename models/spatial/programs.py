@@ -29,7 +29,7 @@ class Lines:
 class Program:
     """`numbers` takes the values of `constants` and gives a list; `values` takes those of `moving`, and that list.
 
-    Constants and moving are keys of arguments, (word, place), as the graph has them; `source` is what `values` is made of.
+    Constants and moving are keys of arguments, (word, place), as the graph has them; `source` is that of `values`.
     """
 
     constants: Sequence
