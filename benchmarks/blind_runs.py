@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from invdyn.diagnosis.blind.score import score
+from invdyn.blindcheck.score import score
 
 KINDS = {
     "commanded": "commanded",

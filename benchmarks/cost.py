@@ -81,7 +81,7 @@ def measure(
     import torch
 
     from invdyn.inference import SMCOptions, backward_simulation, outer_weights, run_filters
-    from invdyn.inference.smc import adapted_smoother
+    from invdyn.inference.methods.smc import adapted_smoother
 
     torch.set_num_threads(threads)
     torch.manual_seed(0)

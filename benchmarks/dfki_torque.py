@@ -24,7 +24,7 @@ import torch
 from scipy.signal import butter, filtfilt
 
 from invdyn.inference import infer, pooled
-from invdyn.inference.differentiate import derivatives, inverse_dynamics, joint_angles
+from invdyn.inference.methods.differentiate import derivatives, inverse_dynamics, joint_angles
 from invdyn.models import TORQUE_PROCESSES, Body, Emission
 from invdyn.recordings import Recording, Truth, keypoints_from_angles, load, load_truth
 

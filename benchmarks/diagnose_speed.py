@@ -14,13 +14,13 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis import diagnose, save
-from invdyn.diagnosis.question.noise import is_searched
-from invdyn.diagnosis.question.setting import setting
-from invdyn.diagnosis.question.unknowns import unknowns
-from invdyn.diagnosis.screening.screen import screen
-from invdyn.diagnosis.searching.paths import data_path
-from invdyn.diagnosis.searching.pool import considered
-from invdyn.diagnosis.searching.substeps import finely_stepped
+from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.pool import considered
+from invdyn.diagnosis.hypotheses.substeps import finely_stepped
+from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording

@@ -20,7 +20,8 @@ from importlib.resources import files
 import numpy as np
 import torch
 
-from invdyn.inference import Problem, SMCOptions, outer_weights, pooled, run_filters, smc
+from invdyn.inference import Problem, SMCOptions, outer_weights, pooled, run_filters
+from invdyn.inference.methods.registry import smc
 from invdyn.models import Body
 from invdyn.simulate import paper_arm, record
 

@@ -37,9 +37,9 @@ from pyro.optim import Adam, ClippedAdam
 from scipy.stats import binom
 
 from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, SMCOptions, fit, gauss_newton
-from invdyn.inference.affine import Affine, Corrected
-from invdyn.inference.variational_smc import vsmc
-from invdyn.inference.vsmc import VSMC_ELBO
+from invdyn.inference.methods.variational_smc import vsmc
+from invdyn.inference.variational.affine import Affine, Corrected
+from invdyn.inference.variational.vsmc import VSMC_ELBO
 from invdyn.models import LinearGaussian, StateSpaceModel
 
 LEARNED = ("body.length", "body.mass")

@@ -1,8 +1,8 @@
 """Where simulation and recording part, why, and by how much less once the cause is added."""
 
-from invdyn.diagnosis.answer.result import Diagnosis
+from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.diagnose import diagnose, save
-from invdyn.diagnosis.question.setting import Setting, setting
-from invdyn.diagnosis.searching.search import search
+from invdyn.diagnosis.hypotheses.search import search
+from invdyn.diagnosis.problem.diagnosis_problem import Setting, setting
 
 __all__ = ["Diagnosis", "Setting", "diagnose", "save", "search", "setting"]

@@ -1,10 +1,11 @@
 """Diagnose the gap between simulation and recording: measure, locate, screen, confirm, add the cause, measure again.
 
-Its stages are rooms beside this file: ``question`` binds the recording (:mod:`.setting`); ``screening`` says of every
-effect what it would change; ``searching`` looks for causes by linearised evidence (:mod:`.search`); ``answer`` turns
-evidence into probabilities (:mod:`.weigh`), the best confirmed by SMC (:mod:`.confirm`), measures how far the gap
-closes on held-out data (:mod:`.shrinkage`), puts into a formula what no cause explains (:mod:`.describe`), says where
-it lies (:mod:`.where`), and puts all together (:mod:`.assemble`).
+Its stages are rooms beside this file: ``problem`` binds the recording (:mod:`.diagnosis_problem`); ``sensitivity``
+says of every effect what it would change; ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`);
+``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC
+(:mod:`.confirm`), measures how far the gap closes on held-out data (:mod:`.gap_closure`), puts into a formula what
+no cause explains (:mod:`.symbolic_regression`), says where it lies (:mod:`.localisation`), and puts all together
+(:mod:`.assemble`).
 """
 
 import json
@@ -16,22 +17,22 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from invdyn.diagnosis.answer.assemble import assembled, nothing_to_say
-from invdyn.diagnosis.answer.describe import Formula, describe
-from invdyn.diagnosis.answer.enough import too_little
-from invdyn.diagnosis.answer.findings import key
-from invdyn.diagnosis.answer.result import Diagnosis
-from invdyn.diagnosis.answer.shrinkage import Closed, Unseen, by_effect, closed, unseen
-from invdyn.diagnosis.answer.weigh import in_part_only, only, weigh
-from invdyn.diagnosis.question.cause import Refined
-from invdyn.diagnosis.question.prior import MOST
-from invdyn.diagnosis.question.setting import NotEnoughData, Setting, cannot_follow, setting
+from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
+from invdyn.diagnosis.assessment.findings import key
+from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, by_effect, closed, unseen
+from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
+from invdyn.diagnosis.assessment.power import too_little
+from invdyn.diagnosis.assessment.result import Diagnosis
+from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
+from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.pool import Search
+from invdyn.diagnosis.hypotheses.search import search
+from invdyn.diagnosis.hypotheses.shortlist import attempt
+from invdyn.diagnosis.hypotheses.substeps import finely_stepped
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import NotEnoughData, Setting, cannot_follow, setting
+from invdyn.diagnosis.problem.prior import MOST
 from invdyn.diagnosis.report import write_report
-from invdyn.diagnosis.searching.paths import data_path
-from invdyn.diagnosis.searching.pool import Search
-from invdyn.diagnosis.searching.promising import attempt
-from invdyn.diagnosis.searching.search import search
-from invdyn.diagnosis.searching.substeps import finely_stepped
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.models import Body
@@ -73,7 +74,7 @@ def diagnose(
     or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive, or
     ``without`` has a name that is no effect's. Too few
     rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
-    a large torque could be missing and not show (:mod:`.enough`).
+    a large torque could be missing and not show (:mod:`.power`).
     """
 
     def report(stage: int, what: str) -> None:

@@ -35,10 +35,10 @@ import pandas as pd
 import torch
 
 from invdyn.inference.held_out import log_score
-from invdyn.inference.initialise import Problem
-from invdyn.inference.methods import METHODS
-from invdyn.inference.scores import score_table
-from invdyn.inference.smc import Progress, SMCOptions
+from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare
 from invdyn.models import Body
 from invdyn.recordings import InputError, Recording, Truth

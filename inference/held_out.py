@@ -17,10 +17,10 @@ import torch
 from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
 
-from invdyn.inference.initialise import Problem
-from invdyn.inference.nested import outer_weights
-from invdyn.inference.seeds import seeded
-from invdyn.inference.smc import SMCOptions, gaussian_smoother, run_filters
+from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.filters.nested import outer_weights
+from invdyn.inference.methods.smc import SMCOptions, gaussian_smoother, run_filters
+from invdyn.inference.posterior.initialise import Problem
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
 

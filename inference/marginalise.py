@@ -19,12 +19,12 @@ import numpy as np
 import torch
 from pyro import poutine
 
-from invdyn.inference.checkpoint import Checkpoint
-from invdyn.inference.distribute import Tensors, spread
-from invdyn.inference.initialise import Problem
-from invdyn.inference.posterior import combine, load_posterior, save_posterior
-from invdyn.inference.seeds import derived, seeded
-from invdyn.inference.smc import Progress, SMCOptions
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.distribute import Tensors, spread
+from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.posterior import combine, load_posterior, save_posterior
 
 Method = Callable[..., az.InferenceData]
 

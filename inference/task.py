@@ -11,13 +11,13 @@ from typing import Any
 import arviz as az
 from torch import Tensor
 
-from invdyn.inference.checkpoint import Checkpoint, digest
-from invdyn.inference.distribute import inside
-from invdyn.inference.initialise import Problem, arm_problem
-from invdyn.inference.marginal_likelihood import Free, fit
+from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.distribute import inside
+from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
-from invdyn.inference.methods import METHODS, WITHOUT_EVIDENCE, timed
-from invdyn.inference.smc import Progress, SMCOptions
+from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
+from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, Body, Learned
 from invdyn.recordings import InputError, Recording, Truth
 

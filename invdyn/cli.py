@@ -203,8 +203,8 @@ def blind(
     ] = False,
 ) -> None:
     """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
-    from invdyn.diagnosis.blind.counts import counted
-    from invdyn.diagnosis.blind.run import BlindRun
+    from invdyn.blindcheck.counts import counted
+    from invdyn.blindcheck.run import BlindRun
 
     run = BlindRun(out, counted(kinds, cases), seed, workers, method_command)
     run.check()

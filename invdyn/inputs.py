@@ -27,7 +27,9 @@ def load_body(name: str) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
     if Path(name).exists():
         return Body.load(name)
-    ours = {Path(file.name).stem: file for file in (files("invdyn.models") / "bodies").iterdir()}
+    ours = {
+        Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
+    }
     if name not in ours:
         raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
     with as_file(ours[name]) as path:

@@ -122,7 +122,7 @@ class Inference(Recorded):
 
     def executor(self) -> AbstractContextManager:
         """Executor asked for, or None, for the time of a block. Raises InputError when there is none to be had."""
-        from invdyn.inference.executors import open_executor
+        from invdyn.inference.execution.executors import open_executor
 
         return open_executor(self.workers, self.scheduler)
 

@@ -18,8 +18,8 @@ Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s)
 import numpy as np
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.emission import Emission
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.observation.emission import Emission
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb."""

@@ -21,7 +21,7 @@ from pyro.distributions import Distribution, Independent, MultivariateNormal
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.missing import observe, observed_log_prob
+from invdyn.models.observation.missing import observe, observed_log_prob
 
 
 class StateSpaceModel(ABC):
@@ -70,7 +70,7 @@ class StateSpaceModel(ABC):
         return self
 
     driven: slice | None = None
-    """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.settled`,
+    """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""
 
     # -- parameters ----------------------------------------------------------------------------

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import RecursiveDynamics, SymbolicDynamics
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.interface import RecursiveDynamics, SymbolicDynamics
 
 F64 = torch.float64
 BOTH = pytest.mark.parametrize("kind", [SymbolicDynamics, RecursiveDynamics])

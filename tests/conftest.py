@@ -46,4 +46,4 @@ def _seeded():
 @pytest.fixture
 def fine_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The blind check's reality in steps of .2 ms at most: its own errors stay below what a test measures."""
-    monkeypatch.setattr("invdyn.diagnosis.blind.reality.LONGEST_STEP", 2e-4)
+    monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 2e-4)

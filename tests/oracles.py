@@ -100,7 +100,7 @@ def rts(chain, y):
 
 
 def dense_posterior(F, a, L, E, e, m0, V=None):
-    """Brute force for the chain of :mod:`invdyn.inference.square_root`, as one big Gaussian.
+    """Brute force for the chain of :mod:`invdyn.inference.smoothing.square_root`, as one big Gaussian.
 
     x = G n + g with n ~ N(0, I) all noises (w_0, v_0, w_1, v_1, …), and rows E_t x_t ≈ e_t of unit noise.
     Returns the posterior mean (T, D), marginal covariances (T, D, D) and the log-integral of
@@ -161,7 +161,7 @@ CHAIN_DIM = 3
 
 
 def chain_numbers(seed=0, *, rows=2, extra=0, steps=6, batch=()):
-    """Random time-varying F, a, L, E, e, m0, V of :mod:`invdyn.inference.square_root`."""
+    """Random time-varying F, a, L, E, e, m0, V of :mod:`invdyn.inference.smoothing.square_root`."""
     rng = np.random.default_rng(seed)
     F = 0.7 * rng.normal(size=(*batch, steps - 1, CHAIN_DIM, CHAIN_DIM))
     a = rng.normal(size=(*batch, steps - 1, CHAIN_DIM))

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from oracles import Chain
 
-from invdyn.diagnosis.question.setting import DECAY, LOOSE, setting
-from invdyn.diagnosis.screening.whiten import log_prior, sizes
-from invdyn.diagnosis.searching.refine import refine
-from invdyn.inference.gauss_newton import gauss_newton
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.diagnosis_problem import DECAY, LOOSE, setting
+from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording

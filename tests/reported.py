@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from invdyn.diagnosis.answer.result import (
+from invdyn.diagnosis.assessment.result import (
     Cause,
     Diagnosis,
     Estimate,

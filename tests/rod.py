@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from invdyn.models import ArmModel, Body, Emission, Link
-from invdyn.models.arm_row import Drive
+from invdyn.models.articulated.step import Drive
 
 F64 = torch.float64
 INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from markupsafe import Markup
 
-from invdyn.diagnosis.answer.result import Diagnosis
+from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.numbers import known, percent
 from invdyn.diagnosis.report.sentences import best
 

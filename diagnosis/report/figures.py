@@ -3,7 +3,7 @@
 import numpy as np
 from markupsafe import Markup
 
-from invdyn.diagnosis.answer.result import Diagnosis
+from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.drawing import MOST, Plot, limits
 from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain
 

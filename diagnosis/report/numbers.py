@@ -8,7 +8,7 @@ The rule for digits is the Particle Data Group's: two digits of the uncertainty 
 import math
 from collections.abc import Mapping
 
-from invdyn.diagnosis.answer.result import Estimate
+from invdyn.diagnosis.assessment.result import Estimate
 
 NOTHING = "–"
 """Stands for a number that was not measured."""

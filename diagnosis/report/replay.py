@@ -5,7 +5,7 @@ Positions become whole tenths of the picture's units, rows are thinned to `FRAME
 
 import numpy as np
 
-from invdyn.diagnosis.answer.result import Diagnosis
+from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.arm import View
 from invdyn.diagnosis.report.drawing import Plot, dots, limits
 from invdyn.diagnosis.report.numbers import fixed

@@ -14,14 +14,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
-from invdyn.diagnosis.answer.result import Cause, Diagnosis
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis
+from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
 from invdyn.diagnosis.report.words import REGIMES, SHORT_SIDES, cause_words, finding_words, key_words, meaning
-from invdyn.diagnosis.searching.promising import FAINT
 from invdyn.recordings.atomic import write_text
 
 TEMPLATES = Path(__file__).parent / "templates"

@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.answer.result import Cause, Diagnosis, named
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, named
 from invdyn.diagnosis.report.numbers import handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 

@@ -1,1 +1,1 @@
-"""What a body is made of: links, joints and sites in space, and the files that say it."""
+"""Bodies, their parameters, and the files that describe them."""

@@ -19,8 +19,8 @@ from invdyn.models.bodies.inertia import six, tensor
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.quantities import WORLD
 from invdyn.models.bodies.rotations import LETTERS, about, numbers
+from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.tree import SpatialLink, Tree
-from invdyn.models.scalars import BodyError, number
 
 
 class Row(NamedTuple):

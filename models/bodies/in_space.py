@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.quantities import WORLD
 from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
-from invdyn.models.body import Body, BodyParameters
 
 
 def load(path: str | Path) -> Body | Tree:

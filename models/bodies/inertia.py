@@ -8,7 +8,7 @@ that; of one that cannot turn, nothing.
 
 import numpy as np
 
-from invdyn.models.scalars import BodyError
+from invdyn.models.bodies.scalars import BodyError
 
 NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

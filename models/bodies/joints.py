@@ -23,7 +23,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from invdyn.models.bodies.rotations import LETTERS, unit
-from invdyn.models.scalars import BodyError, check_name
+from invdyn.models.bodies.scalars import BodyError, check_name
 
 COORDINATES = {"hinge": 1, "slide": 1, "universal": 2, "ball": 3, "translation": 3, "free": 6, "fixed": 0}
 CHARTS = {"universal": "zy", "ball": "zyx", "free": "zyx"}

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import pyro.distributions as dist
 import torch
 
-from invdyn.models.scalars import BodyError, Learned, Scalar, nominal, number
+from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, nominal, number
 
 WORLD = "world"
 """What a link's parent is called where it hangs on nothing that moves."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from invdyn.models.scalars import BodyError, number
+from invdyn.models.bodies.scalars import BodyError, number
 
 IDENTITY = np.eye(3)
 LETTERS = {letter: IDENTITY[place] for place, letter in enumerate("xyz")}

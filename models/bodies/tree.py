@@ -29,7 +29,7 @@ from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import UNTURNED, Joint, Motion
 from invdyn.models.bodies.quantities import WORLD, checked_scalar, checked_scalars, ordered
 from invdyn.models.bodies.rotations import about, from_axes, numbers
-from invdyn.models.scalars import BodyError, Learned, Scalar, check_name, nominal
+from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
 
 __all__ = ["SpatialLink", "Tree", "TreeParameters"]
 

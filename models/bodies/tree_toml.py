@@ -27,18 +27,18 @@
     inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
     sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}   # m, named points
 
-`reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be a table, as in
-planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's three too.
+`reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be
+a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's too.
 """
 
 import tomllib
 from pathlib import Path
 
+from invdyn.models.bodies.body_toml import literal, scalar_from_table, scalar_to_table
 from invdyn.models.bodies.quantities import WORLD
 from invdyn.models.bodies.rotations import from_axes, from_quaternion, from_rpy
-from invdyn.models.body_toml import literal, scalar_from_table, scalar_to_table
-from invdyn.models.scalars import BodyError, check_keys
-from invdyn.models.whole_file import write_whole
+from invdyn.models.bodies.scalars import BodyError, check_keys
+from invdyn.models.bodies.whole_file import write_whole
 
 TREE_KEYS = ("name", "dimensions", "gravity", "links")
 ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}

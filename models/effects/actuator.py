@@ -6,7 +6,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from invdyn.models.body import Body
+from invdyn.models.bodies.body import Body
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.scale import Scale
 

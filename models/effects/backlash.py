@@ -13,11 +13,11 @@ v (1 − ωt) exp(−ωt), with e = exp(−2) of its speed. A slow impact, of wh
 so that few of them end each bounce.
 
 Where contact begins or ends a sub-step ends with it (event location: Hairer, Nørsett & Wanner, "Solving Ordinary
-Differential Equations I", II.6; :mod:`invdyn.models.passage`), and the rest of that is a sub-step of its own: through
-contacts, too, errors fall with the fourth power of the sub-step. Left to its end they fell with the first, and one
-recording of 259 rows lost 98 nats by that. More contacts than a row has room for do wait for the end (Moreau's
-time-stepping) and give nothing back: an impact was then earlier by as long as the gap took for what it is too wide, and
-Δangles = the same of that in place of (1 + e) ψ̇ keeps the centre of inertia.
+Differential Equations I", II.6; :mod:`invdyn.models.dynamics.dense_output`), and the rest of that is a sub-step of
+its own: through contacts, too, errors fall with the fourth power of the sub-step. Left to its end they fell with
+the first, and one recording of 259 rows lost 98 nats by that. More contacts than a row has room for do wait for
+the end (Moreau's time-stepping) and give nothing back: an impact was then earlier by as long as the gap took for
+what it is too wide, and Δangles = the same of that in place of (1 + e) ψ̇ keeps the centre of inertia.
 """
 
 import math
@@ -29,13 +29,13 @@ import torch
 from pyro.distributions import Exponential
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.dense_output import Passage
+from invdyn.models.dynamics.integrators import rk4
+from invdyn.models.dynamics.interface import Dynamics, dynamics_for
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
-from invdyn.models.integrators import rk4
-from invdyn.models.passage import Passage
 from invdyn.models.shapes import join, joined_by_column
 
 ROTOR_SHARE = 0.5
@@ -54,6 +54,10 @@ class Backlash(HiddenHinge):
 
     Told apart from Coulomb friction by slow reversals of the load.
     """
+
+    phrase = "backlash"
+    meaning = "play between motor and joint"
+    shown_by = "slow reversals of the load"
 
     forgets = True
 

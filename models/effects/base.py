@@ -36,11 +36,11 @@ from pyro.distributions import Distribution
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from invdyn.models.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.effect_context import Situation, View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mistakes import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
@@ -99,6 +99,17 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     """Hooks are called in this order. Of the motors, as in MuJoCo: dead zone −4, lag −3, saturation −2, gain −1, and a
     delay, which may come at any place, 0; of what is seen: markers 0, timing 1, geometry of the camera 2."""
+
+    phrase: ClassVar[str] = ""
+    """Its name in a sentence, such as "viscous friction"; see :attr:`words`."""
+    meaning: ClassVar[str] = ""
+    """What it is, in half a sentence."""
+    form_words: ClassVar[Mapping[str, str]] = {}
+    """What its other readings are, by their word in :attr:`forms`, and its softer form, by a parameter of that."""
+    shown_by: ClassVar[str] = ""
+    """The recording that brings it out and nothing like it."""
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Effects, by name, that stand in for it exactly: its parameters, by name, and theirs of the same value."""
 
     pulls: ClassVar[bool] = False
     """Whether its force acts on points of the links, so that a hidden hinge among them feels it too."""
@@ -291,7 +302,7 @@ class Effect(ABC):
         return sd
 
     def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:
-        """What the tracker gets wrong now and then; see :mod:`invdyn.models.mistakes`."""
+        """What the tracker gets wrong now and then; see :mod:`invdyn.models.observation.tracker_errors`."""
         return None
 
 

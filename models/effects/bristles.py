@@ -20,9 +20,9 @@ from pyro.distributions import LogNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 LONGEST = 0.002
 """s, sub-step that follows a joint swinging on its bristles."""
@@ -33,7 +33,7 @@ Moving = Callable[[Tensor, Tensor, float, Tensor], tuple[Tensor, Tensor]]
 """(q, q̇, fraction of the step, s) → θ̈ (..., K) and ṡ (..., 1)."""
 
 
-class Bristles(Hidden):
+class BristleFriction(Hidden):
     """A dry friction, ``of``, whose levels are as they are, and one hidden state s.
 
     Args:
@@ -58,7 +58,7 @@ class Bristles(Hidden):
         """Beyond a friction that creeps."""
         return 2
 
-    def bound(self, body) -> "Bristles":
+    def bound(self, body) -> "BristleFriction":
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
 

@@ -8,15 +8,15 @@ from functools import reduce
 import torch
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import dynamics_for
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.interface import dynamics_for
 from invdyn.models.effects.base import Effect, Values
-from invdyn.models.effects.bristles import Bristles
+from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
+from invdyn.models.effects.effect_context import Situation, View
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
-from invdyn.models.effects.situation import Situation, View
-from invdyn.models.mistakes import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 
 PREFIX = "effect."
 PARTS = 8
@@ -61,7 +61,7 @@ class Composition:
             raise ValueError(f"expected at most one effect whose hidden states move the arm, got {keys}")
         mover = movers[0] if movers else None
         self.hinge = mover if isinstance(mover, HiddenHinge) else None
-        self.bristles = mover if isinstance(mover, Bristles) else None
+        self.bristles = mover if isinstance(mover, BristleFriction) else None
         self.followers = sorted((each for each in hidden if isinstance(each, Follower)), key=lambda each: each.key)
         self.hidden: tuple[Hidden, ...] = (*movers, *self.followers)
 

@@ -6,9 +6,9 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.rubbing import Rubbing
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.regularised_friction import Rubbing
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class CoulombFriction(Rubbing):
@@ -16,6 +16,10 @@ class CoulombFriction(Rubbing):
 
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
+
+    phrase = "Coulomb friction"
+    meaning = "a torque of one size against the motion, whatever the speed"
+    shown_by = "slow reversals at several amplitudes"
 
     steady: ClassVar[bool] = True
 

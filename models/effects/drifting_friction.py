@@ -4,8 +4,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class DriftingFriction(Effect):
@@ -13,6 +13,10 @@ class DriftingFriction(Effect):
 
     Told apart from plain viscous friction by repeating a clip.
     """
+
+    phrase = "drifting friction"
+    meaning = "friction that changes during the recording"
+    shown_by = "the first motion again at the end"
 
     dated = True
 

@@ -14,10 +14,10 @@ to the right speed, but not to the right place: that is off by
 
     A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
-Where friction is soft and settles a joint with a time constant T, but lets it creep with a speed a ρ (:mod:`.rubbing`),
-w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a), above which it is −L and below +L: at constant a
-all of a sub-step in closed form, its mean and where it leads. Between two joints w and h / (1 − exp(−h/T)) take the
-places of θ̇ and h.
+Where friction is soft and settles a joint with a time constant T, but lets it creep with a speed a ρ
+(:mod:`.regularised_friction`), w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a), above which
+it is −L and below +L: at constant a all of a sub-step in closed form, its mean and where it leads. Between two
+joints w and h / (1 − exp(−h/T)) take the places of θ̇ and h.
 
 Levels that change with speed or load, and what soft friction settles against, are those half a sub-step later, where
 the friction of the beginning leads (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of
@@ -29,7 +29,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from invdyn.models.effects.situation import Situation
+from invdyn.models.effects.effect_context import Situation
 
 SWEEPS = 3
 AT_ONCE = 1e-6

@@ -5,8 +5,8 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 TYPICAL, SHORTEST = 0.15, 0.01
 """s, that pushes last, and that they last at least."""
@@ -19,6 +19,10 @@ class ExternalPush(Effect):
     and end so. The edges are ramps as long as the integrator's step, about the moment itself: whatever the step, sums
     over them give the impulse. Told apart from a burst of torque by repeating. ``xfrc_applied`` in MuJoCo.
     """
+
+    phrase = "an external push"
+    meaning = "a force from outside, for a short while"
+    shown_by = "the same motion again, untouched"
 
     site = "keypoint"
     located = ("moment", "duration")

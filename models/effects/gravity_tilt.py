@@ -1,11 +1,11 @@
 """Gravity from another direction: the frame is not level."""
 
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Self
 
 from pyro.distributions import Normal
 
-from invdyn.models.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, turned
 from invdyn.models.effects.scale import Scale
 
@@ -15,6 +15,11 @@ class GravityTilt(Effect):
 
     Cannot be told from a rolled camera unless the picture shows a plumb line or the base's orientation.
     """
+
+    phrase = "tilted gravity"
+    meaning = "gravity that points elsewhere than in the simulation"
+    shown_by = "a plumb line in view of the camera"
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
     site = "arm"
 

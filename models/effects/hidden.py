@@ -19,8 +19,8 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import Dynamics, dynamics_for
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.interface import Dynamics, dynamics_for
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column

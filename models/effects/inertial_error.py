@@ -2,7 +2,7 @@
 
 from pyro.distributions import Normal, StudentT
 
-from invdyn.models.body import BodyParameters
+from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
 from invdyn.models.effects.scale import Scale
 
@@ -17,6 +17,10 @@ class InertialError(Effect):
 
     Known but for a common factor when no torque and no weight is.
     """
+
+    phrase = "an inertial error"
+    meaning = "a link whose mass, centre of mass or inertia is not as stated"
+    shown_by = "two postures held still, then fast motion"
 
     site = "link"
 

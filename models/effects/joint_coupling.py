@@ -6,8 +6,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 LEAST = 0.1
 """Ratio of lever arms under which it is a spring of one joint; couplings that were found where there were some had .52
@@ -20,6 +20,10 @@ class JointCoupling(Effect):
     What a muscle or a tendon over two joints does. Told apart from either joint's own stiffness by moving them apart.
     As a fixed ``tendon`` in MuJoCo.
     """
+
+    phrase = "joint coupling"
+    meaning = "a spring between two joints"
+    shown_by = "moving one joint while the other is held"
 
     site = "pair"
 

@@ -9,10 +9,10 @@ import torch
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.body import Body
+from invdyn.models.bodies.body import Body
 from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 SIDES = {"upper": 1.0, "lower": -1.0}
 SHALLOW, POINTS = 0.01, 12
@@ -43,6 +43,13 @@ class JointLimit(Effect):
 
     so that a steady torque τ presses it in by R τ / k. MuJoCo has, unless told otherwise, R = .05 to .11.
     """
+
+    phrase = "a joint limit"
+    meaning = "a stop that the joint runs into"
+    shown_by = "repeated slow sweeps into the end of the range"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "softness": "softer than a spring, it gives way to whatever presses the joint into it",
+    }
 
     located = ("angle",)
 

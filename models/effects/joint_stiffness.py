@@ -7,8 +7,8 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 TURNS = 2
 """Whole turns within which a rest angle is told: of one that is farther nobody would see the spring."""
@@ -21,6 +21,10 @@ class JointStiffness(Effect):
     line. Told apart from a tilt or an armature by the rest pose and the frequency. ``stiffness``, ``springref`` in
     MuJoCo.
     """
+
+    phrase = "joint stiffness"
+    meaning = "a spring that pulls the joint to a rest angle"
+    shown_by = "holding still in several postures"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and torque at angle zero T₀, N·m, for rest angles anywhere on a circle."""

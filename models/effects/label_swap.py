@@ -6,11 +6,11 @@ from typing import Self
 
 from pyro.distributions import Beta
 
-from invdyn.models.body import Body
+from invdyn.models.bodies.body import Body
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
-from invdyn.models.mistakes import Swap
+from invdyn.models.observation.tracker_errors import Swap
 
 
 class LabelSwap(Effect):
@@ -18,6 +18,10 @@ class LabelSwap(Effect):
 
     Told apart from outliers by its symmetry.
     """
+
+    phrase = "swapped labels"
+    meaning = "two keypoints that are exchanged in some frames"
+    shown_by = "the same motion with markers that differ"
 
     side, site = "observation", "keypoints"
 

@@ -17,12 +17,12 @@ import torch
 from pyro.distributions import LogNormal, Uniform
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
-from invdyn.models.dynamics import dynamics_for
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.integrators import rk4
+from invdyn.models.dynamics.interface import dynamics_for
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
-from invdyn.models.integrators import rk4
 from invdyn.models.shapes import join, joined_by_column
 
 FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
@@ -38,6 +38,13 @@ class LinkFlexibility(HiddenHinge):
 
     Told apart from a delay by driving it past its resonance.
     """
+
+    phrase = "link flexibility"
+    meaning = "a link that bends and swings"
+    shown_by = "a command that sweeps past the link's resonance"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "position": "softer than in its middle alone, at this share of its length",
+    }
 
     site = "link"
     softens: ClassVar[bool] = True

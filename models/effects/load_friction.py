@@ -7,9 +7,9 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Parameter, Values
-from invdyn.models.effects.rubbing import Rubbing
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.regularised_friction import Rubbing
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class LoadFriction(Rubbing):
@@ -19,6 +19,14 @@ class LoadFriction(Rubbing):
     gear from both sides. Told apart from Coulomb friction by varying the load. Friction that rather goes with what
     gravity alone exerts, as servo models have it, is its softer form: only a share s of h counts.
     """
+
+    phrase = "load-dependent friction"
+    meaning = "friction that grows with the torque that the joint carries"
+    shown_by = "the same motion under a changed load"
+    form_words: ClassVar[Mapping[str, str]] = {
+        **Rubbing.form_words,
+        "coriolis_share": "loaded by this share of the Coriolis and centrifugal torques",
+    }
 
     longest: ClassVar[float] = ABRUPT / 2
     """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""

@@ -9,8 +9,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
 class Optics(Effect):
@@ -21,6 +21,9 @@ class Optics(Effect):
 
     side, site, order = "observation", "arm", 2
     softens: ClassVar[bool] = True
+    form_words: ClassVar[Mapping[str, str]] = {
+        "centre_x": "about a centre of the picture that is not the frame’s origin",
+    }
 
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """The centre at the origin."""

@@ -2,7 +2,7 @@
 
 from pyro.distributions import HalfNormal
 
-from invdyn.models.body import BodyParameters
+from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
 from invdyn.models.effects.scale import Scale
 
@@ -12,6 +12,10 @@ class Payload(Effect):
 
     Told apart from an error of the last link's inertial parameters by two postures and two speeds.
     """
+
+    phrase = "a payload"
+    meaning = "a mass at the tip that the simulation does not carry"
+    shown_by = "two postures and two speeds"
 
     site = "arm"
 

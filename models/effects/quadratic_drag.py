@@ -4,8 +4,8 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class QuadraticDrag(Effect):
@@ -13,6 +13,10 @@ class QuadraticDrag(Effect):
 
     Told apart from viscous friction by large amplitudes. As ``density`` in MuJoCo.
     """
+
+    phrase = "quadratic drag"
+    meaning = "a torque against the motion that grows with the square of speed"
+    shown_by = "fast, large motion beside slow motion"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Drag c, N·m·s²/rad²."""

@@ -4,8 +4,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 
 class RollingShutter(Effect):
@@ -15,6 +15,10 @@ class RollingShutter(Effect):
 
     ρ < 0 where the picture is read from its top. Told apart from latency by the product of velocity and height.
     """
+
+    phrase = "a rolling shutter"
+    meaning = "rows of the picture that are seen at different times"
+    shown_by = "the same motion with the camera turned upside down"
 
     side, site, order = "observation", "arm", 1
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from invdyn.models.body import BodyParameters
+from invdyn.models.bodies.body import BodyParameters
 
 
 def typical_torque(body: BodyParameters) -> Tensor:

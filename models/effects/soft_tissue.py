@@ -16,9 +16,9 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.hidden import Follower, Motion
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
 
 STIFFEST = 1e-8
 """s², least κ that is none at all: a frequency of 1.6 kHz."""
@@ -33,6 +33,14 @@ class SoftTissue(Effect):
     that at its link's near end): p + (a + a' θ) u + (b + b' θ) u⊥. Either is told apart from a fixed offset, by fast
     motion and by other postures.
     """
+
+    phrase = "soft-tissue motion"
+    meaning = "a marker that shifts on the skin"
+    shown_by = "fast and slow motion through the same postures"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
+        "sliding": "that slides as the joint turns",
+    }
 
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)

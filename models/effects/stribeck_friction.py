@@ -8,9 +8,9 @@ from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Parameter, Values, quantiles
-from invdyn.models.effects.rubbing import Rubbing
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.regularised_friction import Rubbing
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 
 class StribeckFriction(Rubbing):
@@ -18,6 +18,10 @@ class StribeckFriction(Rubbing):
 
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
+
+    phrase = "Stribeck friction"
+    meaning = "friction that is largest at low speed and falls once the joint moves"
+    shown_by = "very slow reversals"
 
     contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 

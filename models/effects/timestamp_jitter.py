@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pyro.distributions import HalfNormal, Uniform
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import View
-from invdyn.models.mistakes import Shift
+from invdyn.models.observation.tracker_errors import Shift
 
 FARTHEST = 5.0
 """Frames, standard deviation."""
@@ -20,6 +20,10 @@ class TimestampJitter(Effect):
     All keypoints of a frame are off by the same time δ, each by δ ṗ + δ² p̈/2. Told apart from noise by its growth with
     speed, along the motion only, and alike for all keypoints.
     """
+
+    phrase = "timestamp jitter"
+    meaning = "frames that are dropped, doubled or mistimed"
+    shown_by = "a clock in view of the camera"
 
     side, site, order = "observation", "arm", 1
 

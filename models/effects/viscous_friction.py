@@ -4,8 +4,8 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.situation import Situation
 
 SHARES = (0.01, 0.1, 0.4, 1.2)
 """Of the prior's spread, where a screen looks: what stops a light link within a row does no more when it is doubled."""
@@ -16,6 +16,10 @@ class ViscousFriction(Effect):
 
     Told apart from Coulomb friction by motion at several amplitudes. As ``damping`` in MuJoCo.
     """
+
+    phrase = "viscous friction"
+    meaning = "a torque against the motion that grows with speed"
+    shown_by = "the same motion at several amplitudes"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""

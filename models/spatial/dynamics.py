@@ -2,7 +2,7 @@
 
     D(q) q̈ + h(q, q̇) + c(q) = τ
 
-as in `planar.py`, for K coordinates that hinges (rad, N·m) and slides (m, N) have. What the tree states as 0 (and, of
+as in the interface, for K coordinates that hinges (rad, N·m) and slides (m, N) have. What the tree states as 0 (and, of
 rotations, ±1) is left out of the traced programs. Whether the `TreeParameters` that come agree is looked at once for
 each: where they do not, or where a gradient of them is asked for, a program that leaves less out is traced.
 """
@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree, TreeParameters
-from invdyn.models.planar import Dynamics
-from invdyn.models.scalars import BodyError
+from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.shapes import common, join, stacked
 from invdyn.models.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.spatial.algebra import ZERO

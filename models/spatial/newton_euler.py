@@ -1,7 +1,7 @@
 """Inverse dynamics by recursive Newton–Euler, in body axes: torques of a given motion, O(K).
 
-R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5. Outwards velocities v and accelerations a, then forces
-f = I a + v ×* I v inwards; a torque is the part along its axis of the force that its frame and all further out need.
+R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5. Outwards velocities v and accelerations a, then
+forces f = I a + v ×* I v inwards; a torque is what its axis takes of the force that its frame and all further out need.
 Gravity is an acceleration −g of the world. Without accelerations, velocities or gravity the recursion is the shorter.
 """
 

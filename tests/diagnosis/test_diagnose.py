@@ -11,9 +11,9 @@ import torch
 from pendulum import ARM, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.answer.assemble import _ambiguous, _unseen
-from invdyn.diagnosis.answer.result import Cause, Finding
-from invdyn.diagnosis.question.setting import setting
+from invdyn.diagnosis.assessment.assemble import _ambiguous, _unseen
+from invdyn.diagnosis.assessment.result import Cause, Finding
+from invdyn.diagnosis.problem.diagnosis_problem import setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 

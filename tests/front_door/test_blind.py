@@ -10,11 +10,11 @@ from types import ModuleType
 
 import pytest
 
-from invdyn.diagnosis.blind.apart import serve
-from invdyn.diagnosis.blind.cases import Case, make_case
-from invdyn.diagnosis.blind.present import CATALOGUE
-from invdyn.diagnosis.blind.run import BlindRun
-from invdyn.diagnosis.blind.sealed import read_opened
+from invdyn.blindcheck.cases import Case, make_case
+from invdyn.blindcheck.commitment import read_opened
+from invdyn.blindcheck.injected_effects import CATALOGUE
+from invdyn.blindcheck.run import BlindRun
+from invdyn.blindcheck.worker import serve
 from invdyn.recordings import InputError
 
 pytest.importorskip("mujoco")

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from invdyn.diagnosis.answer.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
 from invdyn.diagnosis.report import write_report
 from invdyn.recordings import InputError
 

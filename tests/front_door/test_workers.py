@@ -124,7 +124,7 @@ def test_no_worker_is_left_behind(simulated, started, stop):
 
 def test_a_scheduler_that_does_not_answer_is_one_line(folder, run, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("invdyn.inference.executors.PATIENCE", 0.3)
+    monkeypatch.setattr("invdyn.inference.execution.executors.PATIENCE", 0.3)
     outcome = run(*INFER, "--out", "p.nc", "--scheduler", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 2
     (line,) = outcome.stderr.splitlines()

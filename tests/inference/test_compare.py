@@ -15,7 +15,7 @@ from torch.distributions import MultivariateNormal
 
 from invdyn.inference import METHODS, Comparison, arm_problem, compare, fit, prepare
 from invdyn.inference.held_out import Continued, log_score
-from invdyn.inference.posterior import to_inference_data
+from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording, Truth
 

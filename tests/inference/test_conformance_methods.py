@@ -17,7 +17,7 @@ from invdyn.inference import (
     save_posterior,
     summarise,
 )
-from invdyn.inference.methods import WITHOUT_EVIDENCE
+from invdyn.inference.methods.registry import WITHOUT_EVIDENCE
 from invdyn.models import (
     FAMILIES,
     INTEGRATORS,

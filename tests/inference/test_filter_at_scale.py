@@ -16,10 +16,10 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter
-from invdyn.inference import compiled as compiled_module
-from invdyn.inference.affine import Corrected
-from invdyn.inference.checkpoint import Checkpoint
-from invdyn.inference.vsmc import GRADIENTS, VSMC_ELBO
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.filters import compiled as compiled_module
+from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.vsmc import GRADIENTS, VSMC_ELBO
 from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link
 from invdyn.recordings import InputError
 
@@ -221,7 +221,7 @@ def linear(wait=0.0, folder=None):
 PROGRAM = """
 import sys, time, torch
 from invdyn.inference import Bootstrap, ParticleFilter
-from invdyn.inference.checkpoint import Checkpoint
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.models import LinearGaussian
 """
 

@@ -9,8 +9,8 @@ from oracles import Chain, kalman, random_chain
 from pyro.distributions import LogNormal
 from pyro.infer import Trace_ELBO
 
-from invdyn.inference.affine import Affine, Corrected
-from invdyn.inference.vsmc import VSMC_ELBO
+from invdyn.inference.variational.affine import Affine, Corrected
+from invdyn.inference.variational.vsmc import VSMC_ELBO
 
 
 @pytest.mark.parametrize("kind", ["affine", "corrected"])

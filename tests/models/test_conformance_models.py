@@ -19,7 +19,7 @@ from pyro.infer import MCMC, NUTS, SVI, SMCFilter, Trace_ELBO
 from pyro.infer.autoguide import AutoDelta
 
 from invdyn.models import INTEGRATORS, TORQUE_PROCESSES, ArmModel, Body, Emission, Link, OrnsteinUhlenbeck
-from invdyn.models.missing import observed_log_prob
+from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 STEPS = 6

@@ -5,8 +5,8 @@ import pytest
 import torch
 from chains import BOTH, F64, JOINTS, assert_close, random_case
 
-from invdyn.models import euler_lagrange
-from invdyn.models.dynamics import SymbolicDynamics
+from invdyn.models.dynamics import euler_lagrange
+from invdyn.models.dynamics.interface import SymbolicDynamics
 
 
 class MuJoCo:

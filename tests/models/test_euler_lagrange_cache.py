@@ -5,7 +5,7 @@ import math
 import pytest
 from chains import random_case
 
-from invdyn.models import euler_lagrange
+from invdyn.models.dynamics import euler_lagrange
 
 
 def evaluate(functions):

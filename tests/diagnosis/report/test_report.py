@@ -27,7 +27,7 @@ from reported import (
     two,
 )
 
-from invdyn.diagnosis.answer.result import (
+from invdyn.diagnosis.assessment.result import (
     Cause,
     Estimate,
     Finding,
@@ -36,13 +36,13 @@ from invdyn.diagnosis.answer.result import (
     Shrinkage,
     Visibility,
 )
+from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
 from invdyn.diagnosis.report.sentences import kind, left, verdict
-from invdyn.diagnosis.searching.promising import FAINT
 from invdyn.models import Body, Link
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
@@ -193,7 +193,11 @@ def test_lines_break_where_nothing_is_known_and_keep_their_spikes():
 
 
 def test_every_effect_of_the_catalogue_has_words():
-    assert set(words.EFFECTS) == set(EFFECTS)
+    for effect in EFFECTS.values():
+        assert effect.phrase
+        assert effect.meaning
+        assert effect.shown_by
+        assert all(effect.form_words[form] for form in effect.forms)
 
 
 def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
@@ -223,7 +227,7 @@ def test_a_softer_form_is_said_to_be_one():
                 shown = effect.described({name: one for name, (one, _) in ones.items()}) or ones
                 named = {name: Estimate(1.0, 0.1, (0.9, 1.1), unit) for name, (_, unit) in shown.items()}
                 told = words.meaning(Finding(effect.name, effect.side, {}, named))
-                assert any(each in told for each in words.SOFTER.values()) == effect.soft
+                assert any(each in told for each in effect.form_words.values()) == effect.soft
     assert words.meaning(Finding("my_own", "dynamics", {}, {})) is None
 
 

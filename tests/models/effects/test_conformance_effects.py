@@ -13,9 +13,9 @@ from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.models import Emission
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
-from invdyn.models.effects.bristles import Bristles
-from invdyn.models.effects.rubbing import Rubbing
-from invdyn.models.missing import observed_log_prob
+from invdyn.models.effects.bristles import BristleFriction
+from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
@@ -128,7 +128,7 @@ def test_places_are_checked(name, arm):
     assert effect.key == ".".join([effect.name, *effect.where])
     with pytest.raises(ValueError, match="twice"):
         model.with_effects(effect, effect)
-    kind = type(effect.of if isinstance(effect, Bristles) else effect)
+    kind = type(effect.of if isinstance(effect, BristleFriction) else effect)
     with pytest.raises((ValueError, TypeError)):
         kind("a", "b", "c")
     if effect.where:

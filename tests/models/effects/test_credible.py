@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from invdyn.diagnosis.question.unknowns import spread
+from invdyn.diagnosis.problem.unknowns import spread
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.joint_limit import have_room
 

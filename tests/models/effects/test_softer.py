@@ -6,7 +6,7 @@ import torch
 from rod import F64, INERTIA, driven, rod, rolled, torque_of
 from scipy.integrate import solve_ivp
 
-from invdyn.diagnosis.question.unknowns import FAR
+from invdyn.diagnosis.problem.unknowns import FAR
 from invdyn.models import ArmModel, Body, Emission, Link
 from invdyn.models.effects import (
     EFFECTS,

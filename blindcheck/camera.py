@@ -1,0 +1,149 @@
+"""The camera, in numpy: when it looked, where the markers sat, what the lens made of them, what the tracker lost.
+
+A frame stamped t shows, through the effects that are present and in this order,
+
+    when     t' = t − δ (latency) + ρ y (rolling shutter, y the row's height) + jitter: a share of the frames
+             (rate) is mistimed, with a standard deviation of sd over all frames
+    marker   p' = p + R(φ) (along, across)                  φ the link's absolute angle
+             p' = p − κ a                                   soft tissue, a the keypoint's acceleration; or as it swings
+    optics   (x, y) → (x cos ψ, y) D / (D + x sin ψ)        yaw, from the distance D
+             p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin, yaw and lens also about
+                                                            any centre
+    tracker  p + σ (1 + slope |v|) noise;  two labels exchanged;  a stray detection near p
+
+The rate of the clock is no matter of the picture: it scales every time in the table, `cases` sees to it.
+
+Shapes: T frames, P = K + 1 points, the base and the K tips.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from invdyn.blindcheck.nonideal_mechanisms import swung
+from invdyn.blindcheck.simulator import Trajectory
+
+OBSERVATIONS = (
+    "keypoint_offset",
+    "soft_tissue",
+    "camera_scale",
+    "camera_roll",
+    "camera_yaw",
+    "lens_distortion",
+    "clock_rate",
+    "camera_latency",
+    "rolling_shutter",
+    "timestamp_jitter",
+    "outliers",
+    "label_swap",
+    "varying_noise",
+)
+"""Every observation effect of the catalogue by its name there."""
+
+Effect = tuple[str, int | None, Mapping[str, float]]
+"""Name, the keypoint's number (0 is the first tip) where it has one, and parameters."""
+
+
+def film(
+    trajectory: Trajectory, time: np.ndarray, effects: Sequence[Effect], noise: float, seed: Sequence[int]
+) -> np.ndarray:
+    """Points (T, P, 2), m, as recorded at true times `time` (T,) s, with Gaussian noise of sd `noise` m.
+
+    Every effect draws from a stream of its own, so that leaving one out, or noise 0, changes nothing else.
+    """
+    present = {name: (place, parameters) for name, place, parameters in effects}
+
+    def stream(name: str) -> np.random.Generator:
+        return np.random.default_rng([*seed, *name.encode()])
+
+    tracks = np.stack([marker(trajectory, k, present) for k in range(trajectory.points.shape[1])], axis=1)
+    when = np.repeat(capture_times(time, present, stream)[:, None], tracks.shape[1], axis=1)
+    points = _at(trajectory.time, tracks, when)
+    if "rolling_shutter" in present:
+        per_metre = present["rolling_shutter"][1]["readout"]
+        for _ in range(4):  # the row that a point is seen in depends on when: a contraction for ρ |v| ≪ 1
+            points = _at(trajectory.time, tracks, when + per_metre * points[..., 1])
+    points = optics(points, present)
+    sd = np.full(points.shape[:2], noise)
+    if "varying_noise" in present:
+        velocity = np.gradient(tracks, trajectory.time, axis=0)
+        speed = np.linalg.norm(_at(trajectory.time, velocity, when), axis=-1)
+        sd = sd * (1 + present["varying_noise"][1]["slope"] * speed)
+    points = points + sd[..., None] * stream("noise").standard_normal(points.shape)
+    if "label_swap" in present:
+        place, parameters = present["label_swap"]
+        one, other = place + 1, (place if place else 2)  # a tip and its neighbour; the base is never mistaken
+        swapped = stream("label_swap").random(len(points)) < parameters["rate"]
+        points[np.ix_(swapped, [one, other])] = points[np.ix_(swapped, [other, one])]
+    if "outliers" in present:
+        _, parameters = present["outliers"]
+        rng = stream("outliers")
+        stray = rng.random(points.shape[:2]) < parameters["rate"]
+        points += stray[..., None] * parameters["scale"] * rng.standard_normal(points.shape)
+    return points
+
+
+def capture_times(time: np.ndarray, present: Mapping, stream) -> np.ndarray:
+    """When each frame (T,) was really taken, but for the rolling shutter."""
+    when = time
+    if "camera_latency" in present:
+        when = when - present["camera_latency"][1]["latency"]
+    if "timestamp_jitter" in present:
+        parameters, rng = present["timestamp_jitter"][1], stream("timestamp_jitter")
+        mistimed = rng.random(len(time)) < parameters["rate"]
+        when = when + mistimed * parameters["sd"] / np.sqrt(parameters["rate"]) * rng.standard_normal(len(time))
+    return when
+
+
+def marker(trajectory: Trajectory, point: int, present: Mapping) -> np.ndarray:
+    """Track (N+1, 2) of the marker that stands for a point."""
+    track = trajectory.points[:, point]
+    if "keypoint_offset" in present and present["keypoint_offset"][0] == point - 1:
+        parameters, heading = present["keypoint_offset"][1], trajectory.heading[:, point - 1]
+        along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        across = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+        track = track + parameters["along"] * along + parameters["across"] * across
+    if "soft_tissue" in present and present["soft_tissue"][0] == point - 1:
+        parameters, a = present["soft_tissue"][1], acceleration(trajectory.time, trajectory.points[:, point])
+        kappa, ratio = parameters["kappa"], parameters.get("damping_ratio")
+        track = track + (-kappa * a if ratio is None else swung(trajectory.time, a, kappa, ratio))
+    return track
+
+
+def acceleration(time: np.ndarray, track: np.ndarray) -> np.ndarray:
+    """Second derivative (N+1, 2), m/s², by central differences."""
+    return np.gradient(np.gradient(track, time, axis=0), time, axis=0)
+
+
+def optics(points: np.ndarray, present: Mapping) -> np.ndarray:
+    """What lens and pose of the camera make of points (..., 2), m."""
+    if "camera_yaw" in present:
+        angle, distance = (present["camera_yaw"][1][key] for key in ("angle", "distance"))
+        centre = _centre(present["camera_yaw"][1])
+        x, y = np.moveaxis(points - centre, -1, 0)
+        turned = np.stack([x * np.cos(angle), y], axis=-1)
+        points = centre + turned * (distance / (distance + x * np.sin(angle)))[..., None]
+    if "camera_roll" in present:
+        angle = present["camera_roll"][1]["angle"]
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        points = points @ turn.T
+    if "camera_scale" in present:
+        points = points * present["camera_scale"][1]["scale"]
+    if "lens_distortion" in present:
+        k1, centre = present["lens_distortion"][1]["k1"], _centre(present["lens_distortion"][1])
+        from_it = points - centre
+        points = centre + from_it * (1 + k1 * (from_it**2).sum(axis=-1, keepdims=True))
+    return points
+
+
+def _centre(parameters: Mapping[str, float]) -> np.ndarray:
+    return np.array([parameters.get("centre_x", 0.0), parameters.get("centre_y", 0.0)])
+
+
+def _at(time: np.ndarray, tracks: np.ndarray, when: np.ndarray) -> np.ndarray:
+    """Tracks (N+1, P, 2) on an even grid, interpolated linearly at `when` (T, P)."""
+    place = np.clip((when - time[0]) / (time[1] - time[0]), 0.0, len(time) - 1.0)
+    low = np.minimum(place.astype(int), len(time) - 2)
+    part = (place - low)[..., None]
+    point = np.arange(tracks.shape[1])
+    return (1 - part) * tracks[low, point] + part * tracks[low + 1, point]

@@ -1,0 +1,274 @@
+"""Cases of the blind check: a recording of a reality, the body file that the diagnosis gets, and the answer.
+
+Kinds: `commanded` (one effect), `passive`, `none` (a fifth each of them passive and with unknown torque), `weak` (a
+quarter of the usual size), `two` at once, `unknown_torque` (the command is not told), `outside` (an effect that the
+catalogue lacks), `leave_one_out` (the true effect is to be struck from the catalogue, and with it any other that can
+make the very same recording: no method could say that one is missing). A case follows from (seed, kind, effect) to the
+byte, on one machine. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by
+nobody before.
+
+An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
+body, motion and sizes drawn again, at most `TRIES` times, and from the fourth on that effect is larger by half for each
+draw that hardly met it, five times at most: a gear's play seldom shows, and what stands beside it has its usual size.
+The answer has d′ of every effect.
+"""
+
+import json
+import pathlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invdyn.blindcheck.camera import OBSERVATIONS, film
+from invdyn.blindcheck.effect_sizes import scene
+from invdyn.blindcheck.equivalence import stand_ins
+from invdyn.blindcheck.injected_effects import CATALOGUE, Present, drawn, named, pace, seen_by_camera, world_with
+from invdyn.blindcheck.motion import Plan, frame_times, play, random_body, random_plan
+from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.visibility import visibility
+from invdyn.models import Body
+from invdyn.recordings import Recording, write_keypoint_csv, write_text
+
+KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
+TRIES = 16
+ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
+WEAK = 0.25
+USUAL, GROWING, LARGEST = 3, 1.5, 1.5**5  # draws of usual size; factor from then on, each time, and altogether
+
+TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
+NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
+NEEDS_COMMAND = {
+    *("actuator_gain", "actuator_delay", "actuator_lag", "actuator_saturation", "actuator_deadzone", "backlash"),
+    *("camera_latency", "hot_motor"),
+}
+NEEDS_CLOCK = {"camera_latency", "clock_rate"}  # nothing tells a clock when the torque is unknown
+NOT_TOGETHER = (  # they write the same number of MuJoCo's, undo each other, or tell time by different clocks
+    {"viscous_friction", "drifting_friction"},
+    {"coulomb_friction", "stribeck_friction", "load_friction"},
+    {"gravity_tilt", "camera_roll"},
+    {"actuator_delay", "camera_latency"},
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case. `other` is a second recording of the same reality, or None; `without` is struck from the catalogue."""
+
+    recording: Recording
+    other: Recording | None
+    body: Body
+    regime: str
+    without: tuple[str, ...]
+    answer: dict
+
+    def write(self, folder: str | pathlib.Path) -> None:
+        """Write all but the answer: recording.csv, perhaps other.csv, body.toml and case.json. Makes the folder."""
+        folder = pathlib.Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_keypoint_csv(self.recording, folder / "recording.csv")
+        if self.other is not None:
+            write_keypoint_csv(self.other, folder / "other.csv")
+        self.body.to_toml(folder / "body.toml")
+        public = {"regime": self.regime, "held_out": "other.csv" if self.other else None, "without": self.without}
+        write_text(folder / "case.json", json.dumps(public, indent=1) + "\n")
+
+
+def effects_of(kind: str) -> tuple[str, ...]:
+    """Names that a case of that kind may have. Raises ValueError for no such kind."""
+    if kind not in KINDS:
+        raise ValueError(f"expected a kind of case among {', '.join(KINDS)}, got {kind!r}")
+    if kind == "none":
+        return ()
+    names = tuple(OUTSIDE) if kind == "outside" else CATALOGUE
+    barred = {"passive": NEEDS_COMMAND, "unknown_torque": NEEDS_CLOCK, "two": {"clock_rate"}}.get(kind, set())
+    return tuple(name for name in names if name not in barred)
+
+
+def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -> Case:
+    """Make one case; `effect` None draws it (two of them for kind "two").
+
+    Raises ValueError for an unknown kind, or effects that a case of that kind cannot have; ImportError without MuJoCo.
+    """
+    known = effects_of(kind)
+    number = {"none": 0, "two": 2}.get(kind, 1)
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    given = (effect,) if isinstance(effect, str) else None if effect is None else tuple(effect)
+    if given is not None and (len(given) != number or not set(given) <= set(known) or not _agree(given)):
+        raise ValueError(f"a case of kind {kind!r} has {number} of {', '.join(known) or 'no effects'}; got {effect!r}")
+    names = given
+    while names is None:
+        lot = tuple(str(name) for name in rng.choice(known, number, replace=False)) if number else ()
+        names = lot if _agree(lot) else None
+    best, strength = None, np.full(len(names), WEAK if kind == "weak" else 1.0)
+    for attempt in range(TRIES):
+        stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
+        case = _attempt(stream, kind, names, strength)
+        if case is None:
+            continue
+        shown = np.array([each["dprime"] for each in case.answer["effects"]])
+        if attempt + 1 >= USUAL:
+            strength = np.where(shown < ENOUGH, np.minimum(strength * GROWING, LARGEST), strength)
+        met = float(shown.min(initial=np.inf))
+        if best is None or met > best[0]:
+            best = met, case
+        if kind == "weak" or met >= ENOUGH or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
+            break
+    if best is None:
+        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost mass in {TRIES} tries")
+    best[1].answer.update(seed=seed)
+    return best[1]
+
+
+def _agree(names: Sequence[str]) -> bool:
+    return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
+
+
+def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: Sequence[float]) -> Case | None:
+    regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
+    if kind == "none":
+        regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
+    passive = regime == "passive"
+    two = bool(set(names) & TWO_JOINTS)
+    joints = int(rng.choice([2, 3] if two else [1, 2, 3], p=[0.75, 0.25] if two else [0.15, 0.65, 0.2]))
+    horizontal = not passive and not set(names) & NEEDS_GRAVITY and rng.random() < 0.12
+    true_body = random_body(rng, joints, horizontal)
+    body = _measured(rng, true_body) if rng.random() < 0.12 else true_body
+    plan = random_plan(rng, true_body, passive)
+    plain = play(World(true_body), World(body), plan)
+    if _wild(plain):
+        return None
+    yardsticks = scene(true_body, plan, plain)
+    present = [drawn(rng, name, yardsticks, much) for name, much in zip(names, strength, strict=True)]
+    seed = tuple(int(word) for word in rng.integers(2**31, size=4))
+    noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
+    noise = float(f"{noise:.3g}")
+    style = _style(rng)
+    nominal = World(body)
+    world = world_with(true_body, present, yardsticks)
+    if not world.possible:
+        return None
+    real = play(world, nominal, plan, pace(present))
+    if _wild(real) or ("joint_coupling" in names and not _unambiguous(real)):
+        return None
+    answer = {
+        "kind": kind,
+        "regime": regime,
+        "effects": [
+            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed)) for each in present
+        ],
+        "body": {key: [link.nominal(key) for link in true_body.links] for key in ("length", "mass", "com", "inertia")}
+        | {"gravity": list(body.gravity), "base": list(body.base)},
+        "joints": list(body.joint_names),
+        "links": [link.name for link in body.links],
+        "noise": {"keypoint_sd": noise, "encoder_sd": style["encoder"]},
+    }
+    other = None
+    if kind != "none" and rng.random() < 0.3 and "external_push" not in names:
+        again = replace(
+            random_plan(rng, true_body, passive), frame_rate=plan.frame_rate, command_rate=plan.command_rate
+        )
+        second = play(world_with(true_body, present, yardsticks), nominal, again, pace(present))
+        if not _wild(second):
+            other = _record(second, again, body, regime, present, noise, (*seed, 1), style, "other")
+    recording = _record(real, plan, body, regime, present, noise, seed, style, "recording")
+    struck: tuple[str, ...] = ()
+    if kind == "leave_one_out":
+        struck = (*names, *(other for each in answer["effects"] for other in stand_ins(each, answer)))
+    return Case(recording, other, body, regime, struck, answer)
+
+
+def _measured(rng: np.random.Generator, body: Body) -> Body:
+    """The body as its file has it: masses and what follows known to 2 %, and said so."""
+    off = {
+        key: [link.nominal(key) * float(np.exp(0.02 * rng.standard_normal())) for link in body.links]
+        for key in ("mass", "com", "inertia")
+    }
+    return replace(body.with_values(**off), uncertainty=dict.fromkeys(off, 0.02))
+
+
+def _wild(trajectory: Trajectory) -> bool:
+    return not np.isfinite(trajectory.q).all() or bool((np.ptp(trajectory.q, axis=0) > 2 * np.pi).any())
+
+
+def _unambiguous(trajectory: Trajectory) -> bool:
+    """Whether the first row's angles lie within half a turn of 0: pictures do not tell whole turns, a coupling does."""
+    first = int(np.argmin(np.abs(trajectory.time)))
+    return bool((np.abs(trajectory.q[first]) < np.pi).all())
+
+
+def _style(rng: np.random.Generator) -> dict:
+    """What the recording has besides: the base's keypoint, encoders, missing frames."""
+    return {
+        "base": bool(rng.random() < 0.5),
+        "encoder": float(f"{10 ** rng.uniform(-3.5, -2.5):.2g}") if rng.random() < 0.15 else None,
+        "missing": float(rng.uniform(0.01, 0.05)) if rng.random() < 0.3 else 0.0,
+    }
+
+
+def _record(
+    real: Trajectory,
+    plan: Plan,
+    body: Body,
+    regime: str,
+    present: Sequence[Present],
+    noise: float,
+    seed: Sequence[int],
+    style: dict,
+    name: str,
+) -> Recording:
+    """The table that the diagnosis gets: stated times, what the camera and encoders gave, perhaps commands."""
+    stated = frame_times(plan)
+    when = stated / pace(present)
+    rng = np.random.default_rng([*seed, 0])
+    points = film(real, when, seen_by_camera(present), noise, seed)
+    points = np.round(points if style["base"] else points[:, 1:], 7)
+    angles = None
+    if style["encoder"]:
+        true = np.stack([np.interp(when, real.time, column) for column in real.q.T], axis=-1)
+        angles = np.round(true + style["encoder"] * rng.standard_normal(true.shape), 7)
+    lost = rng.random(len(stated)) < style["missing"]
+    lost[0] = False
+    points[lost] = np.nan
+    names = body.keypoint_names if not style["base"] else (body.base_keypoint, *body.keypoint_names)
+    joints = body.joint_names if regime == "commanded" or angles is not None else ()
+    if regime != "commanded":
+        return Recording(stated, points, names, angles=angles, joint_names=joints, name=name)
+    each = round(plan.command_rate / plan.frame_rate)
+    rows = np.arange((len(stated) - 1) * each + 1)
+    first = int(np.argmin(np.abs(real.command_time)))
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        full = np.full((len(rows), *values.shape[1:]), np.nan)
+        full[::each] = values
+        return full
+
+    return Recording(
+        rows / plan.command_rate,
+        spread(points),
+        names,
+        angles=None if angles is None else spread(angles),
+        torques=np.vectorize(lambda u: float(f"{u:.8g}"))(real.command[first + rows]),
+        joint_names=joints,
+        name=name,
+    )
+
+
+def planned(kind_counts: Mapping[str, int], seed: int) -> list[tuple[str, int, str, str | None]]:
+    """(name, seed, kind, effect) of so many cases of each kind; arguments of `make_case` but for the name.
+
+    Effects take turns in a random order, so that each is met as often as the others. Names are numbers in an order
+    drawn over all kinds: they tell nothing. Raises ValueError for an unknown kind.
+    """
+    plan: list[tuple[int, str, str | None]] = []
+    for kind, count in kind_counts.items():
+        known = effects_of(kind)
+        rng = np.random.default_rng([seed, KINDS.index(kind), 7])
+        turns: list[str] = []
+        for number in range(count):
+            if not turns:
+                turns = [str(name) for name in rng.permutation(known)]
+            plan.append((seed + number, kind, None if kind in ("none", "two") else turns.pop()))
+    places = np.random.default_rng([seed, 11]).permutation(len(plan))
+    return [(f"case-{place:04d}", *each) for place, each in sorted(zip(places.tolist(), plan, strict=True))]

@@ -1,0 +1,94 @@
+"""An effect that is there: drawn, put into a world or before the camera, and written as an answer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn.blindcheck.camera import OBSERVATIONS, Effect
+from invdyn.blindcheck.effect_sizes import UNITS, Scene, draw
+from invdyn.blindcheck.mechanisms import MECHANISMS
+from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.models import Body
+
+CATALOGUE = (*MECHANISMS, *OBSERVATIONS)
+OF_LINK = {"inertial_error", "link_flexibility"}
+OF_KEYPOINT = {"external_push", "keypoint_offset", "soft_tissue", "label_swap"}
+OF_WHOLE = {"payload", "gravity_tilt", "base_motion", *OBSERVATIONS} - OF_KEYPOINT
+FIRST = ("payload", "inertial_error")  # change a link as a whole, so before another cuts it
+
+
+@dataclass(frozen=True)
+class Present:
+    """One effect: its place counted from 0, or None, and how large; those outside the catalogue draw from `seed`."""
+
+    name: str
+    place: int | None
+    parameters: dict
+    seed: int | None = None
+
+
+def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float) -> Present:
+    """Draw where an effect is and how large, for a scene."""
+    joints = s.body.num_joints
+    place = None if name in OF_WHOLE else int(rng.integers(name == "joint_coupling", joints))
+    if name in OUTSIDE:
+        return Present(name, place, {}, int(rng.integers(2**31)))
+    return Present(name, place, draw(name, rng, s, place, strength))
+
+
+def world_with(body: Body, present: Sequence[Present], s: Scene) -> World:
+    """A body with these effects of the dynamics."""
+    world = World(body)
+    for each in sorted(present, key=lambda e: e.name not in FIRST):
+        if each.name in OUTSIDE:
+            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place))
+        elif each.name in MECHANISMS:
+            where = () if each.place is None else (each.place,)
+            MECHANISMS[each.name](world, *where, **each.parameters)
+    return world
+
+
+def pace(present: Sequence[Present]) -> float:
+    """How many times too fast the clock runs that stamps the rows."""
+    return next((e.parameters["rate"] for e in present if e.name == "clock_rate"), 1.0)
+
+
+def seen_by_camera(present: Sequence[Present]) -> list[Effect]:
+    """Those that the camera has to know, as it takes them."""
+    return [(e.name, e.place, e.parameters) for e in present if e.name in OBSERVATIONS]
+
+
+def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
+    """The answer's entry of one effect, with the names and units of the catalogue."""
+    units = UNITS.get(each.name)
+    parameters = {
+        name: {"value": value if units else value[0], "unit": units[name] if units else value[1]}
+        for name, value in _as_written(each).items()
+    }
+    entry = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
+    if each.place is not None:
+        kind = "link" if each.name in OF_LINK else "keypoint" if each.name in OF_KEYPOINT else "joint"
+        names = {"link": [link.name for link in body.links], "keypoint": body.keypoint_names, "joint": body.joint_names}
+        entry[kind] = names[kind][each.place]
+        if each.name == "joint_limit":
+            entry["stop"] = "upper" if each.parameters["side"] > 0 else "lower"
+        if each.name == "joint_coupling":
+            entry["partner"] = body.joint_names[each.place - 1]
+        if each.name == "label_swap":
+            entry["partner"] = body.keypoint_names[each.place - 1 if each.place else 1]
+    interval = [each.parameters["start"], each.parameters["stop"]] if each.name == "external_push" else None
+    return entry | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
+
+
+def _as_written(each: Present) -> dict:
+    """Parameters with what is free in them settled: phases within half a turn of 0, a base's larger amplitude > 0."""
+    parameters = dict(each.parameters)
+    if each.name == "base_motion":
+        sizes = [parameters["amplitude_x"], parameters["amplitude_y"]]
+        if max(sizes, key=abs) < 0:
+            parameters |= {"amplitude_x": -sizes[0], "amplitude_y": -sizes[1], "phase": parameters["phase"] + np.pi}
+    if "phase" in parameters and each.name not in OUTSIDE:
+        parameters["phase"] = float(np.remainder(parameters["phase"] + np.pi, 2 * np.pi) - np.pi)
+    return parameters

@@ -1,0 +1,86 @@
+"""Methods that a blind run asks: ours, in a process that goes from case to case, or anybody's command."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, suppress
+from pathlib import Path
+
+from invdyn.blindcheck.answer_schema import unreadable
+from invdyn.blindcheck.commitment import run_apart
+
+
+class Ours(AbstractContextManager):
+    """Our own method, in a process of its own that goes from case to case; where it dies with one, another comes."""
+
+    def __init__(self, threads: int | None = None):
+        self._process: subprocess.Popen | None = None
+        self._environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
+
+    def __exit__(self, *_: object) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.terminate()
+            _ended(process)
+
+    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
+        """Diagnose one case; returns what went wrong, if anything did."""
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "invdyn.blindcheck.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                encoding="utf-8",
+                env=self._environment,
+            )
+        process, line = self._process, ""
+        with suppress(OSError, ValueError):  # it is dead, or was ended because all of the run is
+            job = {"case": str(case.resolve()), "out": str(out.resolve()), "without": list(without)}
+            process.stdin.write(json.dumps(job) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        if not line:
+            self._process = None
+            return f"the diagnosis ended without an answer, exit code {_ended(process)}"
+        return json.loads(line).get("error")
+
+
+def _ended(process: subprocess.Popen) -> int:
+    """Exit code of a process that ends; its pipes are closed."""
+    code = process.wait()
+    with suppress(OSError):  # what was still to be written to it
+        process.stdin.close()
+    process.stdout.close()
+    return code
+
+
+class Theirs(AbstractContextManager):
+    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
+
+    def __init__(self, command: str):
+        self._words = shlex.split(command)
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
+        """Diagnose one case; returns what went wrong, if anything did."""
+        case, out = case.resolve(), out.resolve()
+        places = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
+        places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
+        words = self._words
+        for name, place in places.items():
+            words = [word.replace(f"{{{name}}}", str(place)) for word in words]
+        finished = run_apart(words, case)
+        told = out / "diagnosis.json"
+        if finished.returncode or not told.exists():
+            return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
+        try:
+            return unreadable(json.loads(told.read_text(encoding="utf-8")))
+        except ValueError as error:
+            return f"diagnosis.json: expected JSON in UTF-8: {error}"

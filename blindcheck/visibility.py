@@ -1,0 +1,71 @@
+"""How visible an effect is, from what was made and without any diagnosis.
+
+Noise-free tips with and without the effect, in units of the noise: d′ = √Σ (Δp/σ)² over frames and coordinates. For
+an effect of the dynamics the world without it replays the same commands, and is set back once in a pendulum's period,
+to the state from which it follows best (`starts`): Δp is what no other angles and velocities at that moment make up
+for, as nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
+the body could show counts. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from invdyn.blindcheck.camera import OBSERVATIONS, film
+from invdyn.blindcheck.effect_sizes import Scene
+from invdyn.blindcheck.initial_state_fit import unlike_any_start
+from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
+from invdyn.blindcheck.motion import frame_times
+from invdyn.blindcheck.simulator import Trajectory
+from invdyn.models import Body
+
+
+def visibility(
+    each: Present,
+    present: Sequence[Present],
+    s: Scene,
+    real: Trajectory,
+    regime: str,
+    noise: float,
+    seed: Sequence[int],
+) -> tuple[float, float]:
+    """(d′, rms of the change in units of the noise) of one of the effects that are present in `real`."""
+    rest, stated = [e for e in present if e is not each], frame_times(s.plan)
+
+    def tips(trajectory: Trajectory, effects: Sequence[Present], sd: float = 0.0) -> np.ndarray:
+        return film(trajectory, stated / pace(effects), seen_by_camera(effects), sd, seed)[:, 1:]
+
+    if each.name == "varying_noise":
+        quiet, loud = (tips(real, effects, noise) - tips(real, effects) for effects in (rest, present))
+        ratio = (loud / quiet) ** 2
+        change = np.sqrt(ratio - 1 - np.log(ratio))
+    elif regime == "unknown_torque" and each.name not in OBSERVATIONS:
+        change = np.zeros(1)
+    elif regime == "unknown_torque" and each.name != "timestamp_jitter":  # no torque makes one frame alone jump
+        change = _misfit(tips(real, present), s.body, noise)
+    elif each.name in OBSERVATIONS and each.name != "clock_rate":
+        change = (tips(real, present) - tips(real, rest)) / noise
+    else:
+        world, camera = partial(world_with, s.body, rest, s), partial(tips, effects=rest)
+        change = unlike_any_start(_told(each, real), s.body, world, camera, tips(real, present), stated, noise)
+    known = change[np.isfinite(change)]
+    return float(np.sqrt((known**2).sum())), float(np.sqrt((known**2).mean())) if known.size else 0.0
+
+
+def _told(each: Present, real: Trajectory) -> Trajectory:
+    """The trajectory as it is seen: angles between links, whatever plays or bends in them, and by the told clock."""
+    angle = np.diff(real.heading, axis=1, prepend=0.0)
+    real = real._replace(q=angle, qd=np.gradient(angle, real.time, axis=0))
+    if each.name != "clock_rate":
+        return real
+    rate = each.parameters["rate"]  # the same commands at the stated times, from the states that were stated
+    return real._replace(time=real.time * rate, qd=real.qd / rate, command_time=real.command_time * rate)
+
+
+def _misfit(points: np.ndarray, body: Body, noise: float) -> np.ndarray:
+    """How far points (T, K, 2) are from any posture of the body: errors of the links' lengths over their noise."""
+    chain = np.concatenate([np.broadcast_to(body.base, (len(points), 1, 2)), points], axis=1)
+    lengths = np.linalg.norm(np.diff(chain, axis=1), axis=-1)
+    sd = noise * np.sqrt(np.where(np.arange(body.num_joints) == 0, 1.0, 2.0))
+    return (lengths - np.array([link.nominal("length") for link in body.links])) / sd

@@ -1,0 +1,273 @@
+"""The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import arviz as az
+import numpy as np
+import torch
+
+from invdyn.diagnosis.assessment.confirm import confirm, posterior
+from invdyn.diagnosis.assessment.confusability import overlaps
+from invdyn.diagnosis.assessment.findings import finding, key
+from invdyn.diagnosis.assessment.gap_closure import Closed
+from invdyn.diagnosis.assessment.localisation import where
+from invdyn.diagnosis.assessment.model_posterior import Weighed
+from invdyn.diagnosis.assessment.result import (
+    Cause,
+    Diagnosis,
+    Gap,
+    Outside,
+    Part,
+    Shrinkage,
+    Tracks,
+    Visibility,
+    Where,
+)
+from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
+from invdyn.diagnosis.assessment.symbolic_regression import Formula
+from invdyn.diagnosis.hypotheses.pool import Search, imitable
+from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
+from invdyn.diagnosis.hypotheses.shortlist import FAINT
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.noise import is_noise
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models import Body
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
+
+CREDIBLE = 0.95
+"""Probability that the ambiguity set holds."""
+
+
+def assembled(
+    bound: Setting,
+    found: Search,
+    weighed: Weighed,
+    shares: Closed,
+    fresh: bool,
+    by_effect: Mapping[str, Closed],
+    formula: Formula | None,
+    follows: Sequence[str],
+    seed: int,
+    held_out: str,
+) -> Diagnosis:
+    """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
+
+    ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
+    ``by_effect`` has the share that each effect of the best cause closes, by its key.
+    ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
+    """
+    model, body = bound.model, bound.model.body
+    none, best = found.pool[""], weighed.best
+    after, after_sd, path = residual(bound, best)
+    _, q, qd = best.model.split(path)
+    tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
+    parts = [  # what takes longest first
+        partial(replay, best.model, path, bound.starts),
+        partial(replay, model, _without_hidden(model, path), bound.starts),
+        partial(residual, bound, none),
+        *(partial(scores, bound, cause) for cause in (none, best)),
+    ]
+    corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
+    replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
+    moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
+    shifts = (
+        np.sqrt((moved**2).sum(-1).mean(0))
+        / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
+        if moved.size
+        else np.zeros(moved.shape[1])
+    )
+    causes = tuple(
+        Cause(
+            tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
+            probability,
+            weighed.log_evidence[cause.key],
+            weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
+            weighed.in_part[cause.key],
+        )
+        for cause, probability in weighed.causes.values()
+        if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
+    )
+    causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
+    nothing = weighed.causes.get("", (none, 0.0))[1]
+    rivals = _ambiguous(causes)
+    joints = body.joint_names
+    visibility = tuple(
+        Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
+    )
+    probability = 1.0 - nothing
+    return Diagnosis(
+        recording=bound.problem.recording.name,
+        body=body.name,
+        seed=seed,
+        regime=bound.regime,
+        gap=Gap(
+            detected=probability > 0.5,
+            probability=probability,
+            elpd_per_frame=shares.per_frame,
+            residual_torque_rms=_rms(joints, before),
+            replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+        ),
+        where=where(
+            model,
+            {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
+            weighed.in_part.get("", 0.0),
+            bound.regime,
+            before,
+            bound.typical.numpy(),
+            shifts,
+            frame_gap,
+            follows,
+        ),
+        causes=causes,
+        ambiguity_set=(rivals,) if rivals else (),
+        overlaps=overlaps(bound, rivals, found.first),
+        separating_experiment=separating_experiment(
+            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects]
+        ),
+        outside=Outside(
+            weighed.outside,
+            formula.text if formula else None,
+            formula.terms if formula else {},
+            float(formula.gain_per_frame) if formula else None,
+        ),
+        not_identifiable=tuple(sorted(_unseen(bound, found) - {key(effect) for effect in best.effects})),
+        shrinkage=Shrinkage(
+            shares.share if best.effects else None,
+            shares.interval if best.effects else None,
+            fresh,
+            _rms(joints, after),
+            {name: Part(part.share, part.interval) for name, part in by_effect.items()},
+        ),
+        joint_names=joints,
+        link_names=tuple(link.name for link in body.links),
+        lengths=tuple(model.body_parameters().length.tolist()),
+        tracks=Tracks(
+            time=model.time.numpy(),
+            observed=bound.observations[:, : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy(),
+            keypoint_names=tuple(body.keypoint_names[tip] for tip in model.emission_model.tips),
+            base=np.asarray(body.base, dtype=float),
+            command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
+            angle=q.numpy(),
+            velocity=qd.numpy(),
+            nominal_replay=replays["nominal"],
+            corrected_replay=replays["corrected"],
+            replay_window=WINDOW,
+            smoothed=tips,
+            residual_before=before,
+            residual_before_sd=before_sd,
+            residual_after=after,
+            residual_after_sd=after_sd,
+            frame_gap=frame_gap,
+        ),
+        screened=tuple(
+            (key(s.effect), float(s.log_evidence - _nothing(found))) for s in found.first if s.effect is not None
+        ),
+        visibility=visibility,
+        method=_method(bound, found, weighed, held_out),
+        posterior=_posterior(bound, best, weighed, seed),
+    )
+
+
+def _unseen(bound: Setting, found: Search) -> set[str]:
+    """Keys of the effects that this recording could not have shown.
+
+    Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
+    """
+    unknown, body = bound.regime == "unknown_torque", bound.model.body
+    shown = [s for s in found.first if s.effect is not None]
+    unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
+    if bound.regime != "commanded":
+        everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
+        unseen |= {key(e.bound(body)) for e in everything if e.needs_command or (unknown and imitable(e))}
+    return unseen
+
+
+def _posterior(bound: Setting, best: Refined, weighed: Weighed, seed: int) -> az.InferenceData:
+    run = weighed.confirmed.get(best.key) or confirm(bound, best, seed)
+    return posterior(bound, best, run, seed)
+
+
+def _nothing(found: Search) -> float:
+    return next(s.log_evidence for s in found.first if s.effect is None)
+
+
+def _without_hidden(model, path: torch.Tensor) -> torch.Tensor:
+    extra = path.shape[-1] - model.state_dim
+    return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
+
+
+def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
+    """Keys of the causes that together hold most of the probability of all that name one; none for a single one.
+
+    None, either, where there is no gap more probably than one.
+    """
+    named = [cause for cause in causes if cause.effects]
+    total = sum(cause.probability for cause in named)
+    if any(not cause.effects and cause.probability > 0.5 for cause in causes):
+        return ()
+    held, rivals = 0.0, []
+    for cause in named:
+        if total <= 0 or held > CREDIBLE * total:
+            break
+        rivals.append("+".join(f.key for f in cause.effects))
+        held += cause.probability
+    return tuple(rivals) if len(rivals) > 1 else ()
+
+
+def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
+    return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
+
+
+def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> dict[str, str]:
+    model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
+    return {
+        "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
+        "row, chosen so that the integrator's own error stays a tenth of what can be noticed, adds up to next to no "
+        "evidence over the recording, and favours none of the causes",
+        "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
+        f"at most {found.most} effects",
+        "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
+        "noise scale at its likeliest (its integral adds the same to each); "
+        f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "held out": held_out,
+        "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
+    }
+
+
+def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, reason: str) -> Diagnosis:
+    """The answer "not enough data"."""
+    joints = body.joint_names
+    nan = float("nan")
+    known = recording.torques is not None and np.isfinite(recording.torques).any()
+    empty = dict.fromkeys(joints, nan)
+    return Diagnosis(
+        recording=recording.name,
+        body=body.name,
+        seed=seed,
+        regime="passive" if passive else "commanded" if known else "unknown_torque",
+        gap=Gap(
+            False,
+            nan,
+            dict.fromkeys(("nominal", "corrected", "noise_floor"), nan),
+            empty,
+            {"nominal": nan, "corrected": nan},
+        ),
+        where=Where({"dynamics": nan, "observation": nan}, empty, {}, (), ()),
+        causes=(),
+        ambiguity_set=(),
+        separating_experiment=None,
+        outside=Outside(nan),
+        not_identifiable=(),
+        shrinkage=Shrinkage(None, None, False, empty),
+        joint_names=joints,
+        link_names=tuple(link.name for link in body.links),
+        lengths=tuple(link.nominal("length") for link in body.links),
+        tracks=None,
+        screened=(),
+        visibility=(),
+        method={},
+        not_enough_data=reason,
+    )

@@ -1,0 +1,90 @@
+"""An effect of a refined cause in the words of the result: place, and parameters with units and intervals.
+
+Intervals are those of a coarsened posterior (:mod:`.prior`), the likelihood raised to ζ, by a larger α than between
+causes: where much was gained, what reality's effect is otherwise than the catalogue's moves parameters by more than
+noise does. With the refined precision Λ and the prior's S⁻¹,
+
+    Λ_ζ = ζ (Λ − S⁻¹) + S⁻¹
+"""
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.assessment.result import Estimate, Finding
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.noise import is_searched, log_spread
+from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
+from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.joint_limit import JointLimit
+
+DRAWS = 4000
+
+
+def place(effect: Effect) -> dict[str, str]:
+    """Where an effect acts, "joint", "link" or "keypoint" → name, "partner" for pairs, "stop" for limits, "form"."""
+    names, form = (list(effect.where), {}) if effect.form is None else (list(effect.where[:-1]), {"form": effect.form})
+    if isinstance(effect, JointLimit):
+        return {"joint": names[0], "stop": names[1]}
+    if effect.site == "pair":  # the torque acts on the outer one
+        return {"joint": names[1], "partner": names[0]}
+    if effect.site == "keypoints":
+        return {"keypoint": names[0], "partner": names[1]}
+    if not names:
+        return form
+    return {"joint" if effect.site == "arm" else effect.site: names[0], **form}
+
+
+def key(effect: Effect) -> str:
+    """Effect and place as :attr:`.Finding.key` has it."""
+    return ".".join([effect.name, *place(effect).values()])
+
+
+def finding(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float = 1.0) -> Finding:
+    """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds; ``temper`` is ζ."""
+    parameters = effect.parameters(setting.model.scale)
+    draws = _draws(setting, cause, effect, seed, temper)
+    described = {
+        name: (values.reshape(-1).numpy(), unit)
+        for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
+    } or {p.name: (draws[p.name], p.unit) for p in parameters}
+    estimates = {}
+    for name, (values, unit) in described.items():
+        low, high = np.quantile(values, [0.05, 0.95])
+        # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
+        mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
+        estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit)
+    return Finding(effect.name, effect.side, place(effect), estimates)
+
+
+def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    names = [f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)]
+    if is_searched(effect):
+        parameters = effect.parameters(setting.model.scale)
+        return {p.name: _searched(cause, p, f"{effect.key}.{p.name}", temper, rng) for p in parameters}
+    among = unknowns(setting, cause.effects)
+    drawn = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
+    drawn = np.clip(drawn, among.lower, among.upper)
+    return {name.rsplit(".", 1)[1]: drawn[:, among.names.index(name)] for name in names}
+
+
+def _searched(cause: Refined, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:
+    """Draws (``DRAWS``,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
+    value, prior = cause.noise[name], log_spread(p)
+    share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
+    wider = prior * np.sqrt(_tempered(min(share, 1.0) ** 2, temper))
+    return np.minimum(value * np.exp(wider * rng.standard_normal(DRAWS)), upper_bound(p))
+
+
+def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float:
+    """Posterior variances, in the prior's, under the likelihood raised to ``temper``."""
+    return variance / (temper + (1 - temper) * variance)
+
+
+def tempered_covariance(cause: Refined, among: Unknowns, temper: float) -> np.ndarray:
+    """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
+    # In units of the prior's spreads, where S = I and no eigenvalue of the posterior's covariance is above one.
+    values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))
+    wider = _tempered(np.clip(values, 1e-300, 1.0), temper)
+    return (vectors * wider) @ vectors.T * np.outer(among.sd, among.sd)

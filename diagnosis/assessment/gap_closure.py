@@ -1,0 +1,174 @@
+"""How far the gap closes on data that the cause's parameters have not seen.
+
+Another recording of the same arm where there is one; else the last third of this one, the cause refitted on the first
+two; but what was searched (:mod:`.noise`), and what the first two cannot show, such as a push that comes later, keeps
+the parameters that all rows gave it. In nats of one-step prediction, the parameters' posterior integrated over
+(:mod:`.predict`), with the simulation as it is, with the cause, and the floor that a simulation without a gap would
+reach:
+
+    closed = Σ (with − without) / Σ (floor − without)
+
+Of several effects each closes what the others leave: Σ (with all − with all but it) over the same gap. What the data do
+not bear out closes nothing, or less.
+
+The interval comes from a bootstrap of the rows in blocks, as neighbouring errors are alike, and in a circle, so that
+the first and last rows count as often as others (Politis & Romano 1992).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.assessment.findings import key
+from invdyn.diagnosis.assessment.transfer import carried, leaves_there
+from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
+from invdyn.diagnosis.hypotheses.pool import Search
+from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.shortlist import attempt
+from invdyn.diagnosis.hypotheses.swap_step import without
+from invdyn.diagnosis.problem.cause import Refined, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects.base import Effect
+
+BLOCK = 0.4
+"""s, length of the bootstrap's blocks; half of the rows, if those are fewer."""
+DRAWS = 1000
+LATER = 4.0
+"""Factor by which a parameter's standard deviation grows where the rows that show it are missing; by 1.2 elsewhere."""
+SHARE = 2 / 3
+"""Of the rows, to fit on, where the rest is held out."""
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Result: ``share`` and its central 90 % interval (None where there was no gap to close), and nats per frame."""
+
+    share: float | None
+    interval: tuple[float, float] | None
+    per_frame: dict[str, float]
+
+
+def split(setting: Setting) -> tuple[Setting, np.ndarray]:
+    """The setting before its last rows, and which rows (T,) those are."""
+    seen = np.flatnonzero((~torch.isnan(setting.observations)).any(-1).numpy())
+    first = int(seen[int(SHARE * len(seen))])
+    return setting.until(first), np.arange(len(setting.observations)) >= first
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """No effect and a cause, as other rows know them, along the paths of those (T,) ``rows`` of ``setting`` that count.
+
+    Attributes:
+        leaves: whether the cause surely leaves something on another recording (:mod:`.transfer`).
+        fresh: whether its parameters do not know these rows; what earlier ones do not show is as all of them give it.
+    """
+
+    setting: Setting
+    none: Refined
+    cause: Refined
+    rows: np.ndarray
+    leaves: bool = False
+    fresh: bool = True
+
+    @property
+    def scores(self) -> tuple[Scores, Scores]:
+        """Scores without and with the cause."""
+        none, cause = (scores(self.setting, each, self.rows) for each in (self.none, self.cause))
+        return none, cause
+
+
+def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | None = None) -> Unseen:
+    """No effect and a cause that were found in ``setting`` on what they have not seen."""
+    there, rows, taken = _apart(setting, other)
+    none, cause = taken(none), taken(cause)
+    leaves = other is not None and leaves_there(other, none, cause)
+    fresh = other is not None or not cause.effects or bool(cause.covariance.any())
+    return Unseen(there, none, cause, rows, leaves, fresh)
+
+
+def by_effect(
+    setting: Setting, found: Search, cause: Refined, there: Unseen, other: Setting | None, seed: int
+) -> dict[str, Closed]:
+    """What each effect of ``cause`` closes that the others leave, by the effect's key.
+
+    The others' parameters are those of the set without it, fitted to what the cause was fitted to. An effect without
+    which nothing can be followed is left out.
+    """
+    _, rows, taken = _apart(setting, other)
+    time, (nothing, everything) = there.setting.model.time.numpy(), there.scores
+
+    def alone(effect: Effect) -> Closed | None:
+        rest = tuple(e for e in cause.effects if e is not effect)
+        lesser = found.pool.get(key_of(rest)) or attempt(without, setting, cause, effect, FIRM)
+        lesser = lesser and attempt(taken, lesser)
+        scored = lesser and attempt(scores, there.setting, lesser, rows)
+        return scored and closed(nothing, everything, rows, time, seed, besides=scored)
+
+    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers)
+    return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
+
+
+def _apart(setting: Setting, other: Setting | None) -> tuple[Setting, np.ndarray, Callable[[Refined], Refined]]:
+    """Where a cause is tried on what it has not seen: the setting, which of its rows count, and the cause there."""
+    if other is not None:
+        start, _ = data_path(other)
+        return other, np.ones(len(other.observations), bool), lambda cause: carried(setting, cause, other, start)
+    train, rows = split(setting)
+    return setting, rows, lambda cause: _fitted_before(setting, cause, train)
+
+
+def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
+    """``cause`` as the first rows know it, along the path that all rows have; with the parameters that all rows give
+    it, and no more to learn of them, where the first ones do not know it.
+    """
+    values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
+    settled = replace(cause, covariance=np.zeros_like(cause.covariance))
+    try:
+        begun, size = cause.path[: len(train.observations)], best_size(setting, cause)
+        fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return settled  # the first rows by themselves lead nowhere
+    # Linearised along a path that knows the held-out rows; the predictions themselves do not.
+    return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
+
+
+def _shown_later(cause: Refined, fitted: Refined) -> bool:
+    """Whether the rows that a cause is ``fitted`` on say next to nothing of some parameter of its effects."""
+    mine = np.array([not name.startswith("body.") for name in cause.names], dtype=bool)
+    return bool((fitted.sd[mine] > LATER * cause.sd[mine]).any())
+
+
+def closed(
+    nothing: Scores,
+    with_cause: Scores,
+    rows: np.ndarray,
+    time: np.ndarray,
+    seed: int,
+    besides: Scores | None = None,
+) -> Closed:
+    """Share of the gap that is closed on ``rows`` (T,): from ``nothing`` on, or from what is known ``besides``."""
+    begun = besides or nothing
+    use = rows & np.isfinite(nothing.score) & np.isfinite(with_cause.score) & np.isfinite(begun.score)
+    gain, gap = (with_cause.score - begun.score)[use], (with_cause.floor - nothing.score)[use]
+    per_frame = {
+        "nominal": float(nothing.score[use].mean()),
+        "corrected": float(with_cause.score[use].mean()),
+        "noise_floor": float(with_cause.floor[use].mean()),
+    }
+    if gap.sum() <= 0:
+        return Closed(None, None, per_frame)
+    count = len(gain)
+    longest = BLOCK / np.median(np.diff(time[use])) if count > 1 else 1
+    length = max(1, min(round(longest), count // 2))
+    starts = np.random.default_rng(seed).integers(count, size=(DRAWS, -(-count // length)))
+    index = ((starts[..., None] + np.arange(length)) % count).reshape(DRAWS, -1)
+    total = gap[index].sum(1)
+    shares = gain[index].sum(1)[total > 0] / total[total > 0]
+    low, high = np.quantile(np.minimum(shares, 1.0), [0.05, 0.95]) if len(shares) else (np.nan, np.nan)
+    return Closed(float(min(gain.sum() / gap.sum(), 1.0)), (float(low), float(high)), per_frame)

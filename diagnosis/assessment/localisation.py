@@ -1,0 +1,119 @@
+"""Where the gap lies: side, joint, keypoint, time, and what it depends on; posterior shares, not an arg-max."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from invdyn.diagnosis.assessment.result import Interval, Where
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+
+MOST_OF = 0.8
+"""Share of the gap that the intervals hold together."""
+BRIEF = 0.4
+"""Share of the recording above which intervals say nothing: the gap is everywhere."""
+SMOOTH = 0.1
+"""s over which the gap is averaged."""
+
+
+def joints_of(effect: Effect) -> list[int]:
+    """Joints that an effect of the dynamics acts at; none where it acts on the whole arm."""
+    if effect.side != "dynamics" or effect.site == "arm" or not effect.place:
+        return []
+    return list(effect.place) if effect.site == "pair" else [effect.place[0]]
+
+
+def where(
+    model: ArmModel,
+    causes: Mapping[str, tuple[Refined, float]],
+    outside: float,
+    regime: str,
+    residual: np.ndarray,
+    typical: np.ndarray,
+    shifts: np.ndarray,
+    frame_gap: np.ndarray,
+    depends_on: Sequence[str],
+) -> Where:
+    """Shares.
+
+    Args:
+        model: the simulation.
+        causes: key → (cause, probability that it is at work, alone or beside something else).
+        outside: probability of what the catalogue lacks and no cause stands in for: a torque, or, where torques are
+            unknown and do what they like, something that the camera sees.
+        regime: the setting's.
+        residual: (T, K) residual torque without any cause, N·m.
+        typical: (K,) N·m.
+        shifts: (P,) rms of what observation effects move each tracked keypoint by, in noise sds.
+        frame_gap: (T,) nats, NaN where nothing was seen.
+        depends_on: variables.
+    """
+    body = model.body
+    energy = ((residual / typical) ** 2).mean(0)
+    everywhere = energy / energy.sum() if energy.sum() > 0 else np.full(len(energy), 1 / len(energy))
+    tracked = [body.keypoint_names[tip] for tip in model.emission_model.tips]
+    spread = (
+        shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
+    )
+    dynamics, observation = (0.0, outside) if regime == "unknown_torque" else (outside, 0.0)
+    joints, keypoints = dynamics * everywhere, observation * spread
+    for cause, probability in causes.values():
+        for effect in cause.effects:
+            share = probability / len(cause.effects)
+            if effect.side == "dynamics":
+                dynamics += share
+                mine = joints_of(effect)
+                joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
+            else:
+                observation += share
+                names = [name for name in effect.where if name in tracked]
+                keypoints = keypoints + share * (
+                    np.isin(tracked, names) / len(names) if names else spread if len(tracked) else 0.0
+                )
+    return Where(
+        side=_normal({"dynamics": dynamics, "observation": observation}),
+        joints=_normal(dict(zip(body.joint_names, joints.tolist(), strict=True))),
+        keypoints=_normal(dict(zip(tracked, keypoints.tolist(), strict=True))),
+        intervals=acting(causes) or intervals(model.time.numpy(), frame_gap),
+        depends_on=tuple(depends_on),
+    )
+
+
+def _normal(shares: dict[str, float]) -> dict[str, float]:
+    total = sum(shares.values())
+    return {name: (value / total if total > 0 else 0.0) for name, value in shares.items()}
+
+
+def acting(causes: Mapping[str, tuple[Refined, float]]) -> tuple[Interval, ...]:
+    """When the most probable cause is at work, where it lasts for a while; its probability for a share."""
+    cause, probability = max(causes.values(), key=lambda pair: pair[1])
+    known = dict(zip(cause.names, cause.mean.tolist(), strict=True))
+    return tuple(
+        Interval(moment - half, moment + half, probability)
+        for effect in cause.effects
+        if "moment" in effect.located
+        for moment, half in [(known[f"{effect.key}.moment"], known[f"{effect.key}.duration"] / 2)]
+    )
+
+
+def intervals(time: np.ndarray, frame_gap: np.ndarray) -> tuple[Interval, ...]:
+    """The fewest stretches that hold most of the gap; none where that is a large part of the recording."""
+    seen = np.isfinite(frame_gap)
+    t, gap = time[seen], np.maximum(frame_gap[seen], 0.0)
+    if gap.sum() <= 0 or len(t) < 3:
+        return ()
+    width = max(round(SMOOTH / np.median(np.diff(t))), 1)
+    level = np.convolve(gap, np.ones(width) / width, mode="same")
+    order = np.argsort(-level)
+    held = np.cumsum(gap[order]) / gap.sum()
+    inside = np.zeros(len(t), bool)
+    inside[order[: int(np.searchsorted(held, MOST_OF)) + 1]] = True
+    if inside.mean() > BRIEF:
+        return ()
+    edges = np.flatnonzero(np.diff(np.r_[0, inside.astype(int), 0]))
+    found = [
+        Interval(float(t[a]), float(t[b - 1]), float(gap[a:b].sum() / gap.sum()))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return tuple(sorted((i for i in found if i.share > 0.05), key=lambda i: -i.share))

@@ -1,0 +1,290 @@
+"""What a diagnosis says, and `diagnosis.json`.
+
+Everything that the report draws is here too, as arrays beside the numbers, so that no figure is drawn from anything
+else than the run. T rows, K joints, P tracked keypoints; SI units and radians.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import arviz as az
+import numpy as np
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's posterior: mean, standard deviation, and central 90 % interval."""
+
+    mean: float
+    sd: float
+    interval_90: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect at one place, with its parameters' posterior.
+
+    `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name, and
+    "form" to that of an effect that has several; empty for the whole arm.
+    """
+
+    effect: str
+    side: str
+    where: dict[str, str]
+    parameters: dict[str, Estimate]
+
+    @property
+    def key(self) -> str:
+        """Effect and place, "viscous_friction.elbow"."""
+        return ".".join([self.effect, *self.where.values()])
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A candidate cause: one effect, several together, or none for "no gap".
+
+    Attributes:
+        effects: what is at work.
+        probability: of their being at work and nothing else.
+        log_evidence, log_evidence_sd: nats; the second is NaN without SMC.
+        in_part: probability of their being at work beside something that the catalogue lacks.
+    """
+
+    effects: tuple[Finding, ...]
+    probability: float
+    log_evidence: float
+    log_evidence_sd: float
+    in_part: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Whether there is a gap, with what probability, and its size in the units that people use.
+
+    `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers; `residual_torque_rms`
+    joint to N·m.
+    """
+
+    detected: bool
+    probability: float
+    elpd_per_frame: dict[str, float]
+    residual_torque_rms: dict[str, float]
+    replay_rms_m: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A stretch of time that holds `share` of the gap."""
+
+    start: float
+    stop: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Where:
+    """Posterior shares by side, joint and keypoint; the intervals that hold most of it; what the gap depends on."""
+
+    side: dict[str, float]
+    joints: dict[str, float]
+    keypoints: dict[str, float]
+    intervals: tuple[Interval, ...]
+    depends_on: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outside:
+    """What the catalogue does not explain.
+
+    `description`: a short formula, or None; `terms` its terms, name → (coefficient, sd, unit); `gain_per_frame` the
+    nats that it gains a held-out row.
+    """
+
+    probability: float
+    description: str | None = None
+    terms: dict[str, tuple[float, float, str]] = field(default_factory=dict)
+    gain_per_frame: float | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """Share of the gap that one effect closes and the others of its cause leave, with its central 90 % interval."""
+
+    gap_closed: float | None
+    interval_90: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """How far the gap closes once the cause is in, on held-out data where `held_out`; `by_effect` of it, by key."""
+
+    gap_closed: float | None
+    interval_90: tuple[float, float] | None
+    held_out: bool
+    residual_torque_rms_after: dict[str, float]
+    by_effect: dict[str, Part] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """What the figures show.
+
+    Attributes:
+        time: (T,) s.
+        observed: (T, P, 2) m, NaN where missing; `keypoint_names` P names.
+        base: (2,) m.
+        command: (T, K) N·m, or None.
+        angle, velocity: (T, K) smoothed under the corrected simulation.
+        nominal_replay, corrected_replay: (T, K, 2) m, tips of open-loop replays, set back to the smoothed state every
+            `replay_window` s.
+        smoothed: (T, K, 2) m, tips under the corrected simulation.
+        residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its spread.
+        frame_gap: (T,) nats, what the corrected simulation predicts each frame better by; NaN where nothing was seen.
+    """
+
+    time: np.ndarray
+    observed: np.ndarray
+    keypoint_names: tuple[str, ...]
+    base: np.ndarray
+    command: np.ndarray | None
+    angle: np.ndarray
+    velocity: np.ndarray
+    nominal_replay: np.ndarray
+    corrected_replay: np.ndarray
+    replay_window: float
+    smoothed: np.ndarray
+    residual_before: np.ndarray
+    residual_before_sd: np.ndarray
+    residual_after: np.ndarray
+    residual_after_sd: np.ndarray
+    frame_gap: np.ndarray
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """Whether the recording could have shown an effect of typical size: `dprime`, its change over the noise."""
+
+    key: str
+    side: str
+    dprime: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that :func:`.diagnose.diagnose` finds.
+
+    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
+    apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.confusability`), and
+    `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
+    `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
+    candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
+    In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
+    its "end".
+    """
+
+    recording: str
+    body: str
+    seed: int
+    regime: str
+    gap: Gap
+    where: Where
+    causes: tuple[Cause, ...]
+    ambiguity_set: tuple[tuple[str, ...], ...]
+    separating_experiment: str | None
+    outside: Outside
+    not_identifiable: tuple[str, ...]
+    shrinkage: Shrinkage
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    lengths: tuple[float, ...]
+    tracks: Tracks | None
+    screened: tuple[tuple[str, float], ...]
+    visibility: tuple[Visibility, ...]
+    method: dict[str, str]
+    overlaps: tuple[tuple[str, str, float], ...] = ()
+    not_enough_data: str | None = None
+    posterior: az.InferenceData | None = None
+
+    def to_json(self) -> dict:
+        """The contract: what others read. Numbers that are not known are null."""
+        return _finite(self._contract())
+
+    def _contract(self) -> dict:
+        return {
+            "schema": SCHEMA,
+            "recording": self.recording,
+            "seed": self.seed,
+            "regime": self.regime,
+            "not_enough_data": self.not_enough_data,
+            "gap": {
+                "detected": self.gap.detected,
+                "probability": self.gap.probability,
+                "elpd_per_frame": self.gap.elpd_per_frame,
+                "residual_torque_rms": self.gap.residual_torque_rms,
+                "replay_rms_m": self.gap.replay_rms_m,
+            },
+            "where": {
+                "side": self.where.side,
+                "joints": self.where.joints,
+                "keypoints": self.where.keypoints,
+                "intervals": [{"start": i.start, "end": i.stop, "share": i.share} for i in self.where.intervals],
+                "depends_on": list(self.where.depends_on),
+            },
+            "causes": [
+                {
+                    "effects": [_finding(finding) for finding in cause.effects],
+                    "probability": cause.probability,
+                    "probability_in_part": cause.in_part,
+                    "log_evidence": cause.log_evidence,
+                    "log_evidence_sd": cause.log_evidence_sd,
+                }
+                for cause in self.causes
+            ],
+            "ambiguity_set": [list(group) for group in self.ambiguity_set],
+            "overlaps": [{"causes": [one, other], "share": share} for one, other, share in self.overlaps],
+            "separating_experiment": self.separating_experiment,
+            "outside_catalogue": {
+                "probability": self.outside.probability,
+                "description": self.outside.description,
+                "gain_per_frame": self.outside.gain_per_frame,
+            },
+            "not_identifiable": list(self.not_identifiable),
+            "shrinkage": {
+                **_closed(self.shrinkage),
+                "held_out": self.shrinkage.held_out,
+                "residual_torque_rms_after": self.shrinkage.residual_torque_rms_after,
+                "by_effect": {name: _closed(part) for name, part in self.shrinkage.by_effect.items()},
+            },
+        }
+
+
+def _finite(value):
+    """The same with None for numbers that are not finite, which JSON lacks."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _closed(share: Shrinkage | Part) -> dict:
+    interval = share.interval_90
+    return {"gap_closed": share.gap_closed, "interval_90": None if interval is None else list(interval)}
+
+
+def _finding(finding: Finding) -> dict:
+    parameters = {
+        name: {"mean": e.mean, "sd": e.sd, "interval_90": list(e.interval_90), "unit": e.unit}
+        for name, e in finding.parameters.items()
+    }
+    return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
+
+
+def named(words: Sequence[str]) -> str:
+    """Words as a list in a sentence: "a", "a and b", "a, b and c"."""
+    words = list(words)
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else "nothing"

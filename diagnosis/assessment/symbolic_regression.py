@@ -1,0 +1,181 @@
+"""What the catalogue does not explain, as a short formula: sparse regression of the residual torque.
+
+Candidate terms are functions of (θ, θ̇, θ̈, u, t), each as a torque on one joint: a column of the whitened innovations
+(:mod:`.innovations`), so that noise and gaps count for what they are worth, unlike in a regression of a differentiated
+signal. They are taken half-way from row to row, along the path that the whole recording gives, whose own errors are
+small beside what varies and are not counted. Terms are added one by one while the evidence rises by more than their
+number costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
+end). The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.assessment.gap_closure import SHARE
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.sensitivity.evidence import Regression, regression
+from invdyn.diagnosis.sensitivity.sensitivities import Columns
+from invdyn.diagnosis.sensitivity.whiten import SLAB, Whitened, filter_of, linear_of, whiten
+
+MOST = 3
+"""Terms in a formula."""
+PRODUCT = 5.0
+"""Nats by which a term of two factors must be better than one of a single: on a short arc sin θ is nearly a number."""
+
+STEADY = 1e-6
+"""1/s, decay of a torque that stays as it is from one row to the next."""
+
+Feature = Callable[["Motion", int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Angles, velocities, accelerations, commands (T − 1, K) and time (T − 1,) between rows of the data's path."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    u: np.ndarray
+    t: np.ndarray
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Result of :func:`describe`: sentence, terms name → (coefficient, sd, unit), variables, nats a held-out frame."""
+
+    text: str
+    terms: dict[str, tuple[float, float, str]]
+    variables: tuple[str, ...]
+    gain_per_frame: float
+
+
+LIBRARY: dict[str, tuple[str, str, Feature]] = {
+    "1": ("", "N·m", lambda m, k: np.ones(len(m.t))),
+    "sin {}": ("position", "N·m", lambda m, k: np.sin(m.q[:, k])),
+    "cos {}": ("position", "N·m", lambda m, k: np.cos(m.q[:, k])),
+    "sin 2{}": ("position", "N·m", lambda m, k: np.sin(2 * m.q[:, k])),
+    "cos 2{}": ("position", "N·m", lambda m, k: np.cos(2 * m.q[:, k])),
+    "({0} − mean)": ("position", "N·m/rad", lambda m, k: m.q[:, k] - m.q[:, k].mean()),
+    "({0} − mean)³": ("position", "N·m/rad³", lambda m, k: (m.q[:, k] - m.q[:, k].mean()) ** 3),
+    "d{}/dt": ("velocity", "N·m·s/rad", lambda m, k: m.qd[:, k]),
+    "sgn d{}/dt": ("velocity", "N·m", lambda m, k: np.tanh(m.qd[:, k] / (0.02 * np.abs(m.qd[:, k]).max() + 1e-9))),
+    "|d{0}/dt| d{0}/dt": ("velocity", "N·m·s²/rad²", lambda m, k: m.qd[:, k] * np.abs(m.qd[:, k])),
+    "max(d{}/dt, 0)": ("velocity", "N·m·s/rad", lambda m, k: np.maximum(m.qd[:, k], 0)),
+    "sin({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.sin(m.q[:, k]) * m.qd[:, k]),
+    "cos({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.cos(m.q[:, k]) * m.qd[:, k]),
+    "d²{}/dt²": ("acceleration", "N·m·s²/rad", lambda m, k: m.qdd[:, k]),
+    "u {}": ("command", "1", lambda m, k: m.u[:, k]),
+    "|u {}|": ("command", "1", lambda m, k: np.abs(m.u[:, k])),
+    "t d{}/dt": ("time", "N·m/rad", lambda m, k: m.t * m.qd[:, k]),
+    "t u {}": ("time", "1/s", lambda m, k: m.t * m.u[:, k]),
+}
+"""Term → (variable, unit of its coefficient, function of the motion and a joint)."""
+
+
+def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
+    """Formula of what is left under ``cause``; None where no term earns its place."""
+    terms, features = _library(cause, path)
+    linear = linear_of(setting, cause.model, path)
+    K, D = cause.model.body.num_joints, path.shape[-1]
+    decay = torch.full_like(cause.model.parameters["torque.decay"], STEADY)
+    response = linear_of(setting, cause.model.replace(**{"torque.decay": decay}), path).F[:, :, :K].copy()
+    response[:, :K] = 0.0  # a torque on joint j, from row to row
+    g = np.stack(
+        [response[:, :, joint] * feature[:, None] for (_, joint, _, _), feature in zip(terms, features, strict=True)],
+        -1,
+    )
+    d = np.zeros((len(path), setting.observations.shape[-1], len(terms)))
+    levels = np.array([1e-3, *SLAB[:-1]])
+    about = filter_of(setting, cause.model, path, levels, linear)
+    whitened = whiten(setting, about, Columns(g.reshape(len(path) - 1, D, -1), d))
+    typical = setting.typical.numpy()
+    sd = np.array(
+        [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]
+    )
+    chosen: list[int] = []
+    best = _evidence(whitened, [chosen], sd)[0]
+    cost = np.array([PRODUCT * _is_product(name) for name, *_ in terms])
+    while len(chosen) < MOST:
+        gains = _evidence(whitened, [[*chosen, i] for i in range(len(terms))], sd) - cost
+        gains[chosen] = -np.inf
+        if gains.max() < best + np.log(len(terms)) + 3:
+            break
+        chosen, best = [*chosen, int(gains.argmax())], gains.max()
+    if not chosen:
+        return None
+    size = int(np.argmax([_at(whitened, g, [chosen], sd).log_evidence[0] for g in range(len(levels))]))
+    fit = _at(whitened, size, [chosen], sd)
+    spread = np.sqrt(np.diag(fit.covariance[0]))
+    named = {
+        terms[i][0]: (float(mean), float(s), terms[i][2])
+        for i, mean, s in zip(chosen, fit.mean[0], spread, strict=True)
+    }
+    text = "; ".join(f"{mean:+.3g} ± {s:.1g} {unit} × {name}" for name, (mean, s, unit) in named.items())
+    variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
+    return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd))
+
+
+def _is_product(name: str) -> bool:
+    """Whether a term's name has two factors: "sin(θ[elbow]) dθ[elbow]/dt on elbow"."""
+    return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
+
+
+def _library(cause: Refined, path: Tensor):
+    """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
+    model = cause.model
+    _, q, qd = (x.numpy() for x in model.split(path))
+    time = model.time.numpy() - model.time[0].item()
+    u = np.zeros_like(q) if model.command is None else model.command.numpy()
+    qdd = np.diff(qd, axis=0) / np.diff(time)[:, None]
+    motion = Motion(*((x[1:] + x[:-1]) / 2 for x in (q, qd)), qdd, u[:-1], (time[1:] + time[:-1]) / 2)
+    terms, features = [], []
+    joints = model.body.joint_names
+    for joint, acts_on in enumerate(joints):
+        for k, name in enumerate(joints):
+            for pattern, (variable, unit, function) in LIBRARY.items():
+                if (pattern == "1" and k != joint) or (variable in ("command", "time") and (k != joint or not u.any())):
+                    continue
+                feature = function(motion, k)
+                if np.ptp(feature) == 0 and pattern != "1":
+                    continue
+                what = f"{pattern.format(f'θ[{name}]')} on {acts_on}"
+                terms.append((what, joint, unit, f"{variable}:{name}" if variable else ""))
+                features.append(feature)
+    return terms, features
+
+
+def _at(whitened: Whitened, size: int, sets: Sequence[Sequence[int]], sd: np.ndarray) -> Regression:
+    """Regression on each set of terms, all of one length."""
+    of = np.array(sets, int).reshape(len(sets), -1)
+    free = np.full(of.shape, -np.inf)
+    gram, log_det = whitened.gram[size], whitened.log_det[size]
+    none, centre = np.zeros(len(of), int), np.zeros(of.shape)
+    return regression(gram, 1 + of, none, centre, sd[of], free, -free, whitened.count, log_det)
+
+
+def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray) -> np.ndarray:
+    """Log evidence of each set, all sizes of the residual together."""
+    return np.logaddexp.reduce([_at(whitened, g, sets, sd).log_evidence for g in range(len(whitened.sizes))])
+
+
+def _held_out_gain(whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
+    """Nats a frame that the last third of the rows gains, with coefficients from the first two."""
+    rows = whitened.columns[size]
+    cut = int(SHARE * len(rows))
+    A, y = rows[:cut, 1 + np.array(chosen)], rows[:cut, 0]
+    kappa2 = (y**2).mean()
+    precision = A.T @ A / kappa2 + np.diag(1 / sd[chosen] ** 2)
+    coefficients = -np.linalg.solve(precision, A.T @ y / kappa2)
+    before, rest = rows[cut:, 0], rows[cut:, 0] + rows[cut:, 1 + np.array(chosen)] @ coefficients
+    after2 = ((y + A @ coefficients) ** 2).mean()
+
+    def score(w: np.ndarray, k2: float) -> float:
+        return float(-0.5 * (w**2).sum() / k2 - 0.5 * len(w) * np.log(k2))
+
+    frames = max((whitened.seen > 0).sum() - int(SHARE * (whitened.seen > 0).sum()), 1)
+    return (score(rest, after2) - score(before, kappa2)) / frames

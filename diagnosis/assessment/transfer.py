@@ -1,0 +1,117 @@
+"""A cause on another recording of the same arm: its path there, and whether it leaves something there.
+
+Its parameters' posterior is the prior there, N(μ, LLᵀ). The path is whichever of a few has the highest predictive
+score (:mod:`.predict`), under the residual that the first recording needs. With one-step prediction errors w_s of each
+size s of the residual (:mod:`.whiten`), linear in z ~ N(0, I), and an unknown noise scale, evidence by size is that of
+a regression (:mod:`.evidence`). A cause that explained the first recording, and for which a residual surely gains
+evidence here (:func:`.pool.leaves`), imitated there what else was at work: two recordings move otherwise.
+
+No camera sees by how many whole turns a joint has been turned, but a spring, a cable and a stop feel it: what rests at
+−3.5 rad in one recording rests at 2.8 rad in another whose angles begin in the next turn.
+
+Shapes: T rows, D states.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.hypotheses.continuation import CLOSE, FIRM, led, lifted
+from invdyn.diagnosis.hypotheses.pool import leaves
+from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, scores, whitened
+from invdyn.diagnosis.hypotheses.shortlist import attempt
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.sensitivity.evidence import regression
+from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
+from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.recordings import InputError
+
+MOST = 50
+"""Gauss–Newton steps, at most."""
+TELLS = 1e-6
+"""rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
+
+
+def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> Refined:
+    """``cause``, found in ``setting``, with its model and path on another recording.
+
+    ``start`` (T, D) is the path that the other recording's data ask for (:func:`.continuation.data_path`).
+    Gauss–Newton by itself may end in a poor one, and so may a homotopy; where joints stick, also one after the
+    other. Raises InputError where no path can be followed.
+    """
+    model, size = cause.carried_to(other), best_size(setting, cause)
+    rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
+
+    def along(begun: Refined, *, by_itself: bool) -> Refined:
+        start = begun.path if by_itself else led(other, begun.model, begun.path, size)
+        quiet = other.with_residual(max(size, FIRM), begun.model)
+        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST, CLOSE))
+
+    def score(there: Refined | None) -> float:
+        found = None if there is None else attempt(scores, other, there, rows)
+        total = np.nan if found is None else found.score[seen].sum()
+        return float(total) if np.isfinite(total) else -np.inf
+
+    begun = cause.moved_to(model, lifted(model, start))
+    starts = [begun, *turned(begun)]
+    tried = [attempt(along, each, by_itself=True) for each in starts]
+    best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
+    begun, own = starts[best], tried[best]
+    tried = [own, attempt(along, begun, by_itself=False)]
+    if model.effects.abrupt and own is not None:
+        tried.append(attempt(along, own, by_itself=False))
+    worth = [score(each) for each in tried]
+    if not np.isfinite(worth).any():
+        raise InputError(
+            f"{other.problem.recording.name}: body {model.body.name!r} cannot follow it, even with torque of its own "
+            "at each joint: hold out a calmer recording of the same arm, or none"
+        )
+    return tried[int(np.argmax(worth))]
+
+
+@torch.no_grad()
+def turned(there: Refined) -> list[Refined]:
+    """A cause on a recording, a whole turn of one joint away, either way, where its torques tell, and no encoder does.
+
+    None where it is all the same to them, as it is to gravity and friction.
+    """
+    model, path, found = there.model, there.path, []
+    if model.emission_model.num_encoders:
+        return found
+    rows, joints = torch.arange(len(path)), model.body.num_joints
+    after = model.transition_mean(path, rows)
+    for turn in math.tau * torch.eye(joints, dtype=path.dtype):
+        step = torch.cat([path.new_zeros(path.shape[-1] - 2 * joints), turn, torch.zeros_like(turn)])
+        if not torch.allclose(model.transition_mean(path + step, rows) - step, after, rtol=0.0, atol=TELLS):
+            begin = model.parameters["initial.angle"]
+            found += [
+                there.moved_to(model.replace(**{"initial.angle": begin + way * turn}), path + way * step)
+                for way in (1, -1)
+            ]
+    return found
+
+
+def leaves_there(other: Setting, none: Refined, cause: Refined) -> bool:
+    """Whether a cause surely leaves something on another recording, to which both were carried."""
+    # What happened at some moment of the first recording does not happen in another.
+    if any(effect.dated for effect in cause.effects):
+        return False
+    there, without = (replace(each, by_size=_by_size(other, each)) for each in (cause, none))
+    return leaves(there, without)
+
+
+def _by_size(other: Setting, there: Refined) -> np.ndarray:
+    """Log evidence (G,) of another recording's rows and each size of the residual."""
+    levels = sizes(other.regime)
+    rows = whitened(other, there, there.path, levels, posterior_columns(other, there))
+    p = len(there.mean)
+    index, unit, far = np.arange(1, p + 1)[None], np.ones((1, p)), np.full((1, p), np.inf)
+    found = [
+        regression(gram, index, np.zeros(1, int), 0.0 * unit, unit, -far, far, rows.count, log_det).log_evidence[0]
+        for gram, log_det in zip(rows.gram, rows.log_det, strict=True)
+    ]
+    return np.array(found) + log_prior(levels)

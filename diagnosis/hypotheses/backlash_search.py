@@ -1,0 +1,174 @@
+"""Play beside a base: its width, by the evidence of a path of its own for each.
+
+What play does hangs on when its gap is crossed, and along the path of another width, or of none, that shows little of
+what it explains. So each width gets a path that is led to it from the base's (:func:`.continuation.led`), along
+which the base's unknowns are refined. The evidence there is smooth in the width's logarithm and has one top, far
+from it too. Steps lead there, then parabolas,
+
+    log Z(x ± h),  log Z(x):   top  x + h (r − l) / 2c,   variance  h² / c,   c = 2 log Z(x) − l − r,
+
+and the last one is the width's posterior (Laplace). A grid along the base's own path says whether that is worth its
+time, and where to begin.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+
+from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
+from invdyn.diagnosis.hypotheses.refine import expansions, refine
+from invdyn.diagnosis.hypotheses.shortlist import attempt
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.noise import grid, log_prior_of
+from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.sensitivity.sensitivities import slopes
+from invdyn.diagnosis.sensitivity.whiten import filter_of, log_prior, sizes, whiten
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect, Parameter
+
+EARNED = 2.0
+"""Nats that play must gain over its base to be looked at further."""
+WIDER = 0.1
+"""rad, of play that bends a path by so much that a narrower one may not lead to it."""
+STRIDE, FINEST, NARROW, EVALUATIONS = 0.4, 0.012, 4.0, 24
+"""First step of the logarithm, and the last: a path that stands alone among its neighbours leaves a spike at any step.
+Nats that a step from the top may cost for a parabola to hold; evaluations at most."""
+ROUNDS = 4
+"""Of path and unknowns; where a stop of the joint moves with the width, two leave forty nats."""
+NEAR = 0.15
+"""Of a logarithm: so near to the best width its path is where to begin; what leads to it may find another one."""
+LOST = -1e9
+"""Log evidence where the simulation does not run."""
+
+
+@dataclass
+class Play:
+    """Play of a joint beside a base, at any width.
+
+    Attributes:
+        setting, base, effect: what is diagnosed, the cause that play joins, and play of one joint, bound.
+        parameter: its width, rad.
+        tried: cause by width; None where the simulation does not run.
+    """
+
+    setting: Setting
+    base: Refined
+    effect: Effect
+    parameter: Parameter
+    tried: dict[float, Refined | None] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The width's, "backlash.elbow.width"."""
+        return f"{self.effect.key}.{self.parameter.name}"
+
+    @property
+    def best(self) -> Refined | None:
+        """Of all widths that were tried."""
+        return max((c for c in self.tried.values() if c is not None), key=lambda c: c.log_evidence, default=None)
+
+    def model(self, width: float) -> ArmModel:
+        """The base's with play of a width, rad."""
+        model = self.base.model.with_effects(self.effect)
+        return model.replace(**{f"effect.{self.name}": torch.tensor([width], dtype=torch.float64)})
+
+    def along_base(self, widths: Sequence[float]) -> list[float]:
+        """Log evidence of each width along the base's own path, with the gap as that drives it."""
+        setting, base, levels = self.setting, self.base, sizes(self.setting.regime)
+        common, gained = unknowns(setting, base.effects), []
+        for model in map(self.model, widths):
+            path = lifted(model, base.path)
+            columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
+            whitened = whiten(setting, filter_of(setting, model, path, levels), columns)
+            evidence = np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)])
+            gained.append(float(logsumexp(evidence + log_prior(levels))) + sum(base.noise_log.values()))
+        return gained
+
+    def refined(self, width: float) -> Refined:
+        """The base's unknowns, from those of the nearest width, along a path that is led to this one.
+
+        Or along the best one's own, if that is near.
+        """
+        known = [cause for cause in self.tried.values() if cause is not None]
+        nearest = min(known, key=lambda cause: abs(cause.noise[self.name] - width), default=self.base)
+        model, effects = self.model(width), (*self.base.effects, self.effect)
+        if self.best is not None and abs(np.log(width / self.best.noise[self.name])) < NEAR:
+            path = self.best.path
+        else:
+            path = led(self.setting, model, lifted(model, self.base.path), FIRM)
+        values = nearest.values | {self.name: width}
+        return refine(self.setting, effects, values, path, FIRM, **self.base.searched, rounds=ROUNDS)
+
+    def score(self, log_width: float) -> float:
+        """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
+        width = min(float(np.exp(log_width)), upper_bound(self.parameter))
+        if width not in self.tried:
+            self.tried[width] = attempt(self.refined, width)
+        cause = self.tried[width]
+        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], [width])
+
+
+def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+    """``base`` and play; None if nothing is gained, or if what was looked at first stays under ``enough`` nats."""
+    (parameter,), points = grid(effect, setting.model.scale)
+    play, widths = Play(setting, base, effect, parameter), [width for (width,) in points]
+    least = max(base.log_evidence + EARNED, enough)
+    # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
+    if base.complete and max(play.along_base(widths[1:4:2])) < least:
+        return None
+    gained = play.along_base(widths)
+    if max(gained) < least:
+        return None
+    # What the narrowest gap explains as well as any, and as the next one, is none of the gap's.
+    if max(gained) < gained[0] + EARNED and gained[1] > gained[0] - EARNED:
+        return None
+    start = float(np.log(widths[int(np.argmax(gained))]))
+    for step in (0.0, STRIDE, -STRIDE):
+        play.score(start + step)
+    if play.best is None or play.best.log_evidence < least:
+        return None
+    top, variance = summit(play.score, start)
+    if not play.best.complete:
+        wider = max((float(np.log(width)) for width in widths if width > WIDER), key=play.score)
+        if play.score(wider) > play.score(top):
+            top, variance = summit(play.score, wider)
+    play.score(top)
+    cause = play.best
+    width = cause.noise[play.name]
+    integral = log_prior_of([parameter], np.array([width])) + 0.5 * float(np.log(2 * np.pi * variance))
+    noise_log = base.noise_log | {effect.key: integral}
+    noise_sd = base.noise_sd | {play.name: width * float(np.sqrt(variance))}
+    evidence, by_size = cause.log_evidence + integral, cause.by_size + integral
+    found = replace(cause, log_evidence=evidence, by_size=by_size, noise_log=noise_log, noise_sd=noise_sd)
+    if not found.names:
+        return found
+    settled = refine(setting, found.effects, found.values, found.path, FIRM, **found.searched, rounds=3)
+    return max(found, settled, key=lambda each: each.log_evidence)
+
+
+def summit(score: Callable[[float], float], start: float) -> tuple[float, float]:
+    """Mode of a smooth function of one number, and the variance, at most one, of the Gaussian that it is there."""
+    x, h, values = start, STRIDE, dict[float, float]()
+
+    def at(x: float) -> float:
+        if x not in values:
+            values[x] = score(x)
+        return values[x]
+
+    while True:
+        here, left, right = at(x), at(x - h), at(x + h)
+        spare = len(values) < EVALUATIONS
+        if max(left, right) > here and spare:
+            x = x + h if right > left else x - h
+            continue
+        curvature = max(2 * here - left - right, 1e-9)
+        top, variance = x + np.clip(h * (right - left) / (2 * curvature), -h, h), h**2 / curvature
+        if curvature < 2 * NARROW or h < FINEST or not spare:
+            return float(top), float(min(variance, 1.0))
+        if abs(top - x) > h / 10 and at(top) > here:
+            x = top
+        h = float(np.clip(1.5 * np.sqrt(variance), h / 5, h / 2))

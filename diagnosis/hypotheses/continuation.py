@@ -1,0 +1,94 @@
+"""Paths that refinements start from: what the data ask for, whatever the cause; and from one cause's path to another's.
+
+Gauss–Newton finds the path of highest density near where it starts. A first one is had under a large residual, which
+lets the arm follow the data under any simulation, with heavy tails where there are stray detections.
+"""
+
+import copy
+
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.inference.smoothing.gauss_newton import gauss_newton, gauss_newton_path
+from invdyn.models import ArmModel
+from invdyn.models.fixed_point import settled
+
+STRAY = 5.0
+"""Standard deviations beyond which a detection counts as stray when the first path is judged."""
+FIRM = 1e-3
+"""Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
+SLACK = (1000.0, 100.0, 10.0, 1.0)
+"""Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
+ITERATIONS, PATIENT, CLOSE = 6, 20, 0.3
+"""Gauss–Newton steps at each of them, at most, or all at once; and the gain in nats under which they end."""
+
+
+def data_path(setting: Setting) -> tuple[Tensor, bool]:
+    """The path that the data ask for: the simulation under a large residual, robust against stray detections.
+
+    And whether there are any.
+    """
+    loose = setting.with_residual(setting.loose)
+    path = gauss_newton(loose, setting.observations).path
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        seen = loose.emission(path, rows).base_dist
+        far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
+    if not bool(far.any()):
+        return path, False
+    # What jumps has led the first path to where it is: it must not be what the second one starts from.
+    start = gauss_newton(loose, setting.usual).path
+    return gauss_newton(_heavy_tailed(loose), setting.observations, start=start).path, True
+
+
+def _heavy_tailed(model: ArmModel) -> ArmModel:
+    """The model with Student-t observations."""
+    other = copy.copy(model)
+    other.emission_model = copy.copy(model.emission_model)
+    other.emission_model.family = "student_t"
+    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
+    return other
+
+
+def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+    """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
+
+    Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
+    much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
+    """
+    names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
+    for slack in SLACK:
+        loose = model.replace(**{name: slack * model.parameters[name] for name in names})
+        quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
+        path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
+    return path
+
+
+def firmed(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+    """A path (T, D) under ``model`` and a smaller residual, of ``size``, than it was found with.
+
+    Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need to be led,
+    and the better of both paths is taken.
+    """
+    quiet = setting.with_residual(max(size, FIRM), model)
+    own = gauss_newton_path(quiet, setting.observations, path, PATIENT, CLOSE)
+    if not model.effects.abrupt:
+        return own
+    other = led(setting, model, path, size)
+    with torch.no_grad():
+        better = quiet.log_joint(own, setting.observations) >= quiet.log_joint(other, setting.observations)
+    return own if better else other
+
+
+def lifted(model: ArmModel, path: Tensor) -> Tensor:
+    """A path (T, D) in the states of ``model``: hidden ones that it does not know rest, a gap is as it is driven."""
+    torque, moving = model.torque_size, 2 * model.body.num_joints
+    has, needs = (size - torque - moving for size in (path.shape[-1], model.state_dim))
+    if has == needs:
+        return settled(model, path)
+    path = torch.cat([path[:, :torque], path[:, torque + has :]], -1)
+    if model.driven is not None:
+        return driven(model, path, 1)[0].squeeze(0)
+    return torch.cat([path[:, :torque], path.new_zeros(len(path), needs), path[:, torque:]], -1)

@@ -1,0 +1,136 @@
+"""What is left in a cause's errors of prediction: alike from row to row, along the motion, loud, or astray together.
+
+Whitened one-step prediction errors w_t of a right simulation are independent, and alike in all directions (whiteness
+tests: Mehra 1970, "On the identification of variances and adaptive Kalman filtering"):
+
+    correlation     Σ w_t w_{t+1} / Σ w_t²                          0 ± 1/√n; towards 1 where the path itself is off
+    along motion    the share of |w · v| > |w × v|, v a velocity    ½ ± 1/(2√n); towards 1 where rows are mistimed
+
+v is not whitened, which costs power where predictions are uncertain. Noise of unlike width in x and y shows, too.
+
+How much louder errors are than the noise at rest, κ says; but that noise is hardly known where a cause has it grow with
+speed. There the cause's own noise, drawn about its path, is held against the recording's, both as neighbouring rows
+show them (:func:`.initialise.jitter`).
+
+And stray detections of a tracker that errs now and then come upon each keypoint by itself. With r_t the probability
+that one strays in row t and s_t that another does, of all pairs together,
+
+    in concert      (Σ r_t s_t − E) / (M − E)                       0 ± √E/(M − E); 1 where they stray as one
+
+with E = Σr Σs / T what chance gives, and M = min(Σr, Σs) the most there could be.
+
+Shapes: T rows, O observations, P keypoints.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.hypotheses.pool import LOUD
+from invdyn.diagnosis.hypotheses.predict import best_size, seen_tips, whitened
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.outliers import calm
+from invdyn.inference.posterior.initialise import jitter
+from invdyn.models.effects.base import Effect
+from invdyn.models.observation.mixture import MistakenRows
+
+DRAWS = 8
+"""Recordings that are drawn for their noise."""
+AMPLE = 3.0
+"""Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
+
+ALIKE, CHANCE = 0.1, 2.0
+"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
+standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
+catalogue's."""
+COMPANY = 0.25
+"""Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
+
+
+def show_more(setting: Setting, cause: Refined, errors: np.ndarray) -> bool:
+    """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
+    if loudness(setting, cause) > LOUD:
+        return True
+    alike, chance = correlation(errors)
+    company, by_chance = in_concert(setting, cause)
+    return alike > ALIKE + CHANCE * chance or company > COMPANY + CHANCE * by_chance
+
+
+def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
+    """Whitened one-step prediction errors (T, O), NaN where nothing was seen.
+
+    With unknown torque under an ample one: what is then alike in them, no torque can do.
+    """
+    size = best_size(setting, cause) * (AMPLE if setting.regime == "unknown_torque" else 1.0)
+    rows = whitened(setting, cause, cause.path, [size])
+    errors = np.full(setting.observations.shape, np.nan)
+    errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
+    errors[np.isnan(setting.observations.numpy())] = np.nan
+    return errors
+
+
+def loudness(setting: Setting, cause: Refined) -> float:
+    """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
+    grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
+    points = 2 * len(cause.model.emission_model.tips)
+    if not grows or cause.model.emission_model.num_encoders:
+        return cause.kappa
+    rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
+    rows = rows if isinstance(rows, MistakenRows) else rows.base_dist
+    draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
+    drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * setting.observations
+
+    def shown(observations: torch.Tensor) -> np.ndarray:
+        return jitter(calm(setting.model.time, observations, setting.starts).numpy()[:, :points])
+
+    own, theirs = np.mean([shown(each) for each in drawn], 0), shown(setting.observations)
+    known = (own > 0) & (theirs > 0)
+    return float(np.exp(np.log(own[known] / theirs[known]).mean())) if known.any() else cause.kappa
+
+
+def correlation(errors: np.ndarray) -> tuple[float, float]:
+    """Of the errors (T, O) of neighbouring rows, all observations together; and its sd under no correlation."""
+    pairs = errors[1:] * errors[:-1]
+    count = int(np.isfinite(pairs).sum())
+    return (float(np.nanmean(pairs) / np.nanmean(errors**2)), count**-0.5) if count else (0.0, 1.0)
+
+
+def along_motion(errors: np.ndarray, cause: Refined) -> tuple[float, float]:
+    """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
+
+    Whatever their sizes and distribution. Of the faster half of all detections: at rest there is no direction. The
+    first coordinates of ``errors`` (T, O) are the tracked tips' x and y.
+    """
+    tips = seen_tips(cause.model, cause.path)
+    errors = errors[:, : 2 * tips.shape[1]].reshape(tips.shape)
+    velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
+    speed = np.hypot(*np.moveaxis(velocity, -1, 0))
+    seen = np.isfinite(errors).all(-1)
+    fast = seen & (speed > np.median(speed[seen])) if seen.any() else seen
+    if not fast.any():
+        return 0.5, 0.5
+    (x, y), (u, v) = errors[fast].T, velocity[fast].T
+    return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
+
+
+def in_concert(setting: Setting, cause: Refined) -> tuple[float, float]:
+    """How far keypoints stray in the same rows, and its sd if each does by itself (of one chance coincidence at least).
+
+    Where the cause has rows swapped or mistimed, or knows of no stray detections, there is nothing to ask: 0.
+    """
+    rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
+    if not isinstance(rows, MistakenRows) or not rows.strays or rows.swaps or rows.shift:
+        return 0.0, 1.0
+    stray = rows.stray(setting.observations).numpy()
+    together = by_chance = most = 0.0
+    for one, other in combinations(stray.T, 2):
+        seen = ~np.isnan(one + other)
+        r, s = one[seen], other[seen]
+        together += float(r @ s)
+        by_chance += float(r.sum() * s.sum() / max(seen.sum(), 1))
+        most += float(min(r.sum(), s.sum()))
+    if most - by_chance < 1.0:
+        return 0.0, 1.0
+    return (together - by_chance) / (most - by_chance), max(by_chance, 1.0) ** 0.5 / (most - by_chance)

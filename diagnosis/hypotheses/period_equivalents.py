@@ -1,0 +1,67 @@
+"""Effects of which a swinging link shows nothing but its period: exact stand-ins for one another.
+
+One link that hangs from a fixed hinge and is left to itself obeys θ̈ = −ω² sin φ, φ its angle from the vertical. What
+changes its inertia I about the hinge, its static moment m c or the clock changes ω² = m c g / I alone, and with it the
+square of the period by one factor,
+
+    ρ = (I'/I) (m c / m'c') (δ/δ')²        δ'/δ of the true time of a step to the stated one
+
+so whichever of them made the recording, each of the others has a size that makes the same one, in the range of periods
+that it can have:
+
+    armature          I_a = (ρ − 1) I
+    inertial_error    ΔI = (ρ − 1) I
+    payload           m_p = (ρ − 1) I / (l² − ρ I l / (m c))        its mass falls and resists
+    clock_rate        s = √ρ
+
+Units: kg, m, s.
+"""
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.inertial_error import LEAST
+
+NAMES = ("armature", "clock_rate", "inertial_error", "payload")
+
+
+def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) -> float:
+    """ρ of an effect with these parameters, by name, on a body of one link; 1 for one that leaves the period alone.
+
+    Not positive or not finite where the link does not hang, or no longer does.
+    """
+    p = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    changed, own = effect.body(p, body), effect.inertia(p, 1)
+    inertia = _inertia(changed) + (0.0 if own is None else own)
+    step = effect.interval(p, torch.ones(1, dtype=torch.float64))
+    return float(inertia / _inertia(body) * _moment(body) / _moment(changed) / step**2)
+
+
+def equivalents(rho: float, body: BodyParameters) -> dict[str, dict[str, float]]:
+    """Parameters of each of ``NAMES`` that have the factor ρ; those left out that cannot, all where nothing hangs."""
+    if not 0 < rho < math.inf:
+        return {}
+    inertia, moment, length = float(_inertia(body)), float(_moment(body)), float(body.length)
+    more = (rho - 1) * inertia
+    slowing = length**2 - rho * inertia * length / moment
+    values = {"clock_rate": {"rate": rho**0.5}}
+    if more > (LEAST - 1) * float(body.inertia):
+        values["inertial_error"] = {"inertia": more}
+    if more > 0:
+        values["armature"] = {"inertia": more}
+    if more * slowing > 0:
+        values["payload"] = {"mass": more / slowing}
+    return values
+
+
+def _inertia(body: BodyParameters) -> Tensor:
+    return body.inertia + body.mass * body.com**2
+
+
+def _moment(body: BodyParameters) -> Tensor:
+    return body.mass * body.com

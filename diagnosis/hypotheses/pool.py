@@ -1,0 +1,155 @@
+"""The pool of causes of a search: which effects are considered, what was refined, and how it ranks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import log
+
+import numpy as np
+from torch import Tensor
+
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.prior import ALPHA_WITHIN, MOST, another, log_prior_of, tempered
+from invdyn.diagnosis.sensitivity.screen import Screened
+from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect
+
+MISTAKES = ("outliers", "label_swap")
+"""Effects that leave stray detections, and are not looked for where there are none."""
+LITTLE = 0.1
+"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
+LOUD = 1.5
+"""Errors of prediction to the noise (:func:`.innovation_tests.loudness`), from which on something is left."""
+FEW = 5.0
+"""Nats that a residual may gain by chance."""
+
+
+@dataclass
+class Search:
+    """The pool of causes that were refined, and what the first screen said of all.
+
+    Attributes:
+        candidates: all effects at all places that were considered.
+        pool: refined causes by key.
+        first: the screen of every single effect, beside stray detections if there are any.
+        path: (T, D) that the data ask for, whatever the cause.
+        aside: (T, D) of the simulation alone; None where nobody knows its torques.
+        workers: processes that may work side by side.
+        relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.moves`).
+        stray: whether some detections are far from it.
+        most: effects at once, at most.
+    """
+
+    candidates: list[Effect]
+    pool: dict[str, Refined]
+    first: list[Screened]
+    path: Tensor
+    stray: bool
+    aside: Tensor | None = None
+    workers: int = 1
+    relatives: dict[str, float] = field(default_factory=dict)
+    most: int = MOST
+
+    @property
+    def top(self) -> float:
+        """The highest log evidence of all."""
+        return max(cause.log_evidence for cause in self.pool.values())
+
+    @property
+    def temper(self) -> float:
+        """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
+        return tempered(self.top - self.cleaned)
+
+    def temper_within(self, effect: Effect) -> float:
+        """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
+        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
+        return tempered(self.top - beside, ALPHA_WITHIN)
+
+    def score(self, cause: Refined) -> float:
+        """Log posterior but for a constant.
+
+        Stray detections gain thousands of nats: what is more likely than they alone is measured from there. A cause
+        that surely leaves something has another effect beside it, which has its prior.
+        """
+        none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
+        stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
+        beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
+        rest = log(another(len(cause.effects), self.most)) if self.leaves(cause) else 0.0
+        return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
+
+    def leaves(self, cause: Refined) -> bool:
+        """Whether a residual surely gains evidence beside a cause."""
+        return leaves(cause, self.pool[""])
+
+    @property
+    def cleaned(self) -> float:
+        """The highest evidence of causes that leave stray detections and nothing else; of none, if there are none."""
+        return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
+
+    @property
+    def ranked(self) -> list[Refined]:
+        """The pool, best first, without sets that a part of them beats."""
+        scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
+
+        def earns_its_size(cause: Refined) -> bool:
+            mine = frozenset(e.key for e in cause.effects)
+            return all(scores[mine] > score for other, score in scores.items() if other < mine)
+
+        kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
+        return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
+
+    @property
+    def explained(self) -> bool:
+        """Whether the best cause has an effect and leaves nothing."""
+        return self.ranked[0].complete and bool(self.ranked[0].effects)
+
+    def add(self, cause: Refined) -> None:
+        """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
+        if not cause.plausible:
+            return
+        known = self.pool.get(cause.key)
+        if known is None or cause.log_evidence > known.log_evidence:
+            self.pool[cause.key] = cause
+
+
+def others(cause: Refined) -> list[Effect]:
+    """A cause's effects but those that leave stray detections."""
+    return [effect for effect in cause.effects if effect.name not in MISTAKES]
+
+
+def leaves(cause: Refined, none: Refined) -> bool:
+    """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside ``none``.
+
+    A limb's own torque is always left, and no cause by itself leaves what no cause explains.
+    """
+    if not cause.effects or len(cause.by_size) != 1 + len(SLAB):
+        return False
+    prior = log_prior(sizes("commanded"))
+    left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
+    return left > FEW + LITTLE**2 * gap
+
+
+def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
+    """Every effect of the catalogue at every place at which it can act in this regime, bound."""
+    body = setting.model.body
+    emission, commanded = setting.model.emission_model, setting.regime == "commanded"
+    tracked = [body.keypoint_names[tip] for tip in emission.tips]
+    found = []
+    for name, kind in EFFECTS.items():
+        if name in without:
+            continue
+        if kind.side == "observation" and not tracked and name != "clock_rate":
+            continue
+        found += [
+            effect.bound(body)
+            for effect in kind.everywhere(body, tracked)
+            if effect.tellable(commanded, emission.doubt is not None)
+        ]
+    return found
+
+
+def imitable(effect: Effect) -> bool:
+    """Whether an unknown torque could do what the effect does."""
+    seen = type(effect).points is not Effect.points  # a base that shakes takes all points along
+    return (effect.side == "dynamics" and not seen) or effect.name in ("clock_rate", "camera_latency")

@@ -1,0 +1,120 @@
+"""Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and play (:mod:`.backlash_search`).
+
+The evidence of those on the scatter is looked at on a grid, along the base's path and with what the base has left free
+integrated out at each point; from the best point on it is climbed, along a path of its own, and its curvature at the
+top is their integral's width (Laplace).
+
+Several of them take each other's part: noise that grows with speed has many stray detections until those are counted
+too, and while they are called that it hardly grows. So each is looked for again beside the others, from its grid on, in
+turns, until none gains (coordinate ascent).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import cycle, islice
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+from torch import Tensor
+
+from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
+from invdyn.diagnosis.hypotheses.continuation import FIRM
+from invdyn.diagnosis.hypotheses.refine import expansions, refine
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.noise import climb, grid, is_noise, log_prior_of
+from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.sensitivity.sensitivities import slopes
+from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, seen_as, seen_rows, slopes_along
+from invdyn.models.effects.base import Effect
+
+TURNS, MUCH = 4, 50.0
+"""Times that each of several is looked for again, at most, and nats that the last has to gain beside them for that."""
+
+
+def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+    """``base`` and an effect whose parameters are searched.
+
+    None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
+    """
+    if not is_noise(effect):
+        return refine_play(setting, base, effect, enough)
+    best = _added(setting, base, effect, max(base.log_evidence + EARNED, enough))
+    if best is None or best.log_evidence < base.log_evidence + MUCH:
+        return best
+    turns = [*(each for each in base.effects if is_noise(each)), effect]
+    last = effect
+    for each in islice(cycle(turns), TURNS * len(turns)):
+        if each is last:
+            break  # every other one has had its turn since
+        again = _added(setting, best.less(setting, each), each, -np.inf, best.noise)
+        if again is not None and again.log_evidence > best.log_evidence + EARNED:
+            best, last = again, each
+    return best
+
+
+def _added(
+    setting: Setting, base: Refined, effect: Effect, least: float, values: Mapping[str, float] | None = None
+) -> Refined | None:
+    """``base`` and an effect on the scatter, from the best point of its grid or, where there are any, its ``values``.
+
+    None if that stays under ``least`` nats.
+    """
+    parameters, points = grid(effect, setting.model.scale)
+    names = [f"{effect.key}.{p.name}" for p in parameters]
+    if values is not None:
+        points = [*points, tuple(values[name] for name in names)]
+    known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
+    common, levels = unknowns(setting, base.effects), sizes(setting.regime)
+    columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
+    model, some = base.model.with_effects(effect), _telling(base, levels)
+
+    def along(cause: Refined) -> tuple[Tensor, Slopes, Linearisation]:
+        """Path, slopes and linearisation: what changes the scatter alone leaves them, whatever its parameters."""
+        tangents = slopes_along(cause.model, cause.path)
+        return cause.path, tangents, linear_of(setting, cause.model, cause.path, tangents)
+
+    path, tangents, moving = along(base)
+    most = np.array([upper_bound(p) for p in parameters])
+
+    def by_size(values: np.ndarray) -> np.ndarray:
+        """Log evidence with ``some`` sizes of the residual, and their prior weights."""
+        given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
+        here = model.replace(**given)
+        linear = seen_as(moving, seen_rows(here, path, setting.observations), tangents[1])
+        whitened = whiten(setting, filter_of(setting, here, path, levels[some], linear), columns)
+        return np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)]) + log_prior(levels)[some]
+
+    def score(log_values: np.ndarray) -> float:
+        values = np.minimum(np.exp(log_values), most)
+        return float(logsumexp(by_size(values))) + log_prior_of(parameters, values)
+
+    gained = [(score(np.log(point)) - log_prior_of(parameters, np.array(point)), point) for point in points]
+    top, start = max(gained)
+    if top < least - sum(base.noise_log.values()):
+        return None
+    # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
+    # most detections stray; a limb's own torque is as large as it was found.
+    size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
+    some = np.arange(len(levels))
+    size = max(size, float(levels[by_size(np.array(start)).argmax()]))
+    start = np.log(start)
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
+    (path, tangents, moving), some = along(cause), _telling(cause, levels)
+    start, covariance, integral = climb(score, start)
+    start = np.minimum(start, np.log(most))
+    own = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    noise_log = base.noise_log | {effect.key: own}
+    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
+    spreads = np.exp(start) * np.sqrt(np.diag(covariance))
+    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
+
+
+def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:
+    """Numbers of the sizes that matter to a cause: its best and their neighbours, and the spike."""
+    best = int(cause.by_size.argmax())
+    return np.unique(np.clip([0, best - 1, best, best + 1], 0, len(levels) - 1))

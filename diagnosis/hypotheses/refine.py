@@ -1,0 +1,211 @@
+"""A candidate in its own right: path and parameters together, until they agree.
+
+The screen expands every candidate about one path and about its absence. Here a candidate has a path of its own,
+found by Gauss–Newton under its own dynamics with its own parameters and residual, and is expanded about the
+parameters that it has reached; the regression on its columns then moves them, until they stay. It is Gauss–Newton
+on path and parameters in turns, and its evidence is that of the model linearised about both: a Laplace
+approximation.
+
+Where joints stick or strike, the first path is led to a stiff chain's by a homotopy (:mod:`.continuation`); in the
+last, stiffer rounds that one or what Gauss–Newton finds by itself, whichever is better.
+
+Nothing is assumed of the effects but that the model's three distributions follow their parameters smoothly enough for
+differences of a twentieth of their uncertainty. Parameters of all effects in the model are free.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from scipy.special import logsumexp
+from torch import Tensor
+
+from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regression
+from invdyn.diagnosis.sensitivity.sensitivities import slopes
+from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, log_prior, sizes, whiten
+from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.models.effects.base import Effect
+
+ROUNDS = 6
+STEPS, CLOSE = 3, 0.3
+"""Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+SHORTER = 25
+"""Steps, ever shorter ones, where none of those was a gain."""
+
+LOST = 2.0
+"""κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
+SETTLED = 0.1
+"""Change of a parameter, in its own standard deviations, under which it stays."""
+UNKEPT = 0.5
+"""Nats that a last step may promise and nobody has seen."""
+
+
+def refine(
+    setting: Setting,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    path: Tensor,
+    size: float,
+    *,
+    noise_log: Mapping[str, float] | None = None,
+    noise_sd: Mapping[str, float] | None = None,
+    enough: float = -np.inf,
+    doubtful: float = -np.inf,
+    rounds: int = ROUNDS,
+) -> Refined:
+    """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
+
+    ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
+    after the first of ``rounds``, or ``enough`` after the second, is left as it is. Parameters of effects that are
+    searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
+    key, ``noise_sd`` their standard deviations.
+    """
+    model = setting.model.with_effects(*effects)
+    effects = tuple(model.effects)
+    noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
+    noise = {name: float(values[name]) for name in noise}
+    spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
+    integrated = dict(noise_log or {})
+    model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
+    among = unknowns(setting, effects)
+    point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
+    point = np.clip(point, among.lower, among.upper)
+    path = lifted(among.set_in(model, point), path)
+    levels = sizes(setting.regime)
+    step = 0.05 * 0.2 * among.sd
+    best: Refined | None = None
+    worth = most_seen = -np.inf
+
+    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[Refined, np.ndarray, float]:
+        """Path and expansion about ``point``; the cause, where its parameters go, and the gain it promises."""
+        here = among.set_in(model, point)
+        quiet = setting.with_residual(max(size, FIRM), here)
+        before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
+        if first and torch.equal(path, before):
+            # It may be so far off, as what a looser chain left is, that no step was short enough.
+            path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
+        columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
+        whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
+        outcomes = expansions(whitened, among, point)
+        by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
+        top = outcomes[int(by_size.argmax())]
+        if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
+            raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
+        mean, covariance = top.mean[0], top.covariance[0]
+        target = _within(partial(among.step, point), point, mean, covariance)
+        evidence = float(logsumexp(by_size))
+        cause = Refined(
+            effects,
+            among.names,
+            target,
+            covariance,
+            evidence,
+            by_size,
+            float(top.kappa[0]),
+            path,
+            here,
+            noise,
+            spread,
+            integrated,
+            learned=learned(covariance, among.sd),
+            far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
+        )
+        return cause, target, _promised(among, point, mean, covariance)
+
+    def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
+        """Expand and move on, ``most`` times at most; the best stays.
+
+        A ``fresh`` path is another residual's or another cause's, and may need ever shorter steps to begin with.
+        """
+        nonlocal best, worth, most_seen, step
+        for done in range(most):
+            try:
+                cause, target, promised = once(point, path, stiffness * size, fresh and not done)
+            except np.linalg.LinAlgError:
+                if best is None:
+                    raise
+                break  # a step too far; what was found before it stands
+            used, size, path, sd = size, float(levels[cause.by_size.argmax()]), cause.path, cause.sd
+            step = 0.05 * sd
+            off = np.abs(target - point) / np.maximum(sd, 1e-300)
+            # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
+            true = cause.log_evidence - promised
+            if best is None or true > most_seen - UNKEPT:
+                # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
+                best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
+            hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
+            # A path that was found under another residual is bent by it.
+            # Where several parameters are known only together, a step that is short in each may be a long one.
+            settled = (off < SETTLED).all() and promised < UNKEPT
+            if (settled and max(used, FIRM) == max(size, FIRM)) or hopeless:
+                break
+            point = target
+
+    patient = rounds == ROUNDS
+    if patient and model.effects.abrupt:
+        # Where joints stick or strike, a path that leaves much to the residual misleads.
+        descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
+    if best is None or not best.complete:
+        descend(point, path, size, 1.0, rounds)
+    # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
+    for stiffness in (0.1, 0.0) if among.names else ():
+        if patient and not best.complete and best.log_evidence >= enough:
+            size = float(levels[best.by_size.argmax()])
+            firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
+            descend(best.mean, firm, size, stiffness, 2)
+    if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
+        descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
+    if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
+        # It never came to rest: what it is known to be worth is where it was expanded.
+        best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
+    return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
+
+
+def _within(
+    bounded: Callable[[np.ndarray], np.ndarray], point: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
+    """Where a step of N(mean, covariance) leads from ``point`` within bounds: at a bound, the others given that."""
+    whole = target = point + mean
+    held = np.zeros(len(point), dtype=bool)
+    while True:
+        within = bounded(target)
+        over = ~held & (within != target)
+        if not over.any():
+            return within
+        held |= over
+        free = ~held
+        gain = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[np.ix_(held, free)], rcond=None)[0].T
+        target = within.copy()
+        target[free] = whole[free] + gain @ (within - whole)[held]
+
+
+def _promised(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:
+    """Nats that the evidence of N(mean, covariance) about ``point`` has over what is seen there.
+
+    That evidence is cut at the parameters' bounds, but not where a step is shortened for other reasons:
+    ½ (|m|² − |m − x|²), where x is as much of the whole step m as bounds allow.
+    """
+    allowed = _within(partial(np.clip, a_min=among.lower, a_max=among.upper), point, mean, covariance) - point
+    return max(0.5 * (_distance(mean, covariance) - _distance(mean - allowed, covariance)), 0.0)
+
+
+def _distance(step: np.ndarray, covariance: np.ndarray) -> float:
+    """Squared length of a step in standard deviations of a Gaussian."""
+    return float(step @ np.linalg.lstsq(covariance, step, rcond=None)[0]) if len(step) else 0.0
+
+
+def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:
+    """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
+    index = np.arange(1, len(point) + 1)[None]
+    prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None], (among.upper - point)[None]
+    return [
+        regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
+        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
+    ]

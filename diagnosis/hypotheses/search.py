@@ -1,0 +1,229 @@
+"""The search for causes: screen, refine the best, add another effect, measure again.
+
+Forward selection with replacement over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani &
+Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:mod:`.prior`):
+
+    1  "no effect" by itself; where detections are stray, what leaves them, before anything else, or, where that leaves
+       something, what leaves nothing instead
+    2  where the best single effect leaves something: those that would leave little to a small residual, from several
+       values those that no screen tells the size of (``Effect.scan``), and it in shorter sub-steps (:mod:`.substeps`);
+       then, or where it is not what it is called (:mod:`.credible`), sets of up to four in a beam (:mod:`.beam_search`)
+    3  given the best set so far, screen every effect that could be added and refine the most promising
+    (:mod:`.forward_step`)
+    4  where one has become two, drop the older and look for a better one in its place
+    5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
+       of several have overtaken it, but for one other beside it that leaves nothing
+    6  leave effects of the best set out, one by one, while that raises it
+    7  look for a better one in place of each, along the path that the set has found; where there is one, or what is
+       left of the best set has not been in 3 yet, again from 3
+    8  where the best set leaves something after all, refine every effect on what is seen beside the best single one,
+       and again from 6
+
+With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
+and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
+nothing, as no limb obeys it; one of the observation has to gain more.
+
+Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
+that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from torch import Tensor
+
+from invdyn.diagnosis.hypotheses.continuation import FIRM, led
+from invdyn.diagnosis.hypotheses.credible import credible
+from invdyn.diagnosis.hypotheses.forward_step import extend, screened_with
+from invdyn.diagnosis.hypotheses.moves import refine_kin
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, Search, considered, others
+from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.shortlist import HOPELESS, SHARE, attempt, refine_every, refine_promising
+from invdyn.diagnosis.hypotheses.substeps import shortened
+from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
+from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.diagnosis_problem import Setting, cannot_follow
+from invdyn.diagnosis.problem.prior import MOST
+from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.beam_search import together
+from invdyn.diagnosis.sensitivity.screen import Screened
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects.base import Effect
+
+WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
+"""Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
+candidates refined instead of stray detections."""
+
+FORWARD = len(WIDTH)
+"""Effects that are added one by one, at least, if there may be so many."""
+
+
+def search(
+    setting: Setting,
+    path: Tensor,
+    stray: bool,
+    left_out: Sequence[str] = (),
+    workers: int = 1,
+    most: int = MOST,
+) -> Search:
+    """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
+
+    Of no more than ``most`` effects at once.
+    Raises InputError where the simulation runs away from the recording whatever torque is added.
+    """
+    known = setting.regime != "unknown_torque"
+    found = replace(_begun(setting, path, stray, considered(setting, left_out), workers), most=most)
+    if known and stray:
+        _mistaken(setting, found)
+    extended: set[str] = set()
+    for _ in range(max(FORWARD, most) if known else 1):
+        best = found.ranked[0]
+        if best.key in extended or len(best.effects) >= most:
+            break
+        extended.add(best.key)
+        screened = extend(setting, found, best, _width(best))
+        if known and not best.effects:
+            setting = shortened(setting, found)
+        if known and not best.effects and not _enough(setting, found.ranked[0]):
+            _several(setting, found, screened)
+            reduce(setting, found)
+            _overtaken(setting, found, extended)
+        _without_older(setting, found, best)
+    _settled(setting, found, extended)
+    singles = _singles(found)
+    if known and singles and most > 1 and not found.ranked[0].complete:
+        base = max(singles, key=found.score)
+        best = found.ranked[0]
+        refine_every(setting, found, base, screened_with(setting, found, base, False)[0])
+        if found.ranked[0].key != best.key:
+            _settled(setting, found, extended)
+    return found
+
+
+def _enough(setting: Setting, cause: Refined) -> bool:
+    """Whether a cause leaves nothing, by effects that are what they are called."""
+    return cause.complete and credible(setting, cause)
+
+
+def _settled(setting: Setting, found: Search, extended: set[str]) -> None:
+    """Leave effects out and exchange them until the best set stays.
+
+    Where it leaves something others may join what was exchanged, and what is left if it has not been ``extended`` yet:
+    a large effect may be reached only by way of several that imitate it, and hide a small one until then.
+    """
+    reduce(setting, found)
+    while setting.regime != "unknown_torque" and found.ranked[0].effects:
+        before = found.ranked[0]
+        exchange(setting, found)
+        best = found.ranked[0]
+        grows = not best.complete and len(best.effects) < found.most
+        if best.key == before.key and (not grows or best.key in extended):
+            break
+        if grows:
+            extended.add(best.key)
+            extend(setting, found, best, SWAPS if best.key != before.key else _width(best))
+        reduce(setting, found)
+        if found.ranked[0].key == before.key:
+            break
+
+
+def _width(base: Refined) -> int:
+    """Candidates that are refined beside a base."""
+    return WIDTH[min(len(others(base)), FORWARD - 1)]
+
+
+def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:
+    """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
+
+    def along_its_own() -> tuple[Tensor, Refined | None]:
+        usual = setting.observing(setting.usual) if stray else setting
+        aside = led(usual, setting.model, path, FIRM)
+        return aside, attempt(refine, setting, (), {}, aside, FIRM)
+
+    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
+    if setting.regime != "unknown_torque":
+        starts.append(partial(attempt, along_its_own))
+    none, *rest = side_by_side(starts, workers)
+    if none is None or None in rest:
+        raise cannot_follow(setting)
+    found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
+    for found.aside, alone in rest:
+        if alone is not None:
+            found.add(alone)
+    return found
+
+
+def _without_older(setting: Setting, found: Search, best: Refined) -> None:
+    """Where the ``best`` effect has become two, look for a better one in place of the older."""
+    grown = found.ranked[0]
+    if len(grown.effects) != 2 or len(best.effects) != 1:
+        return
+    newer, older = sorted(grown.effects, key=lambda effect: effect.key == best.key)
+    base = found.pool.get(newer.key) or attempt(without, setting, grown, older, setting.loose)
+    if base is not None:
+        found.add(base)
+        extend(setting, found, base, SWAPS)
+
+
+def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
+    """Where several have overtaken the best single effect, extend that one, too, unless it is one of two that suffice.
+
+    Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
+    """
+    singles, best = _singles(found), found.ranked[0]
+    if len(others(best)) < 2 or not singles:
+        return
+    base = max(singles, key=found.score)
+    if best.complete and len(others(best)) == 2 and others(base)[0].key in {effect.key for effect in best.effects}:
+        return
+    if base.key not in extended:
+        extended.add(base.key)
+        extend(setting, found, base, WIDTH[1])
+
+
+def _mistaken(setting: Setting, found: Search) -> None:
+    """Refine what leaves stray detections by itself, along the path that does not follow them and the simulation's own.
+
+    Beside it other effects are looked for, as little else shows until that is said. Instead of it stands one by itself
+    that leaves nothing where stray detections do, if it is among the most promising: a link that bends by much strays
+    from where the simulation has it, too, and among stray detections nothing shows of that.
+    """
+    none = found.pool[""]
+    for path in (found.aside, found.path):
+        for effect in (e for e in found.candidates if e.name in MISTAKES):
+            base = none.moved_to(none.model, path)
+            if (cause := attempt(refine_searched, setting, base, effect)) is not None:
+                found.add(cause)
+        if found.ranked[0].complete:
+            return
+    if not found.ranked[0].effects:
+        return
+    _, screened = screened_with(setting, found, none, True)
+    tried = replace(found, pool=dict(found.pool))
+    refine_promising(setting, tried, none, screened, INSTEAD)
+    if tried.explained:
+        found.pool, found.first = tried.pool, screened
+
+
+def _singles(found: Search) -> list[Refined]:
+    """Causes of one effect, but for those that leave stray detections."""
+    return [cause for cause in found.pool.values() if len(others(cause)) == 1]
+
+
+def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> None:
+    """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
+    common, none = unknowns(setting, ()), found.pool[""].log_evidence
+    for sets in together(setting, setting.model, found.path, screened, common, found.candidates, SETS):
+        if len(sets[0].effects) > found.most:
+            break
+        for each in sets:
+            top = found.top
+            limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
+            cause = attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
+            if cause is not None:
+                found.add(cause)
+        refine_kin(setting, found, len(sets[0].effects))
+        if found.ranked[0].complete:
+            break

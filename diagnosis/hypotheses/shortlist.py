@@ -1,0 +1,223 @@
+"""Screened effects that are worth refining.
+
+A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
+screen says, which errs, and if it gains a fair share of what the best one gains.
+
+Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
+it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
+
+An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
+stand for what the ideal form lacks. So is, in :mod:`.moves`, one that leaves something.
+
+A refinement that ends far under its base, which it contains, has lost its way and begins again from the base's path.
+
+With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
+show that something is left whatever it does.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.hypotheses.event_timing import relocated
+from invdyn.diagnosis.hypotheses.pool import Search, imitable
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.cause import Refined, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.prior import log_prior_of
+from invdyn.diagnosis.sensitivity.screen import Screened
+from invdyn.diagnosis.sensitivity.whiten import sizes
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects.base import Effect
+
+T = TypeVar("T")
+
+HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
+"""Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
+many nats of the best, or gain a share of what the best gains (half, where one leaves nothing): of much it errs by
+much."""
+
+PAIR = 2
+"""Candidates that are refined side by side, before the next ones are measured by them."""
+
+DOUBT, SURE = 5.0, 2.0
+"""Nats by which the screen may err, and beside a cause that leaves nothing: less promising ones are not refined."""
+
+SOFTENED = 0.01
+"""Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
+
+FAILED = 20.0
+"""Nats under its base from which on a refinement has lost its way: a cause contains its base."""
+
+FAINT = 3.0
+"""d′ of an effect of typical size under which the recording could not have shown it."""
+
+
+def refine_promising(
+    setting: Setting,
+    found: Search,
+    base: Refined,
+    screened: Sequence[Screened],
+    width: int,
+    besides: Sequence[Callable[[], list[Refined]]] = (),
+) -> None:
+    """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
+
+    What else can be found meanwhile, ``besides``, goes side by side with the first of them.
+    """
+    # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
+    nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
+    bare = log_prior_of(base.effects, found.candidates)
+    doubt = SURE if base.effects and base.complete else DOUBT
+    promising = [
+        s
+        for s in screened
+        if s.effect is not None
+        and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
+        > bare - doubt
+    ]
+    most = screened[0].log_evidence - nothing
+    if setting.regime == "unknown_torque":
+        bar = idle(screened)
+        promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
+    promising = promising[:width]
+    # One that gains far more than the next may leave nothing, and spare the others.
+    alone = len(promising) > 1 and promising[1].log_evidence - nothing < HALF * most
+    for first in (0, *range(1 if alone else PAIR, len(promising), PAIR)):
+        top, complete = found.top, found.ranked[0].complete
+        # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
+        least = min(most - HOPELESS, (HALF if complete else SHARE) * most)
+        limits = {
+            "enough": top - HOPELESS,
+            "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
+        }
+        parts = [
+            partial(_refined, setting, base, each, limits)
+            for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
+            if place < (1 if complete else 3) or each.log_evidence - nothing >= least
+        ]
+        for causes in side_by_side(parts if first else [*parts, *besides], found.workers):
+            for cause in causes:
+                found.add(cause)
+
+
+def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine those added to ``base`` that leave less than half of the gap where the residual is next to nothing."""
+    none = next(s for s in screened if s.effect is None)
+    least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
+    known = {effect.key for cause in found.pool.values() for effect in cause.effects}
+    clear = [s for s in screened if s.effect is not None and s.effect.key not in known and s.by_size[0] > least]
+    clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
+    limits = {"enough": found.top - HOPELESS}
+    for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
+        for cause in causes:
+            found.add(cause)
+
+
+def refine_every(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine all of the screened effects on what is seen, added to ``base``, that were not, until one leaves nothing.
+
+    A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
+    """
+    seen = [s for s in screened if s.effect is not None and s.effect.side == "observation"]
+    left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
+    for first in range(0, len(left), PAIR):
+        limits = {"enough": found.top - HOPELESS}
+        parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]
+        for causes in side_by_side(parts, found.workers):
+            for cause in causes:
+                found.add(cause)
+        if found.explained:
+            return
+
+
+def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+    """Refine those added to ``base`` that no torque imitates and that gain less in the screen than one that it does.
+
+    For where the best cause's errors of prediction show more, though a torque may do anything: a large effect on what
+    is seen bends the path that the screen is along, and what one on the motion gains is the torque's prior's mistake.
+    And whatever the screen says, those that have a softer form, in that form: of tissue that swings, an ideal one that
+    follows at once may explain nothing.
+    """
+    nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
+    seen = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
+    soft = {s.effect.key for s in seen if s.effect.softened() is not None}
+    barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
+
+    def refined(each: Screened) -> list[Refined]:
+        known = found.pool.get(key_of((*base.effects, each.effect)))
+        causes = [known] if known else _refined(setting, base, each, {})
+        ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
+        return causes + [form for c in ideal if (form := softer(setting, c, each.effect)) is not None]
+
+    for causes in side_by_side([partial(refined, each) for each in barred], found.workers):
+        for cause in causes:
+            found.add(cause)
+
+
+def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> list[Refined]:
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
+
+    Where both end far under the base, once more from there.
+    """
+    refined = []
+    for start in (each.values, each.elsewhere):
+        if start is None:
+            break
+        values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
+        effects = (*base.effects, each.effect)
+        cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+        if cause is not None and not cause.plausible and cause.log_evidence > limits.get("enough", -np.inf):
+            cause = softer(setting, cause, each.effect, **limits) or cause
+        if cause is not None:
+            refined.append(cause)
+            if cause.complete:
+                break
+    if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
+        again = attempt(_from_base, setting, base, each, limits)
+        refined += [again] if again is not None else []
+    if "moment" in each.effect.located and refined:
+        best = max(refined, key=lambda cause: cause.log_evidence)
+        moved = (
+            attempt(relocated, setting, base, each.effect, best)
+            if best.log_evidence > limits.get("enough", -np.inf)
+            else None
+        )
+        refined += [moved] if moved is not None else []
+    return refined
+
+
+def _from_base(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> Refined:
+    """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
+    nothing = {p.name: p.absent for p in each.effect.parameters(setting.model.scale) if p.absent not in (None, np.inf)}
+    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | nothing).items()} | base.values
+    size = float(sizes(setting.regime)[int(base.by_size.argmax())])
+    return refine(setting, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
+
+
+def softer(setting: Setting, cause: Refined, mine: Effect, **limits: float) -> Refined | None:
+    """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
+    form = mine.softened()
+    if form is None:
+        return None
+    effects = (*(e for e in cause.effects if e.key != mine.key), form)
+    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+    values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
+    size = max(float(sizes(setting.regime)[int(cause.by_size.argmax())]), SOFTENED)
+    return attempt(refine, setting, effects, values, cause.path, size, **cause.searched, **limits)
+
+
+def idle(screened: Sequence[Screened]) -> float:
+    """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
+    return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
+
+
+def attempt(work: Callable[..., T], *arguments, **options) -> T | None:
+    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all."""
+    try:
+        return work(*arguments, **options)
+    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return None

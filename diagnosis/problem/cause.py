@@ -1,0 +1,126 @@
+"""A cause that was refined: one or several effects together, and what is known of them.
+
+Shapes: p parameters, T rows, states of D coordinates, G sizes of the residual.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.prior import coarsened
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import PREFIX
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A cause, one or several effects together, with its parameters' posterior.
+
+    Attributes:
+        effects: bound; empty for "no effect".
+        names: p parameters, "viscous_friction.elbow.damping".
+        mean, covariance: (p,), (p, p) of their posterior.
+        log_evidence: parameters and sizes of the residual integrated out.
+        by_size: (G,) log-evidence with the prior weight of each size.
+        kappa: factor on the observations' noise at the best size.
+        path: (T, D) its own.
+        model: with the parameters at their means.
+        noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
+        noise_log: what their integral added to the log evidence, by effect's key.
+        plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
+        about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
+        learned: (p,) λ: along each principal direction, how many times more the data say of parameters than the prior.
+        far: −log prior density of the parameters, in units of the prior's highest one.
+    """
+
+    effects: tuple[Effect, ...]
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    by_size: np.ndarray
+    kappa: float
+    path: Tensor
+    model: ArmModel
+    noise: dict[str, float]
+    noise_sd: dict[str, float]
+    noise_log: dict[str, float]
+    plausible: bool = True
+    about: np.ndarray | None = None
+    learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    far: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether the cause does without a residual torque."""
+        return int(self.by_size.argmax()) == 0
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name, those that were searched too."""
+        return dict(zip(self.names, self.mean.tolist(), strict=True)) | {k: float(v) for k, v in self.noise.items()}
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, sorted and joined; "" for none."""
+        return key_of(self.effects)
+
+    def log_evidence_at(self, temper: float) -> float:
+        """Log evidence where the likelihood, and not the parameters' prior, is raised to a power; see :mod:`.prior`."""
+        return coarsened(self.log_evidence, self.learned, self.far, temper)
+
+    @property
+    def searched(self) -> dict:
+        """What :func:`refine` needs to know of parameters that were searched."""
+        return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
+
+    def less(self, setting: Setting, effect: Effect) -> "Refined":
+        """The same path and parameters without one of the effects whose parameters were searched, nothing refined."""
+        rest = tuple(other for other in self.effects if other.key != effect.key)
+        names = {f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)}
+        kept = {n: v for n, v in self.model.parameters.items() if n.removeprefix(PREFIX) not in names}
+        return replace(
+            self,
+            effects=rest,
+            model=setting.model.with_effects(*rest).replace(**kept),
+            noise={n: v for n, v in self.noise.items() if n not in names},
+            noise_sd={n: v for n, v in self.noise_sd.items() if n not in names},
+            noise_log={key: v for key, v in self.noise_log.items() if key != effect.key},
+        )
+
+    def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
+        """The same cause with another model and path."""
+        return replace(self, model=model, path=path)
+
+    def carried_to(self, other: Setting) -> ArmModel:
+        """The model of another recording with this cause's effects and parameters, and with the noise that they know.
+
+        What is said of the noise is said of its scale: another recording's own jitter is no part of it, but at a
+        keypoint that this one did not track.
+        """
+        mine, theirs = self.model, other.model
+        values = {name: value for name, value in mine.parameters.items() if name.startswith(PREFIX)}
+        values |= {name: mine.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")}
+        keypoint, angle = "emission.keypoint_scale", "emission.angle_scale"
+        if keypoint in theirs.parameters:
+            known = dict(zip(mine.emission_model.tips, mine.parameters.get(keypoint, ()), strict=True))
+            own = zip(theirs.emission_model.tips, theirs.parameters[keypoint], strict=True)
+            values[keypoint] = torch.stack([known.get(tip, scale) for tip, scale in own])
+        if angle in theirs.parameters and angle in mine.parameters:
+            values[angle] = mine.parameters[angle]
+        return theirs.with_effects(*self.effects).replace(**values)
+
+
+def key_of(effects: Sequence[Effect]) -> str:
+    """Keys of effects, sorted and joined."""
+    return "+".join(sorted(effect.key for effect in effects))

@@ -1,0 +1,265 @@
+"""What is diagnosed: the simulation as a state-space model on the recording's rows, with a residual torque.
+
+The body obeys the simulation exactly, but for an Ornstein–Uhlenbeck torque at every joint, the residual, whose size is
+what a gap in the dynamics is measured by. Three regimes:
+
+    commanded        torques known: the residual is what the simulation lacks
+    passive          torques known to be zero
+    unknown_torque   the residual is the limb's own torque, of any size; only what it cannot imitate shows
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.diagnosis.problem.labels import relabelled
+from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
+from invdyn.diagnosis.problem.outliers import calm
+from invdyn.inference.posterior.initialise import Problem, arm_problem, jitter, sufficient_substeps
+from invdyn.models import ArmModel, Body
+from invdyn.models.bodies.scalars import QUANTITIES
+from invdyn.models.effects.scale import typical_inertia, typical_torque
+from invdyn.models.torques import OrnsteinUhlenbeck
+from invdyn.recordings import InputError, Recording, joined
+
+REGIMES = ("commanded", "passive", "unknown_torque")
+
+DECAY = {"commanded": 20.0, "passive": 20.0, "unknown_torque": 4.0}
+"""1/s: friction and the like change several times in a swing, a limb's own torque with it."""
+
+FIRMER = 0.3
+"""Of the dynamics' own noise in inference, where torques are known: what that noise can follow is no gap, and play or
+bending is so small. A limb's own torque follows more than that."""
+
+LOOSE, LOOSE_LIMB = 0.3, 3.0
+"""Size of the residual, in typical torques, under which the data's own path is found; a limb's own torque is larger."""
+
+BEGINNING = 0.3
+"""Typical torques that motors which act late may still give, where a recording begins, of commands before it."""
+
+LEAST = 0.1
+"""Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
+
+RMS = 0.5
+"""Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
+
+TOO_MUCH = 100.0
+"""Times the torque that load and motion ask for, over all joints, beyond which commands are in another unit: 40 made
+recordings have 0.34 in the middle, 1.5 at most, and a small servo that is stalled against a stop 50."""
+FEWEST = 20
+"""Rows with an observation, under which nothing is said."""
+
+
+class NotEnoughData(InputError):
+    """Too few rows with an observation to say anything."""
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A number of the body that is not known exactly: ``quantity`` ("mass") of link ``link``, N(mean, sd²)."""
+
+    quantity: str
+    link: int
+    mean: float
+    sd: float
+
+    @property
+    def name(self) -> str:
+        """Such as "body.mass.0"."""
+        return f"body.{self.quantity}.{self.link}"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A recording bound to the simulation of it.
+
+    Attributes:
+        problem: model with the residual torque at size one typical torque, and observations.
+        regime: one of ``REGIMES``.
+        uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
+        starts: rows at which another recording starts.
+        shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
+    """
+
+    problem: Problem
+    regime: str
+    uncertain: tuple["Uncertain", ...] = ()
+    starts: tuple[int, ...] = ()
+    shape: tuple[float, ...] | None = None
+
+    @property
+    def model(self) -> ArmModel:
+        """The simulation."""
+        return self.problem.model
+
+    @property
+    def observations(self) -> Tensor:
+        """(T, O), NaN where missing."""
+        return self.problem.observations
+
+    @cached_property
+    def usual(self) -> Tensor:
+        """(T, O) without what jumps, and with exchanged labels put right: where a first path begins."""
+        return _usual(self.model, self.observations, self.starts)
+
+    @property
+    def loose(self) -> float:
+        """Size of the residual under which the data's own path is found."""
+        return LOOSE_LIMB if self.regime == "unknown_torque" else LOOSE
+
+    @cached_property
+    def typical(self) -> Tensor:
+        """Typical torque of each joint, (K,) N·m, in the residual's ``shape``."""
+        torque = torch.tensor(self.model.scale.torque, dtype=torch.float64)
+        return torque if self.shape is None else torque * torch.tensor(self.shape, dtype=torch.float64)
+
+    def shaped(self, path: Tensor) -> "Setting":
+        """The setting with a residual that is spread over the joints as it is along ``path`` (T, D).
+
+        One number is the size of all joints' residuals. A joint that lacks little would hide, under the size that
+        another one needs, what a cause improves there. Effects are looked for where the joints turn along it.
+        """
+        joints = self.model.body.num_joints
+        missing = path[:, :joints].square().mean(0).sqrt() / self.typical
+        shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(LEAST)
+        _, angle, _ = self.model.split(path)
+        model = self.model.turning(angle.amin(0), angle.amax(0))
+        return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
+
+    def in_substeps(self, count: int) -> "Setting":
+        """The same setting in so many integrator sub-steps a row."""
+        model = copy(self.model)
+        model.substeps = count
+        return replace(self, problem=replace(self.problem, model=model))
+
+    def observing(self, observations: Tensor) -> "Setting":
+        """The same setting with other observations (T, O)."""
+        return replace(self, problem=replace(self.problem, observations=observations))
+
+    def until(self, row: int) -> "Setting":
+        """The same setting seen up to a ``row``, which is not."""
+        return replace(self.observing(self.observations[:row]), starts=tuple(s for s in self.starts if s < row))
+
+    def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
+        """``model`` with a residual torque of stationary sd ``size`` typical torques, more where it begins."""
+        model = model or self.model
+        scale = {"torque.scale": size * np.sqrt(2 * DECAY[self.regime]) * self.typical}
+        return model.replace(**scale, **self.begun)
+
+    @cached_property
+    def begun(self) -> dict[str, Tensor]:
+        """Sd (K,) N·m of what is not known of commanded torques where a recording begins, as a parameter."""
+        typical = torch.tensor(self.model.scale.torque, dtype=torch.float64)
+        return {"torque.initial_scale": BEGINNING * typical} if self.regime == "commanded" else {}
+
+
+def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
+    """The body's numbers that it states an uncertainty or a prior of, and what is as uncertain because they are.
+
+    A moment of inertia that is left out follows the mass. One that is written as a number would stay as it is however
+    heavy the link: it is taken to be known as well as the mass is, relatively, and no better.
+    """
+    found = []
+    for k, link in enumerate(body.with_uncertainty().links):
+        given = {quantity: getattr(link, quantity) for quantity in QUANTITIES}
+        priors = {quantity: prior for quantity, prior in given.items() if isinstance(prior, Distribution)}
+        own = [Uncertain(quantity, k, p.mean.item(), p.stddev.item()) for quantity, p in priors.items()]
+        moment = link.nominal("inertia")
+        if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
+            own.append(Uncertain("inertia", k, moment, moment * float(priors["mass"].stddev / priors["mass"].mean)))
+        found += own
+    return tuple(found)
+
+
+def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
+    """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
+    recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
+    known = recording.torques is not None and np.isfinite(recording.torques).any()
+    regime = "passive" if passive else "commanded" if known else "unknown_torque"
+    uncertain = uncertain_numbers(body)
+    if regime == "unknown_torque":
+        # There only its rough prior would tell of masses: it pulls them down as far as they may go.
+        uncertain = tuple(u for u in uncertain if u.quantity == "length")
+    whole = arm_problem(recording, body, passive=passive, substeps=1)
+    rows = (~torch.isnan(whole.observations)).any(-1).numpy()
+    seen = int(rows.sum())
+    if seen < FEWEST:
+        raise NotEnoughData(
+            f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
+        )
+    # Rows without an observation only carry commands, which a row takes as they come.
+    torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
+    problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
+    # The first row of a recording that was seen; it follows from none before it.
+    starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
+    usual = _usual(problem.model, problem.observations, starts)
+    model = _as_seen(problem, usual, regime)
+    if regime == "commanded":
+        model = model.driven_by(whole.model.time, whole.model.command)
+    paths = model.initial_paths(usual)
+    _, angle, velocity = model.split(paths[len(paths) // 2])
+    if regime == "commanded":
+        _check_torques(recording.name, model, velocity)
+    if starts:
+        model = model.starting_anew(starts, angle[starts])
+    model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
+    model.substeps = sufficient_substeps(model, usual)
+    return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
+
+
+def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
+    """Raise InputError for commands far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
+
+    Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
+    """
+    body = model.scale.body
+    if not bool(body.gravity.any()):
+        return
+    rms = (velocity.diff(dim=0) / model.dt[1:].unsqueeze(-1)).square().mean(0).sqrt()
+    needed = (typical_torque(body) + typical_inertia(body) * rms).norm().item()
+    given = model.command.square().mean(0).sqrt().norm().item()
+    if given > TOO_MUCH * needed:
+        raise InputError(
+            f"{name}: expected torques in N·m, some {needed:.2g} for body {model.body.name!r} and this motion, got "
+            f"{given:.2g} rms: check their unit, and the body's masses (kg) and lengths (m)"
+        )
+
+
+def _usual(model: ArmModel, observations: Tensor, starts: Sequence[int]) -> Tensor:
+    """Observations (T, O) of the arm's own course: what else there is of them is NaN."""
+    return calm(model.time, relabelled(model, observations), starts)
+
+
+def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
+    """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics.
+
+    ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
+    """
+    model = problem.model
+    points = 2 * len(model.emission_model.tips)
+    reach = model.body_parameters().length.sum().item()
+    found = {}
+    if regime != "unknown_torque":
+        found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
+    if points:
+        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
+        found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
+    if model.emission_model.num_encoders:
+        angles = problem.observations[:, points:].numpy()
+        sd = shrunk(jitter(angles), variance_of_log(np.isfinite(angles).sum(0)))
+        found["emission.angle_scale"] = torch.as_tensor(sd).clamp_min(1e-5)
+    return model.replace(**found)
+
+
+def cannot_follow(setting: Setting) -> InputError:
+    """The error of a simulation that runs away from its recording whatever is added to it."""
+    return InputError(
+        f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque of its "
+        "own at each joint: check units of torques (N·m), lengths and masses, or give a calmer stretch: --frames 0:500"
+    )

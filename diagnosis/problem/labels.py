@@ -1,0 +1,51 @@
+"""Labels that a tracker has exchanged, put right where the links' lengths say so.
+
+A rigid link's ends are its length L apart: with r = max |‖p_i − p_{i−1}‖ − L_i| over the links whose ends are tracked
+(the first link's inner end is the base), a row is put right where r is far above what it is in most rows, and with the
+labels of two keypoints exchanged it is not. What is left of it is for :mod:`.outliers`. It only serves to find a first
+path: how often labels are exchanged, an effect says, from the detections as they are.
+
+Shapes: T rows, P keypoints, O observations.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models import ArmModel
+
+FAR = 7.0
+"""Times the median over rows."""
+EXACT = 1e-9
+"""Of the arm's length: nearer to a link's length is rounding."""
+
+
+def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
+    """Observations (T, O) with exchanged labels put right; as they are where fewer than two keypoints are tracked."""
+    tips = model.emission_model.tips
+    points = observations[:, : 2 * len(tips)].unflatten(-1, (-1, 2)).numpy()
+    body = model.body_parameters()
+    length, base = body.length.numpy(), body.base.numpy()
+    links = [k for k in tips if k == 0 or k - 1 in tips]
+
+    def misfit(points: np.ndarray) -> np.ndarray:
+        """The r of each row (T,), m; 0 where no link has both ends."""
+        found = np.zeros(len(points))
+        for k in links:
+            inner = points[:, tips.index(k - 1)] if k else base
+            apart = np.linalg.norm(points[:, tips.index(k)] - inner, axis=-1)
+            found = np.fmax(found, np.abs(apart - length[k]))
+        return found
+
+    own = misfit(points)
+    least = FAR * max(float(np.median(own)), EXACT * float(length.sum()))
+    best, put_right = own, points
+    for i, j in combinations(range(len(tips)), 2):
+        other = points.copy()
+        other[:, [i, j]] = points[:, [j, i]]
+        there = misfit(other)
+        better = (own > least) & (there < np.minimum(best, least)) & np.isfinite(other[:, [i, j]]).all((1, 2))
+        best, put_right = np.where(better, there, best), np.where(better[:, None, None], other, put_right)
+    return torch.cat([torch.as_tensor(put_right).flatten(1), observations[:, 2 * len(tips) :]], -1)

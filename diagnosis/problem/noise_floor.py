@@ -1,0 +1,117 @@
+"""The noise of detections that do not move, which jitter, blur and mistimed frames let grow with speed.
+
+Differences of a track show its noise (:func:`.initialise.differences`). Sorted by the speed v of the point, their
+medians in ``BINS`` bins are compared with a noise that is the same everywhere and with two that grow:
+
+    σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
+
+σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
+
+One camera and one network saw all points, and of each alone the noise is known to a twentieth at best, where it grows
+to a third: too little to tell them apart by, and what one is said to have too little of looks like noise that grows.
+Of their differences so much is believed as is worth more than their number (Akaike's criterion as a shrinkage factor):
+
+    log σ_p → m + w (log σ_p − m),    m = Σ (log σ_p / s_p²) / Σ 1/s_p²
+
+    w = max(0, 1 − 2 (P − 1) / Σ (log σ_p − m)²/s_p²)
+
+Shapes: T rows, P points.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
+
+from invdyn.inference.posterior.initialise import MEDIAN, differences, jitter
+
+Growth = Callable[[np.ndarray, float], np.ndarray]
+"""Speeds (N,) and k → noise, in units of that at rest."""
+
+BINS, FEWEST = 8, 10
+"""Bins of speed, and values in each, under which nothing is compared."""
+SPAN, DEGREE = 0.2, 3
+"""s, and the degree, of the polynomial whose slope is a row's velocity (Savitzky & Golay 1964): high differences know
+nothing of it, so that the noise of one is not in the other. Nine rows at least."""
+SURELY = 16.0
+"""Fall of the squared misfit, in variances, from which on noise is said to grow."""
+OVERLAP = 2.0
+"""By which neighbouring differences, which share rows, make a median's variance larger."""
+VAGUE = 1 / 3
+"""Standard deviation of the logarithm of a noise at rest that was found by how it grows."""
+
+
+def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; 0 where too little is seen."""
+    average = jitter(points).reshape(-1, 2).mean(1)
+    pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
+    rest = np.array([_at_rest(time, pair, usual) for usual, pair in zip(average, pairs, strict=True)])
+    grows = rest < average
+    variance = np.where(grows, VAGUE**2, variance_of_log(np.isfinite(pairs).sum((1, 2))))
+    alike = shrunk(rest, variance)
+    return np.where(grows, np.minimum(average, alike), alike)
+
+
+def variance_of_log(count: np.ndarray) -> np.ndarray:
+    """Variance of the logarithm of a noise's sd that the differences of so many values told."""
+    return OVERLAP * MEDIAN / np.maximum(count, 1)
+
+
+def shrunk(sd: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Noise sds (P,) of sensors of one kind, known with these variances of their logarithms, nearer to one another."""
+    known = sd > 0
+    others = int(known.sum()) - 1
+    if others < 1:
+        return sd
+    log, weight = np.log(sd[known]), 1 / variance[known]
+    mean = np.average(log, weights=weight)
+    apart = float((weight * (log - mean) ** 2).sum())
+    believed = max(0.0, 1 - 2 * others / apart) if apart > 0 else 0.0
+    nearer = sd.copy()
+    nearer[known] = np.exp(mean + believed * (log - mean))
+    return nearer
+
+
+def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
+    """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average; no more than that."""
+    seen = np.isfinite(track).all(-1)
+    time, track = time[seen], track[seen]
+    if len(track) < BINS * FEWEST or usual == 0.0:
+        return usual
+    step = float(np.median(np.diff(time)))
+    window = min(max(9, 2 * round(SPAN / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
+    velocity = savgol_filter(track, window, DEGREE, deriv=1, delta=step, axis=0)
+    speed = np.linalg.norm(velocity, axis=-1)
+    sizes, along, whole = [], [], []
+    for c in range(2):
+        sizes.append(np.abs(differences(track[:, c])))
+        # The middle of the rows that a difference is of.
+        middle = slice((len(track) - len(sizes[c])) // 2, (len(track) - len(sizes[c])) // 2 + len(sizes[c]))
+        along.append(np.abs(velocity[middle, c]))
+        whole.append(speed[middle])
+    size = np.concatenate(sizes)
+    candidates = [
+        _fitted(np.concatenate(whole), size, lambda v, k: 1 + k * v),
+        _fitted(np.concatenate(along), size, lambda v, k: np.hypot(1.0, k * v)),
+    ]
+    gain, found = max(candidates)
+    return min(usual, found) if gain > SURELY else usual
+
+
+def _fitted(speed: np.ndarray, size: np.ndarray, growth: Growth) -> tuple[float, float]:
+    """How much better a noise fits that grows with ``speed`` as ``growth`` (v, k), in variances; and its σ at rest."""
+    bins = np.array_split(np.argsort(speed, kind="stable"), BINS)
+    v = np.array([speed[each].mean() for each in bins])
+    medians = np.array([np.median(size[each]) for each in bins])
+    if not (medians > 0).all() or not v.any():
+        return 0.0, 0.0
+    sd = np.sqrt(variance_of_log(np.array([len(each) for each in bins])))
+    seen, v = np.log(1.4826 * medians), v / v.max()
+
+    def misfit(x: np.ndarray) -> np.ndarray:
+        return (seen - x[0] - np.log(growth(v, x[1]))) / sd
+
+    constant = np.average(seen, weights=sd**-2)
+    fit = least_squares(misfit, [seen[0], 1.0], bounds=([-np.inf, 0.0], [np.inf, np.inf]))
+    return float((misfit(np.array([constant, 0.0])) ** 2).sum() - 2 * fit.cost), float(np.exp(fit.x[0]))

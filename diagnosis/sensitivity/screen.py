@@ -1,0 +1,283 @@
+"""The fast screen: evidence of every candidate along the data's own path, the residual torque's size integrated out.
+
+Data and all candidates' columns are whitened for every size of the residual (:mod:`.whiten`); each candidate's evidence
+is then a small regression (:mod:`.evidence`). A cause found with the smallest size leaves nothing to explain.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import logsumexp
+from torch import Tensor
+
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.unknowns import Unknowns
+from invdyn.diagnosis.sensitivity.bursts import burst_products
+from invdyn.diagnosis.sensitivity.evidence import Regression, regression
+from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
+from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.inference.smoothing.linearisation import Linearisation
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import HiddenHinge
+
+PEAKS = 2
+"""Stretches of time that are kept, for each size that they are sought under."""
+SHORT, SURELY = 11, 10.0
+"""Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
+beyond it, in twice the nats."""
+
+BLOCK = 200
+"""Columns that are whitened together."""
+HINGED, BEGUN = 10, 20
+"""It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
+
+
+def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
+    """Stretches of time in which a burst of torque on the joints would explain most: ``PEAKS`` for each of three sizes.
+
+    And a short one within the first of them, where that explains surely more: what strikes within a row or two and is
+    then over is not like a long push, however weak.
+    """
+    K = model.body.num_joints
+    response = linear.F[:, :, :K].copy()
+    response[:, :K] = 0.0
+    about = filter_of(setting, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
+
+    count = int((~setting.observations.isnan()).sum())
+
+    def gains_of(times: Sequence[tuple[float, float]]) -> np.ndarray:
+        """Twice the nats (3, W) that a burst in each stretch explains, under each size."""
+        own, with_data, data = burst_products(about, response, model.time.numpy(), times)
+        total = data + np.trace(own, axis1=-2, axis2=-1).sum(-1)
+        A = own + 1e-9 * total[:, None, None, None] * np.eye(K)
+        return np.einsum("gwi,gwij,gwj->gw", with_data, np.linalg.inv(A), with_data) * count / data[:, None]
+
+    times = spans(model)
+    gains = gains_of(times)
+    firsts, most = gains.argmax(-1), gains.max(-1)
+    found = set()
+    for gain in gains:
+        for _ in range(PEAKS):
+            top = int(gain.argmax())
+            found.add(times[top])
+            gain[max(top - 2, 0) : top + 3] = -np.inf
+    middles = {
+        sum(times[first]) / 2 + shift for first in firsts for shift in np.linspace(-WINDOW / 2, WINDOW / 2, SHORT)
+    }
+    short = [(middle - WINDOW / SHORT, middle + WINDOW / SHORT) for middle in sorted(middles)]
+    gains = gains_of(short)
+    found |= {short[int(gain.argmax())] for gain, least in zip(gains, most, strict=True) if gain.max() > least + SURELY}
+    return sorted(found)
+
+
+def blocks(
+    model: ArmModel, effects: Sequence[Effect], path: Tensor, times: Sequence[tuple[float, float]] = ()
+) -> Iterator[tuple[list[Hypothesis], list[Columns], list[int]]]:
+    """Effects' hypotheses and columns, in blocks that memory holds; and each hypothesis' first column, side by side.
+
+    One block without any where there are no effects.
+    """
+    plain = unchanged(model, path)
+    found, pieces, first, count = [], [], [], 0
+    for effect in effects:
+        mine, columns = hypotheses(model, effect, path, plain, times)
+        if count and count + columns.g.shape[-1] > BLOCK:
+            yield found, pieces, first
+            found, pieces, first, count = [], [], [], 0
+        found += mine
+        first += [count] * len(mine)
+        pieces.append(columns)
+        count += columns.g.shape[-1]
+    yield found, pieces, first
+
+
+def beside(pieces: Sequence[Columns]) -> Columns:
+    """Columns of several effects as one."""
+    return Columns(np.concatenate([c.g for c in pieces], -1), np.concatenate([c.d for c in pieces], -1))
+
+
+def evidences(
+    whitened: Whitened, found: Sequence[Hypothesis], first: Sequence[int], common: Unknowns, point: np.ndarray
+) -> list[Regression]:
+    """Regression of every hypothesis, one result per size; hypothesis −1 (the last) is "no effect".
+
+    The last columns belong to the unknowns that all hypotheses have in ``common``, expanded about ``point``.
+    """
+    shared = len(common.names)
+    own = max((len(h.free) for h in found), default=0)
+    p = own + shared
+    H = len(found) + 1
+    index, offset = np.zeros((H, p), int), np.zeros(H, int)
+    mean, sd = np.zeros((H, p)), np.ones((H, p))
+    lower, upper = np.full((H, p), -np.inf), np.full((H, p), np.inf)
+    for i, (h, start) in enumerate(zip(found, first, strict=True)):
+        n = len(h.free)
+        index[i, :n] = 1 + start + np.array(h.columns)
+        offset[i] = 0 if h.offset is None else 1 + start + h.offset
+        mean[i, :n], sd[i, :n], lower[i, :n], upper[i, :n] = h.mean, h.sd, h.lower, h.upper
+    index[:, own:] = whitened.gram.shape[-1] - shared + np.arange(shared)
+    mean[:, own:], sd[:, own:] = common.mean - point, common.sd
+    lower[:, own:], upper[:, own:] = common.lower - point, common.upper - point
+    return [
+        regression(gram, index, offset, mean, sd, lower, upper, whitened.count, log_det)
+        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Evidence of one effect at one place.
+
+    Attributes:
+        effect: bound; None for "no effect".
+        log_evidence: sizes and grid integrated out.
+        by_size: (G,) grid integrated out.
+        best: its best grid point; None for "no effect".
+        columns: of that point: what is added as it is, if anything, then those of ``best.free``.
+        values: estimates of all parameters there, by name.
+        elsewhere: those at the best other time, of an effect that acts for a while.
+        size: the residual's, at its best.
+        dprime: how far an effect of typical size would move the whitened data, in their sds; infinite for none.
+        path: (T, D) along which.
+    """
+
+    effect: Effect | None
+    log_evidence: float
+    by_size: np.ndarray
+    best: Hypothesis | None
+    columns: Columns | None
+    values: dict[str, float]
+    elsewhere: dict[str, float] | None
+    size: float
+    dprime: float
+    path: Tensor
+
+
+def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
+    """Numbers of a hypothesis' columns, one after the other: what is added as it is, if anything, and what is free."""
+    added = () if hypothesis.offset is None else (hypothesis.offset,)
+    return start + np.array([*added, *hypothesis.columns])
+
+
+def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
+    """d′ of the most visible parameter at two thirds of its prior's spread, or of an offset."""
+    largest = 0.0
+    for hypothesis, start in zip(mine, first, strict=True):
+        if hypothesis.offset is not None:
+            norm = gram[1 + start + hypothesis.offset, 1 + start + hypothesis.offset]
+            largest = max(largest, float(np.sqrt(norm)))
+            continue
+        for column, sd in zip(hypothesis.columns, hypothesis.sd, strict=True):
+            norm = gram[1 + start + column, 1 + start + column]
+            largest = max(largest, float(0.67 * sd * np.sqrt(norm)))
+    return largest / kappa
+
+
+def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[str, float]:
+    """All parameters at a grid point, those that are free moved to where the regression has them, within bounds."""
+    values = dict(hypothesis.point)
+    for i, name in enumerate(hypothesis.free):
+        change = np.clip(result.mean[number, i], hypothesis.lower[i], hypothesis.upper[i])
+        values[name] = hypothesis.point[name] + float(change)
+    return values
+
+
+def screen(
+    setting: Setting,
+    model: ArmModel,
+    path: Tensor,
+    effects: Sequence[Effect],
+    common: Unknowns,
+    point: np.ndarray,
+    quiet: bool = False,
+    times: Sequence[tuple[float, float]] = (),
+) -> list[Screened]:
+    """Evidence of each effect added to ``model``, and of none, best first.
+
+    ``common`` are unknowns that stay free in all of them, now at ``point`` in ``model``; ``quiet`` says that ``model``
+    leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
+    those where it would explain most if none are given.
+    """
+    levels = sizes(setting.regime)
+    levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
+    quick = copy(model)
+    # What an effect adds is small: half of the sub-steps tell it as well.
+    quick.substeps = (model.substeps + 1) // 2
+    rest = slopes(quick, common, point, 0.05 * common.sd, path)
+    weights = log_prior(levels)
+    screened = []
+    linear = linear_of(setting, model, path)
+    about = filter_of(setting, model, path, levels, linear)
+    if not times and any("moment" in effect.located for effect in effects):
+        times = windows(setting, model, path, linear)
+    for found, pieces, first in blocks(quick, effects, path, times):
+        own = [_own(h, start) for h, start in zip(found, first, strict=True)]
+        columns = beside([*pieces, rest])
+        whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
+        results = evidences(whitened, found, first, common, point)
+        table = np.stack([r.log_evidence for r in results])  # (G, H)
+        none = table[:, -1] + weights
+        likely = int(none.argmax())
+        kappa = float(results[likely].kappa[-1])
+        # Beside a limb's own torque; a simulation would have none, were its gap explained.
+        shown = whitened.gram[likely if setting.regime == "unknown_torque" else 0]
+        keys = [h.effect.key for h in found]
+        for key in dict.fromkeys(keys):
+            mine = [i for i, other in enumerate(keys) if other == key]
+            part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
+            size, place = np.unravel_index(part.argmax(), part.shape)
+            best = found[mine[place]]
+            apart = [abs(found[i].point.get("moment", 0.0) - best.point.get("moment", 0.0)) > WINDOW for i in mine]
+            next_best = np.where(apart, part, -np.inf)
+            other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
+            by_size = logsumexp(part, axis=1)
+            screened.append(
+                Screened(
+                    best.effect,
+                    float(logsumexp(part)),
+                    by_size,
+                    best,
+                    Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
+                    _estimates(best, results[size], mine[place]),
+                    None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
+                    float(levels[size]),
+                    _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
+                    path,
+                )
+            )
+    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, None, 0.0, np.inf, path))
+    return sorted(screened, key=lambda s: -s.log_evidence)
+
+
+def screen_in_halves(
+    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
+) -> list[Screened]:
+    """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
+    halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
+    one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
+    return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
+
+
+def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
+    """Effects in two halves that cost alike, fewer than two in one: costliest first, to where less is (Graham 1969)."""
+    halves: list[list[Effect]] = [[] for _ in costs[:2]] or [[]]
+    filled = [0] * len(halves)
+    for effect, cost in sorted(costs, key=lambda each: -each[1]):
+        lighter = filled.index(min(filled))
+        halves[lighter].append(effect)
+        filled[lighter] += cost
+    return halves
+
+
+def _cost(effect: Effect, model: ArmModel) -> int:
+    """Columns of an effect, and ``BEGUN`` for any; those of a hidden hinge take as long as ``HINGED`` of another's."""
+    parameters = effect.parameters(model.scale)
+    straight = sum(not p.grid for p in parameters)
+    points = math.prod(len(p.grid) or 1 for p in parameters)
+    return BEGUN + points * (straight or len(parameters) + 1) * (HINGED if isinstance(effect, HiddenHinge) else 1)

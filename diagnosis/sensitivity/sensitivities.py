@@ -1,0 +1,247 @@
+"""What a candidate cause would change in the recording: its columns along the data's own path.
+
+Along the path x̄ that the data ask for, an effect with parameters φ moves the next state by f_φ(x̄_t) − f(x̄_t) and
+what is seen by h_φ(x̄_t) − h(x̄_t). A parameter that the effect follows in a straight line from "absent" on gives
+one column, the secant over half its prior's spread. The others are laid on a grid. An effect without any
+straight-line parameter gives an offset at each grid point, and the local slopes there.
+
+Shapes: T rows, D states, O observations; a :class:`Columns` has J of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, spread, upper_bound
+from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.inference.smoothing.linearisation import emission_mean
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.hidden import HiddenHinge
+from invdyn.models.state_space import gaussian_mean
+
+WINDOW = 0.1
+"""s, length of the stretches in which a burst of torque is sought, and half of which they are apart."""
+
+STEP = 0.5
+"""Of a secant, in standard deviations of the prior."""
+
+MANY = 64
+"""Parameter sets at once, at most: more take no less time each, and memory that is new each time."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect at one grid point, before its columns are known by number.
+
+    Attributes:
+        effect: bound.
+        point: values of all parameters about which it is expanded, by name.
+        free: names of the parameters that the columns belong to.
+        mean, sd: prior of their deviations from ``point``.
+        lower, upper: (p,) smallest and largest deviation.
+        log_weight: prior weight of the grid point within the effect.
+        columns: numbers of the columns of ``free``, from 0.
+        offset: number of the column added as it is, or None.
+    """
+
+    effect: Effect
+    point: dict[str, float]
+    free: tuple[str, ...]
+    mean: tuple[float, ...]
+    sd: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    log_weight: float
+    columns: tuple[int, ...]
+    offset: int | None
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Changes of the next state g (T−1, D, J) and of what is seen d (T, O, J), not yet whitened."""
+
+    g: np.ndarray
+    d: np.ndarray
+
+
+def changes(
+    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What ``effect`` at each of S parameter sets makes of f and h along ``path`` (T, D): (S, T−1, D), (S, T, O).
+
+    ``plain`` (T−1, D) is f without it.
+    """
+    parts = [_changed(model, effect, sets[i : i + MANY], path, plain) for i in range(0, len(sets), MANY)]
+    return parts[0] if len(parts) == 1 else tuple(torch.cat(each) for each in zip(*parts, strict=True))
+
+
+def _changed(
+    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+) -> tuple[Tensor, Tensor]:
+    rows = torch.arange(len(path))
+    names = sets[0].keys()
+    values = {
+        f"effect.{effect.key}.{name}": torch.tensor([s[name] for s in sets], dtype=path.dtype).reshape(-1, 1, 1)
+        for name in names
+    }
+    hinge = isinstance(effect, HiddenHinge)
+    with_effect = model.with_effects(effect).replace(**values)
+    hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
+    with torch.no_grad():
+        if hinge:
+            path, f = driven(with_effect, path, len(sets))
+        else:
+            # What the camera alone makes of it moves no arm.
+            f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
+        h = emission_mean(with_effect, path, rows)
+        f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
+        return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)
+
+
+def unchanged(model: ArmModel, path: Tensor) -> tuple[Tensor, Tensor]:
+    """Next states f (T−1, D) and what is seen h (T, O), as ``model`` has them along ``path`` (T, D)."""
+    rows = torch.arange(len(path))
+    with torch.no_grad():
+        return gaussian_mean(model.transition(path[:-1], rows[1:])), emission_mean(model, path, rows)
+
+
+def hypotheses(
+    model: ArmModel,
+    effect: Effect,
+    path: Tensor,
+    plain: tuple[Tensor, Tensor],
+    windows: Sequence[tuple[float, float]] = (),
+) -> tuple[list[Hypothesis], Columns]:
+    """All grid points of an effect and their columns.
+
+    ``plain`` is what :func:`unchanged` gives; ``windows`` are times at which a push may have come.
+    """
+    effect = effect.bound(model.body)
+    parameters = effect.parameters(model.scale)
+    straight = [p for p in parameters if not p.grid]
+    bent = [p for p in parameters if p.grid]
+    if "moment" in effect.located:
+        points = [{"moment": (start + stop) / 2, "duration": stop - start} for start, stop in windows]
+        bent = []
+        straight = [p for p in parameters if p.name not in effect.located]
+        rare = -np.log(max(2 * model.scale.duration / WINDOW, 1.0))
+    else:
+        names = [p.name for p in bent]
+        points = [dict(zip(names, values, strict=True)) for values in product(*(p.grid for p in bent))]
+        rare = -np.log(len(points))
+    sets: list[dict[str, float]] = [{p.name: p.absent for p in straight} | points[0]]
+    found, pieces = [], []
+    for point in points:
+        base = {p.name: p.absent for p in straight} | point
+        if straight:
+            free, first = straight, len(pieces)
+            for p in straight:
+                step = STEP * spread(p)
+                sets.append(base | {p.name: p.absent + step})
+                pieces.append((len(sets) - 1, 0, step))
+            offset = None
+        else:
+            free, offset = bent, len(pieces)
+            sets.append(base)
+            here = len(sets) - 1
+            pieces.append((here, None, 1.0))
+            first = len(pieces)
+            for p in bent:
+                step = 0.1 * spacing(p, point[p.name])
+                sets.append(base | {p.name: point[p.name] + step})
+                pieces.append((len(sets) - 1, here, step))
+        sd = [spread(p) if straight else spacing(p, point[p.name]) for p in free]
+        # Slopes at a grid point tell nothing of what lies beyond its neighbours.
+        ends = [bounds(p) if straight else neighbours(p, point[p.name]) for p in free]
+        found.append(
+            Hypothesis(
+                effect,
+                base,
+                tuple(p.name for p in free),
+                (0.0,) * len(free),
+                tuple(sd),
+                tuple(low - base[p.name] for p, (low, _) in zip(free, ends, strict=True)),
+                tuple(high - base[p.name] for p, (_, high) in zip(free, ends, strict=True)),
+                rare,
+                tuple(range(first, first + len(free))),
+                offset,
+            )
+        )
+    f0, h0 = plain
+    f, h = changes(model, effect, sets, path, f0)
+
+    def column(values: Tensor, plain: Tensor, which: tuple) -> Tensor:
+        here, other, step = which
+        before = plain if other is None or (straight and other == 0) else values[other]
+        return (values[here] - before) / step
+
+    g = torch.stack([column(f, f0, which) for which in pieces], -1)
+    d = torch.stack([column(h, h0, which) for which in pieces], -1)
+    return found, Columns(g.numpy(), d.numpy())
+
+
+def spacing(parameter: Parameter, value: float) -> float:
+    """Half the distance between a grid point's neighbours."""
+    low, high = _beside(parameter, value)
+    return float(max((high - low) / 2, 1e-12))
+
+
+def neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
+    """A grid point's neighbours; at an end of the grid, as far beyond it as the last one is before, within bounds."""
+    low, high = _beside(parameter, value)
+    if low == high:
+        return bounds(parameter)
+    least, most = bounds(parameter)
+    if low == value:
+        # Half of a number that has a sign is far enough towards zero.
+        return max(2 * value - high, value / 2 if least >= 0 else least), high
+    return low, min(2 * value - low, most) if high == value else high
+
+
+def bounds(parameter: Parameter) -> tuple[float, float]:
+    """The smallest and the largest value that the prior has."""
+    return lower_bound(parameter), upper_bound(parameter)
+
+
+def _beside(parameter: Parameter, value: float) -> tuple[float, float]:
+    """The grid points before and after one; itself at an end."""
+    grid = np.sort(parameter.grid)
+    place = int(np.argmin(np.abs(grid - value)))
+    return float(grid[max(place - 1, 0)]), float(grid[min(place + 1, len(grid) - 1)])
+
+
+def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray, path: Tensor) -> Columns:
+    """Differences of f and h in every unknown about ``point`` (p,), central but at a bound."""
+    up, down = np.minimum(point + step, among.upper), np.maximum(point - step, among.lower)
+    p = len(point)
+    sets = np.repeat(point[None], 2 * p, 0)
+    each = np.arange(p)
+    sets[each, each], sets[p + each, each] = up, down
+    rows = torch.arange(len(path))
+    if not p:
+        return Columns(np.zeros((len(path) - 1, model.state_dim, 0)), np.zeros((len(path), model.observation_dim, 0)))
+    many = among.set_in(model, sets)
+    with torch.no_grad():
+        f = gaussian_mean(many.transition(path[..., :-1, :], rows[1:])).expand(2 * p, len(rows) - 1, -1)
+        h = emission_mean(many, path, rows).expand(2 * p, len(rows), -1)
+    width = torch.as_tensor(up - down).reshape(-1, 1, 1)
+
+    def slope(values: Tensor) -> np.ndarray:
+        return ((values[:p] - values[p:]) / width).movedim(0, -1).numpy()
+
+    return Columns(slope(f), slope(h))
+
+
+def spans(model: ArmModel) -> list[tuple[float, float]]:
+    """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording.
+
+    One over the whole of a shorter one.
+    """
+    first, last = model.time[[0, -1]].tolist()
+    starts = np.arange(first, max(last - WINDOW / 2, first + WINDOW / 4), WINDOW / 2)
+    return [(float(s), float(min(s + WINDOW, last))) for s in starts]

@@ -1,0 +1,156 @@
+"""Data and columns, whitened about a path for every size of the residual torque.
+
+One Kalman pass (:mod:`.innovations`) under the model linearised about the path. Sizes: the *spike*, a residual far too
+small to matter, says "this cause explains all there is"; the *slab*, sizes spread evenly over the powers of ten up to a
+typical torque, says "something is left that the residual must imitate". A limb's own torque has no spike, and sizes up
+to thirty typical torques.
+
+Shapes: T rows, D states, O observations, J columns, G sizes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.sensitivity.innovations import Gains, gains, innovations
+from invdyn.diagnosis.sensitivity.sensitivities import Columns
+from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, linearise
+from invdyn.inference.smoothing.square_root import square
+from invdyn.models import ArmModel
+from invdyn.models.observation.missing import times
+
+SPIKE = 1e-4
+SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
+"""Sizes of the residual torque, in typical torques."""
+LIMB = tuple(np.geomspace(0.03, 30.0, 15))
+"""Those of a limb's own torque, which in fast motions is far above what holds the limb up."""
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Data and columns, whitened for every size.
+
+    Attributes:
+        sizes: (G,) of the residual.
+        gram: (G, 1 + J, 1 + J).
+        row_log_det: (G, T) ½ log |S_t|, less the observations' own normaliser.
+        seen: (T,) observations seen in each row.
+        columns: (G, rows that were seen · O, 1 + J).
+    """
+
+    sizes: np.ndarray
+    gram: np.ndarray
+    row_log_det: np.ndarray
+    seen: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def log_det(self) -> np.ndarray:
+        """(G,): with it the regression's evidence is that of the data, not of whitened rows."""
+        return self.row_log_det.sum(-1)
+
+    @property
+    def count(self) -> int:
+        """Observations seen."""
+        return int(self.seen.sum())
+
+
+def sizes(regime: str) -> np.ndarray:
+    """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
+    return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
+
+
+def linear_of(setting: Setting, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
+    """``model`` linearised about ``path``, with a residual of size one, where it begins, too.
+
+    With ``slopes`` that are known, if they are.
+    """
+    known = {name: torch.zeros_like(sd) for name, sd in setting.begun.items()}
+    return linearise(setting.with_residual(1.0, model).replace(**known), path, setting.observations, slopes=slopes)
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The Kalman filter of a model linearised about a path, for every size.
+
+    Attributes:
+        sizes: (G,) of the residual.
+        linear: the model about the path.
+        gained: the filter's gains.
+    """
+
+    sizes: np.ndarray
+    linear: Linearisation
+    gained: Gains
+
+
+def filter_of(
+    setting: Setting, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
+) -> Filter:
+    """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
+    linear = linear or linear_of(setting, model, path)
+    joints = model.body.num_joints
+    scale = np.ones((len(levels), model.state_dim))
+    scale[:, :joints] = levels[:, None]
+    covariance = square(scale[:, None, :, None] * linear.L)
+    for sd in setting.begun.values():
+        covariance[:, [0, *setting.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
+    late = model.replace(**setting.begun).late(torch.arange(1, len(path))) if setting.begun else None
+    if late is not None:
+        ahead = np.setdiff1d(np.arange(1, len(path)), setting.starts)
+        covariance[:, ahead[:, None], np.arange(joints), np.arange(joints)] += late.numpy()[ahead - 1] ** 2
+    filtered = gains(linear.F, covariance[:, 1:], linear.E, covariance[:, 0])
+    return Filter(levels, linear, filtered)
+
+
+def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
+    """Whiten the data and ``columns`` by a filter.
+
+    Of thousands of columns not all products are wanted: those within ``groups``, which are numbered as the Gram matrix
+    is, from 1 on; and those with the data and with columns behind all groups.
+    """
+    linear, levels = about.linear, about.sizes
+    w = innovations(
+        about.gained,
+        linear.F,
+        linear.a,
+        linear.E,
+        linear.e,
+        linear.m0,
+        columns.g,
+        times(linear.rows.whitening, torch.as_tensor(columns.d)).numpy(),
+    )
+    rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
+    if not rows_seen.all():
+        w = w[:, rows_seen]
+    # The regression counts −½ log 2π for each observation, as the normaliser does.
+    seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
+    row_log_det = about.gained.log_det - linear.rows.normaliser - 0.5 * np.log(2 * np.pi) * seen
+    return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # A column that runs away is one that :mod:`.evidence` leaves out.
+def _gram(w: np.ndarray, groups: Sequence[slice] | None) -> np.ndarray:
+    """Products (G, J, J) of columns (G, N, J), those that are wanted."""
+    if not groups:
+        return np.swapaxes(w, -1, -2) @ w
+    count = w.shape[-1]
+    gram = np.zeros((len(w), count, count))
+    common = np.r_[0, max(group.stop for group in groups) : count]
+    gram[:, common] = np.swapaxes(w[..., common], -1, -2) @ w
+    gram[:, :, common] = np.swapaxes(gram[:, common], -1, -2)
+    for group in groups:
+        part = w[..., group]
+        gram[:, group, group] = np.swapaxes(part, -1, -2) @ part
+    return gram
+
+
+def log_prior(levels: np.ndarray) -> np.ndarray:
+    """Log prior weight of each size: half for the spike, where there is one."""
+    if levels[0] == SPIKE:
+        return np.log(np.r_[0.5, np.full(len(levels) - 1, 0.5 / (len(levels) - 1))])
+    return np.full(len(levels), -np.log(len(levels)))

@@ -1,0 +1,182 @@
+"""Work in parts, spread over the workers of any ``concurrent.futures`` executor.
+
+Results are the same to the bit without an executor, on one worker or on many, because
+
+* a part is a fixed share of the work, whoever does it, with a seed of its own (:mod:`.seeds`);
+* two parts never run in one process at once (torch's random numbers are the process's, and a Dask worker may have
+  several threads), and the number of torch's threads changes no number in them;
+* results are put together in the order of the parts, not of their arrival, and of parts that have failed by then the
+  first is the one that is told of.
+
+Machines of different processors may still round differently.
+
+A part whose worker dies is done again, with the same seed: in a fresh pool where the pool broke
+(:class:`concurrent.futures.BrokenExecutor`), by the cluster itself on Dask. A part that cannot be had is an error
+(:class:`LostWork`): results without it would be of another computation.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import ExitStack
+from threading import RLock
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+try:
+    import cloudpickle as pickle  # comes with Dask, and can send what a notebook has defined
+except ImportError:
+    import pickle
+
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.executors import process_pool
+
+Tensors = dict[str, Tensor]
+Part = Callable[..., Tensors]
+"""A module-level function of one part's arguments and ``progress``, called with (steps done, steps) or None."""
+
+T = TypeVar("T")
+
+RETRIES = 3
+"""Fresh pools that a computation is given, at most."""
+
+_alone = RLock()
+
+
+class LostWork(OSError):
+    """Parts whose worker died each time, or whose cluster went away; the message names them."""
+
+
+def spread(
+    part: Part,
+    arguments: Sequence[tuple],
+    names: Sequence[str],
+    *,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+    steps: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Tensors]:
+    """Return ``part(*arguments[i])`` for each i, in order.
+
+    Args:
+        part: what to do; it and its arguments must pickle where there is an executor.
+        arguments: of each part, its seed among them.
+        names: of the parts, for errors: "filters 32 to 63".
+        executor: whose workers do it; None for this process.
+        checkpoint: in whose folder each result is kept as soon as it is there, and looked for at first: part i
+            lies in a folder of its own, ``part-<i>``.
+        steps: that each part consists of, for ``progress``.
+        progress: called with (steps done, steps of all parts).
+
+    Raises LostWork; whatever a part raises, with its name as a note; and InputError for a broken checkpoint.
+    """
+    count = len(arguments)
+    stores = [inside(checkpoint, f"part-{i}") for i in range(count)]
+    results: dict[int, Tensors] = {}
+    for i, store in enumerate(stores):
+        if store is not None and (found := store.load()) is not None:
+            results[i] = found[0]
+
+    def report(extra: int = 0) -> None:
+        if progress is not None:
+            progress(len(results) * steps + extra, count * steps)
+
+    def arrived(i: int, result: Tensors) -> None:
+        if stores[i] is not None:
+            stores[i].save(result)
+        results[i] = result
+        report()
+
+    missing = [i for i in range(count) if i not in results]
+    if executor is None:
+        for i in missing:
+            arrived(i, _named(names[i], lambda i=i: _run(part, arguments[i], lambda done, _: report(done))))
+    elif missing:
+        _collect(part, arguments, names, missing, executor, arrived)
+    return [results[i] for i in range(count)]
+
+
+def inside(checkpoint: Checkpoint | None, name: str) -> Checkpoint | None:
+    """The same run's checkpoint ``name`` in the folder of another; None where there is none."""
+    return None if checkpoint is None else Checkpoint(checkpoint.folder / name, checkpoint.fingerprint)
+
+
+def _collect(part: Part, arguments, names, missing: list[int], executor: Executor, arrived) -> None:
+    """Have the ``missing`` parts done by the executor's workers, in fresh pools if its own breaks."""
+    with ExitStack() as pools:
+        for attempt in range(RETRIES + 1):
+            if attempt > 0:
+                executor = pools.enter_context(process_pool(getattr(executor, "_max_workers", None)))
+            missing = _collect_once(part, arguments, names, missing, executor, arrived)
+            if not missing:
+                return
+    lost = ", ".join(names[i] for i in missing)
+    raise LostWork(f"{lost} could not be had: workers died {RETRIES + 1} times; is there memory for so many at once?")
+
+
+def _collect_once(part: Part, arguments, names, missing: list[int], executor: Executor, arrived) -> list[int]:
+    """Have the ``missing`` parts done; returns those that were lost because the pool broke."""
+    pending: dict[Future, int] = {}
+    lost: list[int] = []
+    try:
+        for i in missing:
+            try:
+                pending[executor.submit(_in_worker, pickle.dumps((part, arguments[i])))] = i
+            except BrokenExecutor:
+                lost.append(i)
+        while pending:
+            # With a timeout, for Windows hears no Ctrl-C inside a wait without end.
+            ready, _ = wait(pending, timeout=1.0, return_when=FIRST_COMPLETED)
+            for future in sorted(ready, key=pending.__getitem__):
+                i = pending.pop(future)
+                try:
+                    result = pickle.loads(_named(names[i], future.result))
+                except BrokenExecutor:
+                    lost.append(i)
+                except Exception as error:
+                    if not _cluster_lost(error):
+                        raise
+                    raise LostWork(f"{names[i]} could not be had: {type(error).__name__}: {error}") from error
+                else:
+                    arrived(i, result)
+    finally:
+        for future in pending:
+            future.cancel()
+    return sorted(lost)
+
+
+def _run(part: Part, arguments: tuple, progress: Callable[[int, int], None] | None) -> Tensors:
+    with _alone:
+        return part(*arguments, progress=progress)
+
+
+def _in_worker(work: bytes) -> bytes:
+    """One part in one thread: as many workers as cores then do not crowd each other out.
+
+    Both ways as bytes: by themselves tensors would go through shared memory, which lasts no longer than the worker.
+    """
+    with _alone:
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            part, arguments = pickle.loads(work)
+            return pickle.dumps(part(*arguments, progress=None))
+        finally:
+            torch.set_num_threads(threads)
+
+
+def _named(name: str, work: Callable[[], T]) -> T:
+    try:
+        return work()
+    except Exception as error:
+        error.add_note(f"in {name}")
+        raise
+
+
+def _cluster_lost(error: Exception) -> bool:
+    """Whether the part got no answer, as opposed to failing; Dask has classes of its own for that."""
+    if isinstance(error, ConnectionError | CancelledError):
+        return True
+    return type(error).__module__.partition(".")[0] == "distributed"

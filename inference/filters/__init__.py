@@ -1,0 +1,1 @@
+"""Particle filters and their proposals, resampling, and smoothing by backward simulation."""

@@ -1,0 +1,97 @@
+"""From filters to smoothed trajectories: p(x_{0:T} | y_{0:T}), what users see.
+
+* :func:`genealogy`: follow each final particle's ancestors back. Exact, but after many
+  resamplings all lines meet in one.
+* :func:`backward_simulation`: Godsill, Doucet & West (2004), "Monte Carlo smoothing for nonlinear time
+  series": draw x_{T−1}, then backwards
+
+      i ~ Ŵ_t^i p(x_{t+1} | x_t^i),     Ŵ_t^i = W_t^i / ψ̃_t(x_t^i)   (the filter without its twist).
+
+  When the dynamics are nearly deterministic, p(x_{t+1} | x_t^i) is zero but for x_{t+1}'s own
+  parent, and the draws are no better than the genealogy. So each step is followed by a
+  Metropolis–Hastings move of a whole block (Bunch & Godsill 2013; Lindsten et al. 2015): a new
+  ancestor x_t^i and new states x_{t+1} … x_{t+ℓ} between it and the fixed x_{t+ℓ+1}, proposed by
+  the same square-root recursion as the controlled guide, run from the fixed end (see
+  :mod:`.bridge`). A torque takes two steps to reach the angle, so a single state cannot be moved, but
+  a block of ℓ ≥ 3 can.
+
+Shapes: M filters, N particles, R draws a filter, W kept rows; draws (M, R, W, D).
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from invdyn.inference.filters.bridge import Bridge
+from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.resampling import categorical
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.models.state_space import StateSpaceModel
+
+
+def genealogy(result: FilterResult, num_draws: int) -> Tensor:
+    """Ancestral lines (M, R, W, D) of R final particles a filter, drawn by weight."""
+    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
+    lines = []
+    for t in range(len(result.states) - 1, -1, -1):
+        lines.append(_at(result.states[t], index))
+        index = result.ancestors[t].long().gather(-1, index)
+    return torch.stack(lines[::-1], -2)
+
+
+@torch.no_grad()
+def backward_simulation(
+    model: StateSpaceModel,
+    result: FilterResult,
+    observations: Tensor,
+    num_draws: int,
+    *,
+    smoother: GaussianSmoother | None = None,
+    block: int = 6,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tensor:
+    """Smoothed trajectories (M, R, W, D) of the rows that ``result`` kept.
+
+    Args:
+        model: the filtered model, with a transition density.
+        result: of a run that kept the rows wanted.
+        observations: (T, O); the last W rows belong to the kept states.
+        num_draws: R trajectories a filter.
+        smoother: Gauss–Newton result for the block moves; without it plain backward simulation.
+        block: ℓ, states moved at once.
+        progress: called with (rows done, rows in all).
+    """
+    kept, total = len(result.states), len(observations)
+    first = total - kept
+    dtype = torch.float64
+    model = model.to(dtype=dtype)
+    observations = observations.to(dtype)
+    bridge = None
+    if smoother is not None and kept > block + 2:
+        bridge = Bridge(model, observations, smoother, block)
+    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
+    path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=index.device)
+    path[..., kept - 1, :] = _at(result.states[-1], index).to(dtype)
+    for k in range(kept - 2, -1, -1):
+        t = first + k
+        states = result.states[k].to(dtype)
+        log_weights = result.log_weights[k].to(dtype)
+        if result.log_twist is not None:
+            log_weights = log_weights - result.log_twist[k].to(dtype)
+        after = path[..., k + 1, :].unsqueeze(-2)
+        reach = model.transition(states.unsqueeze(-3), t + 1).log_prob(after)
+        index = categorical(log_weights.unsqueeze(-2) + reach)
+        path[..., k, :] = _at(states, index)
+        # Every third row or so: a block covers ℓ states, so each is still moved twice.
+        if bridge is not None and k % max(1, block // 2) == 0 and k + block + 1 < kept:
+            stretch = path[..., k : k + block + 2, :]
+            path[..., k : k + block + 1, :] = bridge.move(t, states, log_weights, stretch)
+        if progress is not None:
+            progress(kept - k, kept)
+    return path
+
+
+def _at(states: Tensor, index: Tensor) -> Tensor:
+    """States (M, N, D) at index (M, R) → (M, R, D)."""
+    return states.gather(-2, index.unsqueeze(-1).expand(*index.shape, states.shape[-1]))

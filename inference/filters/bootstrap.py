@@ -1,0 +1,34 @@
+"""The bootstrap guide: propose from the prior dynamics and let the weights see the data.
+
+Gordon, Salmond & Smith (1993). q(x_t | x_{t−1}) = p(x_t | x_{t−1}), so log p/q = 0. The simplest
+and the weakest: under Euler–Maruyama a torque moves the angle two rows later, and a proposal
+blind to the future cannot steer it.
+"""
+
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.inference.filters.proposal import Particles, Proposal, draw
+
+
+class Bootstrap(Proposal):
+    """Guide that proposes from the model itself."""
+
+    def conditional_initial(self) -> Distribution:
+        """p(x_0)."""
+        return self.model.initial()
+
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
+        """p(x_t | x_{t−1})."""
+        return self.model.transition(state, t)
+
+    def propose_initial(self, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
+        """Draw from the prior; the ratio is one."""
+        x = draw(self.conditional_initial().expand(torch.Size(shape)))
+        return {"x": x}, x.new_zeros(shape)
+
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
+        """Draw from the dynamics; the ratio is one."""
+        x = draw(self.conditional(t, particles["x"]))
+        return {"x": x}, x.new_zeros(x.shape[:-1])

@@ -1,0 +1,321 @@
+"""Particle filters: many at once, with the evidence, as a subclass of Pyro's ``SMCFilter``.
+
+Chopin & Papaspiliopoulos (2020), algorithm 10.2 (guided particle filter with adaptive
+resampling), extended by a twist (Heng et al. 2020): a guide may state log ψ̃_t(x_t), how well x_t
+fits what is yet to come, and the filter then targets p(x_{0:t} | y_{0:t}) ψ̃_t(x_t):
+
+    log w_t = log W_{t−1} + log p(x_t | x_{t−1}) / q(x_t) + log g(y_t | x_t) + log ψ̃_t(x_t) − log ψ̃_{t−1}(x_{t−1})
+    log Ẑ  += log Σ_n w_t^n ,   W_t = w_t / Σ w_t ,   resample when 1/Σ W² < threshold · N
+
+ψ̃_T = 1, so the evidence is unbiased, E[Ẑ] = Z, whatever the guide and whenever it resamples.
+
+Two ways in, one set of weights:
+
+* ``init(…)``/``step(…)``: any Pyro model and guide pair, as with :class:`pyro.infer.SMCFilter`
+  (which drops the evidence and the ancestors and runs one filter only);
+* ``run(observations)``: a :class:`StateSpaceModel` and a :class:`Proposal`, without the
+  bookkeeping of Pyro traces.
+
+Shapes: M filters × N particles in one tensor (M, N, …); with ``num_filters=None`` one filter of
+plain Pyro shapes (N, …).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pyro
+import torch
+from pyro import poutine
+from pyro.infer import SMCFilter
+from pyro.infer.smcfilter import SMCFailed
+from pyro.poutine.util import prune_subsample_sites
+from torch import Tensor
+
+from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.filters.compiled import CompiledRows
+from invdyn.inference.filters.filter_checkpoint import resumed, save
+from invdyn.inference.filters.particles import FilterResult, FilterState, History, take
+from invdyn.inference.filters.proposal import Particles, Proposal
+from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
+
+PATIENCE = 1000
+"""Rows after which a filter that must not wait for its device looks whether it is still alive."""
+
+CARRIED = ("log_weights", "log_evidence", "ancestors")
+"""What a checkpoint holds beside particles and history."""
+
+_TWIST = object()
+"""Key beside those of Pyro's state, of which none can be the same."""
+
+
+class Row(NamedTuple):
+    """What a row leaves behind: weights (M, N), normalised; total and ESS (M,)."""
+
+    particles: Particles
+    log_weights: Tensor
+    total: Tensor
+    ess: Tensor
+
+
+class ParticleFilter(SMCFilter):
+    """M particle filters of N particles each.
+
+    Args:
+        model, guide: Pyro objects with ``init`` and ``step``, or a :class:`StateSpaceModel` and a
+            :class:`Proposal`.
+        num_particles: N.
+        max_plate_nesting: as in Pyro; 0 for state-space models.
+        num_filters: M, or None for one filter of Pyro's own shapes.
+        ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
+        resampling: "systematic", "stratified", "residual" or "multinomial".
+        compiled: whether :meth:`run` compiles its rows (:mod:`.compiled`), which takes 5 to 10 s before the
+            first; same numbers but for rounding, which can turn an ancestor. What cannot be compiled runs as it is,
+            after one warning. The first and the last row always do.
+
+    After each row: ``log_evidence`` (M,), ``ess`` (M,) before and ``resampled`` (M,) whether there was resampling,
+    ``ancestors`` (M, N) of the particles that go on, and ``row``, the number of rows seen.
+    """
+
+    def __init__(
+        self,
+        model,
+        guide,
+        num_particles: int,
+        max_plate_nesting: int = 0,
+        *,
+        num_filters: int | None = None,
+        ess_threshold: float = 0.5,
+        resampling: str = "systematic",
+        compiled: bool = False,
+    ):
+        if not 0 < ess_threshold <= 1:
+            raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
+        if num_particles < 1 or (num_filters is not None and num_filters < 1):
+            raise ValueError("expected at least one particle and one filter")
+        super().__init__(model, guide, num_particles, max_plate_nesting, ess_threshold=ess_threshold)
+        self.num_filters = num_filters
+        self.resampling = resampling
+        self.compiled = compiled
+        self._rows = CompiledRows(self._advance)
+        self.batch = (num_particles,) if num_filters is None else (num_filters, num_particles)
+        self.state = FilterState(self.batch)
+        self._restart()
+
+    def _restart(self, device: torch.device | str = "cpu") -> None:
+        # float64 for weights and evidence, whatever the states' type.
+        uniform = -math.log(self.num_particles)
+        self._log_weights = torch.full(self.batch, uniform, dtype=torch.float64, device=device)
+        self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
+        self.ancestors = self._itself = torch.arange(self.num_particles, device=device).expand(self.batch)
+        self.row = 0
+        self._log_twist: Tensor | None = None
+
+    # -- Pyro's way in -------------------------------------------------------------------------
+    def init(self, *args, **kwargs) -> None:
+        """Sample row 0 and weight it; arguments go to the model and the guide."""
+        self._restart()
+        self.state = FilterState(self.batch)
+        self._traced("init", args, kwargs)
+
+    def step(self, *args, **kwargs) -> None:
+        """Sample the next row and weight it; arguments go to the model and the guide."""
+        self._traced("step", args, kwargs)
+
+    def _plates(self):
+        """Particle plate, inside a filter plate where there are several filters."""
+        dim = -1 - self.max_plate_nesting
+        particles = pyro.plate("particles", self.num_particles, dim=dim)
+        if self.num_filters is None:
+            return [particles]
+        return [pyro.plate("filters", self.num_filters, dim=dim - 1), particles]
+
+    def _traced(self, method: str, args, kwargs) -> None:
+        plates = self._plates()
+
+        def in_plates(function):
+            for plate in reversed(plates):
+                function = plate(function)
+            return function
+
+        with poutine.block():
+            with self.state._lock():
+                guide = in_plates(getattr(self.guide, method))
+                guide_trace = poutine.trace(guide).get_trace(self.state, *args, **kwargs)
+            model = poutine.replay(in_plates(getattr(self.model, method)), guide_trace)
+            model_trace = poutine.trace(model).get_trace(self.state, *args, **kwargs)
+        increment = self._trace_log_weight(model_trace, guide_trace)
+        if hasattr(self.guide, "log_twist"):
+            twist = self.guide.log_twist(self.state, self.row)
+            increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
+            self._log_twist = twist
+        self._weigh(increment)
+        carried = dict(self.state) | ({} if self._log_twist is None else {_TWIST: self._log_twist})
+        carried = self._resample(carried, synchronous=self.ess.device.type == "cpu")
+        self._log_twist = carried.pop(_TWIST, None)
+        self.state._replace(carried, self._log_weights)
+
+    def _trace_log_weight(self, model_trace, guide_trace) -> Tensor:
+        """Log p(x, y) − log q(x) per particle, from the traces of one step."""
+        model_trace, guide_trace = prune_subsample_sites(model_trace), prune_subsample_sites(guide_trace)
+        model_trace.compute_log_prob()
+        guide_trace.compute_log_prob()
+
+        def per_particle(log_prob: Tensor) -> Tensor:
+            return (
+                log_prob.expand(*self.batch, *log_prob.shape[len(self.batch) :])
+                .flatten(len(self.batch) - 1, -1)
+                .unflatten(-1, (self.num_particles, -1))
+                .sum(-1)
+            )
+
+        terms = []
+        for name, site in guide_trace.nodes.items():
+            if site["type"] == "sample" and not site["is_observed"]:
+                target = model_trace.nodes[name]["log_prob"]
+                terms += [per_particle(target), -per_particle(site["log_prob"])]
+        for site in model_trace.nodes.values():
+            # A latent site that the guide leaves out was drawn from the model itself: its ratio is one.
+            if site["type"] == "sample" and site["is_observed"]:
+                terms.append(per_particle(site["log_prob"]))
+        return sum(terms, start=torch.zeros(())).expand(self.batch)
+
+    # -- the fast way in -----------------------------------------------------------------------
+    @torch.no_grad()
+    def run(
+        self,
+        observations: Tensor,
+        *,
+        keep: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        checkpoint: Checkpoint | None = None,
+        every: int = 1000,
+        synchronous: bool | None = None,
+    ) -> FilterResult:
+        """Filter observations (T, O), NaN where missing.
+
+        Args:
+            observations: rows; fully missing rows only propagate.
+            keep: how many of the last rows to keep for smoothing (all by default). Memory is
+                keep × M × N × D numbers.
+            progress: called with (rows done, rows in all).
+            checkpoint: where to go on from, if it holds anything, and what to write every so many rows; the answer
+                is the same to the bit, with or without an interruption.
+            every: rows between two checkpoints.
+            synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs
+                it and to name a row at once where all weights are zero. By default on a CPU; elsewhere each look
+                would be a wait, and a dead filter is found up to a thousand rows later.
+
+        Raises SMCFailed when all particles of some filter have weight zero; InputError for a checkpoint of
+        another run; ValueError when ``every`` is less than one.
+        """
+        if every < 1:
+            raise ValueError(f"expected at least one row between checkpoints, got {every}")
+        rows, device = len(observations), observations.device
+        synchronous = device.type == "cpu" if synchronous is None else synchronous
+        shape = self.batch if self.num_filters is not None else (1, *self.batch)
+        self._restart(device)
+        self._log_weights, self.log_evidence, self.ancestors = (
+            value.reshape(*shape[:-1], *value.shape[len(self.batch) - 1 :])
+            for value in (self._log_weights, self.log_evidence, self.ancestors)
+        )
+        self._itself = self.ancestors
+        history = History(rows, rows if keep is None else min(keep, rows), shape[0], device)
+        particles: Particles = {}
+        run = {} if checkpoint is None else self._described(observations, history)
+        if checkpoint is not None and (kept := resumed(checkpoint, run, history, device)) is not None:
+            self.row, particles, rest = kept
+            self._log_weights, self.log_evidence, self.ancestors = (rest[name] for name in CARRIED)
+        self._numbers = torch.arange(rows, device=device).unsqueeze(-1).unbind()
+        seen = ~torch.isnan(observations)
+        whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
+        for t, y in enumerate(observations.unbind()[self.row :], self.row):
+            row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
+            particles, self._log_weights, total, self.ess = row
+            self.log_evidence = self.log_evidence + total
+            self.row += 1
+            history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
+            self.resampled = self._need(last=t == rows - 1)
+            history.note(t, total, self.ess, self.resampled)
+            if synchronous:
+                self._alive(total[None], t)
+            elif self.row % PATIENCE == 0 or self.row == rows:
+                first = (t // PATIENCE) * PATIENCE
+                self._alive(history.increment[first : t + 1], first)
+            particles = self._resample(particles, synchronous)
+            if checkpoint is not None and (self.row % every == 0 or self.row == rows):
+                carried = (self._log_weights, self.log_evidence, self.ancestors)
+                save(checkpoint, run, self.row, particles, history, **dict(zip(CARRIED, carried, strict=True)))
+            if progress is not None:
+                progress(t + 1, rows)
+        return history.result(self.log_evidence)
+
+    def _row(self, t: int, y: Tensor, seen: Tensor | None, particles: Particles, any_seen: bool, last: bool) -> Row:
+        """Row t, by a compiled graph where there is one."""
+        if self.compiled and t > 0 and not last:
+            # Rows in which nothing was seen share the graph of those with gaps.
+            owners = (self.guide, self.model)
+            return Row(*self._rows(owners, self._numbers[t], y, seen, particles, self._log_weights))
+        return self._advance(t, y if any_seen else None, seen, particles, self._log_weights)
+
+    def _advance(
+        self, t: int | Tensor, y: Tensor | None, seen: Tensor | None, particles: Particles, log_weights: Tensor
+    ) -> Row:
+        """Draw row t's particles and weigh them; t as a tensor (1,) for rows that are neither first nor last."""
+        guide: Proposal = self.guide
+        first = isinstance(t, int) and t == 0
+        drawn, increment = guide.propose_initial(tuple(log_weights.shape)) if first else guide.propose(t, particles)
+        if y is not None:
+            increment = increment + row_log_prob(self.model.emission(drawn["x"], t), y, seen)
+        if "log_twist" in drawn:
+            increment = increment + drawn["log_twist"] - particles.get("log_twist", 0.0)
+        return Row(drawn, *normalised(log_weights, increment))
+
+    def _need(self, last: bool) -> Tensor:
+        """Which filters (…) are to be resampled; the last row's weights are the posterior's, and stay."""
+        return (
+            torch.zeros_like(self.ess, dtype=torch.bool) if last else self.ess < self.ess_threshold * self.num_particles
+        )
+
+    def _resample(self, particles: Particles, synchronous: bool) -> Particles:
+        """The particles that go on; sets ``ancestors``, and the weights of those filters that were resampled."""
+        if synchronous and not bool(self.resampled.any()):
+            self.ancestors = self._itself
+            return particles
+        self.ancestors = ancestors_where(self.resampled, self._log_weights, self.resampling)
+        uniform = -math.log(self.num_particles)
+        self._log_weights = torch.where(self.resampled.unsqueeze(-1), uniform, self._log_weights)
+        return {name: take(value, self.ancestors) for name, value in particles.items()}
+
+    def _alive(self, totals: Tensor, first: int) -> None:
+        """Raise SMCFailed unless the evidence's increments (R, …) of the rows from ``first`` on are finite."""
+        # The sum is finite if all of them are, and one question is asked instead of many.
+        if not math.isfinite(totals.sum().item()):
+            rows = ~torch.isfinite(totals).reshape(len(totals), -1)
+            row = int(rows.any(-1).int().argmax())
+            raise SMCFailed(
+                f"all particles of {int(rows[row].sum())} filter(s) have weight zero at "
+                f"row {first + row}: the observation is out of the model's reach; use a larger "
+                "noise scale, more particles or the controlled guide"
+            )
+
+    def _described(self, observations: Tensor, history: History) -> dict[str, Any]:
+        """What a checkpoint must share with this run to be gone on from."""
+        return {
+            "guide": type(self.guide).__name__,
+            "filters": len(self.log_evidence),
+            "particles": self.num_particles,
+            "ess_threshold": self.ess_threshold,
+            "resampling": self.resampling,
+            "first_row_kept": history.first,
+            "observations": digest(observations),
+        }
+
+    # -- weights, evidence, resampling of Pyro's way in ------------------------------------------
+    def _weigh(self, increment: Tensor) -> None:
+        """Add log-weight increments (…, N) and normalise."""
+        self._log_weights, total, self.ess = normalised(self._log_weights, increment)
+        self._alive(total[None], self.row)
+        self.log_evidence = self.log_evidence.to(total.device) + total
+        self.row += 1
+        self.resampled = self._need(last=False)

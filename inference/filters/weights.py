@@ -1,0 +1,42 @@
+"""The arithmetic of particle weights, as functions without side effects: of the filter and of its bound alike.
+
+    log w = log W + increment,   total = log Σ_n w^n,   log W' = log w − total,   ESS = (Σ w)² / Σ w²
+
+Shapes: N particles in the last dimension, any number of filters before it. Weights and totals are in float64
+whatever the states' type. Nothing here asks the device for a value, so that a row costs no wait.
+"""
+
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.inference.filters.resampling import resample
+from invdyn.models.observation.missing import observed_log_prob
+
+
+def normalised(log_weights: Tensor, increment: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Normalised log-weights (…, N) after ``increment`` (…, N), their total (…), the evidence's increment, and ESS (…).
+
+    NaN in ``increment`` counts as weight zero. Where all weights are zero the total is −∞, the weights and ESS NaN.
+    """
+    log_weights = log_weights + increment.double()
+    # A particle whose dynamics overflowed is out of reach of any data; it must not take its filter along.
+    log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
+    top = log_weights.detach().amax(-1, keepdim=True)
+    top = torch.where(torch.isinf(top), 0.0, top)
+    # One exponential serves the total and the ESS: at many particles it is a good part of a row.
+    weights = torch.exp(log_weights - top)
+    size = weights.sum(-1)
+    total = size.log() + top.squeeze(-1)
+    return log_weights - total.unsqueeze(-1), total, size.square() / weights.square().sum(-1)
+
+
+def ancestors_where(need: Tensor, log_weights: Tensor, scheme: str) -> Tensor:
+    """Ancestors (…, N), drawn from log-weights (…, N) in the filters that ``need`` (…) names, itself in the others."""
+    identity = torch.arange(log_weights.shape[-1], device=log_weights.device)
+    return torch.where(need.unsqueeze(-1), resample(log_weights, scheme), identity)
+
+
+def row_log_prob(emission: Distribution, y: Tensor, seen: Tensor | None) -> Tensor:
+    """Log p(y | x) over the entries of y (O,) that were ``seen`` (O,), None for all; of the emission's batch shape."""
+    return emission.log_prob(y) if seen is None else observed_log_prob(emission, y, seen)

@@ -1,0 +1,1 @@
+"""Parameters by marginal likelihood, and which of them the data identify."""

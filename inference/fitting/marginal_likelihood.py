@@ -1,0 +1,244 @@
+"""Parameters by marginal likelihood: noise scales, λ, σ_τ, σ_y, link lengths, when not given.
+
+Maximises  log p(y | φ) + log p(φ)  over log-parameters φ = log(θ / θ_start), with p(φ) a wide
+Gaussian around the start (a factor of e^±sd), by Newton's method in a trust region. The evidence
+is that of the posterior-linearised model (:mod:`.posterior_linearisation`), which on planar arms
+lies within about a nat of the SMC evidence. Gradient and Hessian come by finite differences
+in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised
+over, and run through one backward recursion together. Link lengths are known a hundred times
+better than noise scales: a first-order or quasi-Newton method crawls here.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
+from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.models.state_space import StateSpaceModel
+
+STEP = 2e-3
+"""Finite-difference step of a log-parameter: lengths are known to a part in a thousand, and the evidence is smooth."""
+
+PATIENCE = 6
+"""Iterations without a gain that end the search; rejected ones shrink the trust region fourfold each."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """One parameter to be fitted: its entries separately, or ``tied`` to one common factor.
+
+    ``sd`` is the prior's standard deviation of log(θ/θ_start); ``entries`` the flat indices that are
+    free, all of them by default.
+    """
+
+    name: str
+    tied: bool = False
+    sd: float = 2.0
+    entries: tuple[int, ...] | None = None
+
+    def indices(self, size: int) -> tuple[int, ...]:
+        """Flat indices of the free entries among ``size``."""
+        return tuple(range(size)) if self.entries is None else self.entries
+
+
+@dataclass
+class Fit:
+    """Result of :func:`fit`.
+
+    Attributes:
+        model: with the fitted parameters.
+        log_evidence: of the linearised model at the optimum.
+        path: (T, D) mode, a warm start for what follows.
+        log_sd: per parameter, posterior sd of the log of its entries (Laplace).
+        converged: whether the optimiser met its tolerance.
+        phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
+        covariance: (P, P) posterior covariance of φ (Laplace).
+    """
+
+    model: StateSpaceModel
+    log_evidence: float
+    path: Tensor
+    log_sd: dict[str, np.ndarray]
+    converged: bool
+    phi: np.ndarray
+    covariance: np.ndarray
+
+
+class LogParameters:
+    """A model's free parameters as one vector φ = log(θ/θ_start), whose prior is N(0, diag sd²).
+
+    Attributes:
+        labels: (P) names of φ's entries, such as "body.mass[0]"; without an index where there is one only.
+        sd: (P,) of the prior.
+    """
+
+    def __init__(self, model: StateSpaceModel, free: Sequence[Free]):
+        self.model, self.free = model, tuple(free)
+        entries = [f.indices(model.parameters[f.name].numel()) for f in self.free]
+        sizes = [1 if f.tied else len(own) for f, own in zip(self.free, entries, strict=True)]
+        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
+        self.labels = [
+            f.name if size == 1 else f"{f.name}[{k}]"
+            for f, own, size in zip(self.free, entries, sizes, strict=True)
+            for k in own[:size]
+        ]
+
+    def at(self, phi: Tensor) -> StateSpaceModel:
+        """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""
+        values = {}
+        for f, index in zip(self.free, self.slices, strict=True):
+            start = self.model.parameters[f.name]
+            own = phi[..., index].to(start)
+            place = own.new_zeros(len(index), start.numel())
+            free = list(f.indices(start.numel()))
+            place[torch.arange(len(index)) if len(index) > 1 else 0, free] = 1.0
+            factor = (own @ place).exp()
+            if phi.ndim == 2:
+                factor = factor.unsqueeze(-2)
+            values[f.name] = start * factor.reshape(*factor.shape[:-1], *start.shape)
+        return self.model.replace(**values)
+
+
+class _Objective:
+    """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
+
+    def __init__(self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None):
+        self.observations, self.parameters = observations, LogParameters(model, free)
+        self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
+        self.path = start
+        self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
+
+    def at(self, phi: np.ndarray) -> StateSpaceModel:
+        """See :meth:`LogParameters.at`."""
+        return self.parameters.at(torch.as_tensor(phi))
+
+    def value(self, phi: np.ndarray) -> float:
+        """Negative log-posterior."""
+        return self._evaluate(phi)[0]
+
+    def gradient(self, phi: np.ndarray) -> np.ndarray:
+        """(P,)."""
+        return self._evaluate(phi)[1]
+
+    def hessian(self, phi: np.ndarray) -> np.ndarray:
+        """(P, P)."""
+        return self._evaluate(phi)[2]
+
+    def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        if self._known is None or self._known[0] != phi.tobytes():
+            try:
+                self._known = (phi.tobytes(), self._expand(phi))
+            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                if self.path is None:
+                    raise
+                # Out of the linearisation's reach: the trust region shrinks.
+                return 1e10, np.zeros_like(phi), np.eye(len(phi))
+        return self._known[1]
+
+    def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Value, gradient and Hessian at φ."""
+        model, size = self.at(phi), len(phi)
+        mode = gauss_newton(model, self.observations, start=self.path, max_iterations=15)
+        if self.path is not None and not bool(mode.converged):
+            mode = gauss_newton(model, self.observations)
+        # One pass: more of them can run away where the posterior is very wide.
+        smoother = posterior_linearisation(model, self.observations, mode, 1)
+        # The mode obeys the dynamics and the posterior's mean does not quite: start from the mode next time.
+        self.path = mode.path
+
+        unit = STEP * np.eye(size)
+        first, second = np.triu_indices(size, 1)
+        shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
+        path = smoother.path.expand(len(shifts), *smoother.path.shape)
+        covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
+        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance)
+        evidence = solve(linear).log_evidence + linear.log_constant
+        middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
+        gradient = (up - down) / (2 * STEP)
+        hessian = np.diag((up + down - 2 * middle) / STEP**2)
+        cross = (pairs - up[first] - up[second] + middle) / STEP**2
+        hessian[first, second] = hessian[second, first] = cross
+        precision = 1 / self.sd**2
+        value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
+        return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
+
+
+def fit(
+    model: StateSpaceModel,
+    observations: Tensor,
+    free: Sequence[Free],
+    *,
+    start: Tensor | None = None,
+    max_iterations: int = 40,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fit:
+    """Fit the ``free`` parameters; all must be positive.
+
+    Args:
+        model: at its starting parameters, which are also the prior's centre.
+        observations: (T, O), NaN where missing.
+        free: what to fit.
+        start: path (T, D) to linearise at first.
+        max_iterations: of the optimiser.
+        progress: called with (iterations done, max_iterations).
+
+    Raises KeyError for a parameter that the model does not have.
+    """
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
+    model.replace(**{f.name: model.parameters.get(f.name) for f in free})  # checks the names
+    if not free:
+        smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
+        none = np.zeros(0)
+        return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True, none, np.zeros((0, 0)))
+    objective = _Objective(model, observations, free, start)
+    reached: list[float] = []
+
+    def report(intermediate_result):
+        reached.append(intermediate_result.fun)
+        if progress is not None:
+            progress(min(len(reached), max_iterations), max_iterations)
+        if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
+            raise StopIteration  # nothing that the data could tell, down to a tiny trust region
+
+    result = minimize(
+        objective.value,
+        np.zeros(len(objective.sd)),
+        jac=objective.gradient,
+        hess=objective.hessian,
+        method="trust-exact",
+        callback=report,
+        options={
+            "maxiter": max_iterations,
+            "initial_trust_radius": 0.5,
+            "max_trust_radius": 1.5,
+            "gtol": 0.3,
+        },
+    )
+    value, _, hessian = objective._evaluate(result.x)
+    log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
+    covariance = _laplace(objective, hessian)
+    sd = np.sqrt(np.diagonal(covariance))
+    return Fit(
+        objective.at(result.x),
+        log_evidence,
+        objective.path,
+        {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
+        bool(result.success) or len(reached) < max_iterations,
+        result.x,
+        covariance,
+    )
+
+
+def _laplace(objective: _Objective, hessian: np.ndarray) -> np.ndarray:
+    """Covariance of φ from the Hessian at the optimum."""
+    # Directions in which it is not yet convex fall back to the prior's own curvature.
+    values, vectors = np.linalg.eigh(hessian)
+    values = np.maximum(values, 1 / objective.sd.max() ** 2)
+    return vectors / values @ vectors.T

@@ -1,0 +1,1 @@
+"""Inference methods by name: each takes a problem and gives InferenceData."""

@@ -1,0 +1,63 @@
+"""All methods by name, each called as :func:`.smc.smc` is: problem in, InferenceData out.
+
+"smc" and "nested" are one sampler under two names: M filters of N particles under an outer importance sampler
+(:mod:`.nested`), with the controlled guide. One filter alone is its case M = 1.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial, wraps
+
+import arviz as az
+
+from invdyn.inference.methods.differentiate import differentiate
+from invdyn.inference.methods.laplace import laplace
+from invdyn.inference.methods.nuts import nuts
+from invdyn.inference.methods.particle_gibbs import particle_gibbs
+from invdyn.inference.methods.smc import smc
+from invdyn.inference.methods.svi import svi
+from invdyn.inference.methods.variational_smc import vsmc
+
+Method = Callable[..., az.InferenceData]
+"""Called as :func:`.smc.smc` is."""
+
+
+def timed(method: Method) -> Method:
+    """Return ``method`` with the seconds that it took noted in the attributes of its sample_stats."""
+
+    @wraps(getattr(method, "func", method))
+    def run(*args, **kwargs) -> az.InferenceData:
+        begun = time.perf_counter()
+        idata = method(*args, **kwargs)
+        idata["sample_stats"].attrs["seconds"] = time.perf_counter() - begun
+        return idata
+
+    return run
+
+
+def named(name: str, method: Method) -> Method:
+    """Return ``method`` with its results under another name."""
+
+    @wraps(getattr(method, "func", method))
+    def run(*args, **kwargs) -> az.InferenceData:
+        idata = method(*args, **kwargs)
+        idata.attrs["method"] = idata["sample_stats"].attrs["method"] = name
+        return idata
+
+    return run
+
+
+METHODS: dict[str, Method] = {
+    "smc": timed(partial(smc, guide="controlled")),
+    "nested": timed(named("nested", partial(smc, guide="controlled"))),
+    "bootstrap": timed(partial(smc, guide="bootstrap")),
+    "laplace": timed(laplace),
+    "svi": timed(partial(svi, guide="svi")),
+    "svi-markov": timed(partial(svi, guide="svi-markov")),
+    "vsmc": timed(vsmc),
+    "nuts": timed(nuts),
+    "particle-gibbs": timed(particle_gibbs),
+    "differentiate": timed(differentiate),
+}
+WITHOUT_EVIDENCE = frozenset({"nuts", "particle-gibbs", "differentiate"})
+"""Methods that cannot weigh one body against another."""

@@ -1,0 +1,259 @@
+"""From a recording and a body to a model with sensible starting values, as in Biderman et al. (2020).
+
+* first-frame angles at maximum likelihood (inverse kinematics), with a weak Gaussian around them;
+* link lengths from the median distance between joints, when they are to be learned;
+* the keypoints' noise from what a smooth motion cannot explain (third differences);
+* integrator sub-steps from the integrator's own error, which must stay far below the noise, or it
+  would be taken for physics.
+
+All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
+"""
+
+import math
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models import ArmModel, Body, Emission, TorqueProcess, dynamics_for
+from invdyn.models.articulated.start import link_angle_sd
+from invdyn.models.kinematics import joint_angle_candidates
+from invdyn.recordings import InputError, Recording, Truth
+
+SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+ORDERS, HIGHER = (3, 4, 5), (10, 15)
+"""Of the differences that noise is estimated from, and of those that a very fast motion needs."""
+SURELY = 3.0
+"""Standard deviations by which a higher order must show less."""
+MEDIAN = 1.36
+"""n times the relative variance of the median of the sizes of n Gaussians."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What an inference method is given.
+
+    Attributes:
+        model: bound to the recording's times and commands.
+        observations: (T, O) rows of the model's emission, NaN where missing.
+        recording: where they come from.
+        truth: torques to compare with, or None.
+    """
+
+    model: ArmModel
+    observations: Tensor
+    recording: Recording
+    truth: Truth | None = None
+
+
+def arm_problem(
+    recording: Recording,
+    body: Body,
+    *,
+    torque: TorqueProcess | None = None,
+    integrator: str = "rk4",
+    substeps: int | None = None,
+    family: str = "gaussian",
+    parameters: Mapping[str, object] | None = None,
+    learn_lengths: bool = False,
+    hide_torque: bool = False,
+    passive: bool = False,
+    truth: Truth | None = None,
+) -> Problem:
+    """Bind a body to a recording.
+
+    Args:
+        recording: planar keypoints among the body's tips, encoder angles, or both.
+        body: lengths in the recording's length unit.
+        torque: torque process; Ornstein–Uhlenbeck by default.
+        integrator, substeps: of the dynamics; sub-steps are chosen from the error when not given.
+        family: "gaussian" or "student_t" observation noise.
+        parameters: values by dotted name that replace the defaults.
+        learn_lengths: start link lengths at the median distances.
+        hide_torque: ignore the recording's commanded torques.
+        passive: the commanded torque is zero.
+        truth: to compare with.
+
+    Raises InputError when the recording does not fit the body.
+    """
+    tips = _tips(recording, body)
+    joints = body.num_joints
+    angles = _in_order(recording, body, recording.angles, "angles")
+    command = None if hide_torque else _in_order(recording, body, recording.torques, "commanded torques")
+    if passive:
+        command = np.zeros((recording.num_frames, joints))
+    if command is not None and not np.isfinite(command).all():
+        raise InputError(
+            f"{recording.name}: the commanded torque is missing at frame "
+            f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
+            "fill it in, or pass --hide-torque to treat torques as unknown"
+        )
+    columns = [recording.keypoints[:, p] for p, _ in tips]
+    rows = [np.concatenate(columns, axis=1)] if columns else []
+    if angles is not None:
+        rows.append(angles)
+    if not rows:
+        raise InputError(
+            f"{recording.name} has neither a keypoint nor an angle of body '{body.name}': "
+            f"expected keypoints among {', '.join(body.keypoint_names)}, "
+            f"got {', '.join(recording.keypoint_names) or 'none'}"
+        )
+    observations = torch.as_tensor(np.concatenate(rows, axis=1))
+    confidence = None if recording.confidence is None else recording.confidence[:, [p for p, _ in tips]]
+    if confidence is not None and not (
+        np.isfinite(confidence).any() and np.ptp(confidence[np.isfinite(confidence)]) > 0
+    ):
+        confidence = None  # a constant confidence says nothing
+    emission = Emission([tip for _, tip in tips], 0 if angles is None else joints, family=family, confidence=confidence)
+    if learn_lengths:
+        body = body.with_values(length=observed_lengths(recording, body))
+    values = {**_start_values(body, recording.time, observations, emission), **(parameters or {})}
+    options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    try:
+        model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"settings: {error.args[0]}") from None
+    if substeps is None:
+        model = ArmModel(body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options)
+    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time))
+
+
+def observed_lengths(recording: Recording, body: Body) -> list[float]:
+    """Median distance between neighbouring joints, (K,), the recording's unit; the body's own where unseen."""
+    start = np.broadcast_to(np.asarray(body.base), (recording.num_frames, 2))
+    lengths = []
+    for link in body.links:
+        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
+        distance = np.linalg.norm(end - start, axis=-1)
+        seen = np.isfinite(distance)
+        lengths.append(float(np.median(distance[seen])) if seen.any() else link.nominal("length"))
+        start = end
+    return lengths
+
+
+def _tips(recording: Recording, body: Body) -> list[tuple[int, int]]:
+    """Pairs (keypoint in the recording, link of the body)."""
+    if recording.keypoints.shape[-1] != 2 and recording.keypoint_names:
+        raise InputError(
+            f"{recording.name}: keypoints have {recording.keypoints.shape[-1]} coordinates, but body "
+            f"'{body.name}' moves in a plane"
+        )
+    known = (body.base_keypoint, *body.keypoint_names)
+    strange = [name for name in recording.keypoint_names if name not in known]
+    if strange:
+        raise InputError(
+            f"{recording.name}: keypoint {strange[0]!r} is not of body '{body.name}', "
+            f"which has {', '.join(known)}: rename the body's tips or leave the keypoint out"
+        )
+    names = body.keypoint_names
+    return [(p, names.index(name)) for p, name in enumerate(recording.keypoint_names) if name in names]
+
+
+def _in_order(recording: Recording, body: Body, values: np.ndarray | None, what: str) -> np.ndarray | None:
+    """Columns (T, K) in the body's order of joints; None when there are none."""
+    if values is None or not np.isfinite(values).any():
+        return None
+    if set(recording.joint_names) != set(body.joint_names):
+        raise InputError(
+            f"{recording.name}: {what} are of joints {', '.join(recording.joint_names)}, "
+            f"but body '{body.name}' has {', '.join(body.joint_names)}"
+        )
+    return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
+
+
+def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: Emission) -> dict[str, object]:
+    """Observation noise and the first frame's angles and velocities."""
+    parameters = body.parameters()
+    reach = parameters.length.sum().item()
+    values: dict[str, object] = {}
+    rows = observations.numpy()
+    points = 2 * len(emission.tips)
+    if emission.tips:
+        noise = jitter(rows[:, :points]).reshape(-1, 2).max(axis=1)
+        values["emission.keypoint_scale"] = np.clip(noise, 1e-5 * reach, 0.3 * reach)
+    if emission.num_encoders:
+        sd = values["emission.angle_scale"] = np.clip(jitter(rows[:, points:]), 1e-5, 0.1)
+    else:
+        sd = np.clip(1.5 * noise.max() / parameters.length.numpy(), 1e-6, 1.0)
+    # Slack in the kinematics, well under what can be seen of it.
+    values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
+    values["noise.velocity"] = 1e-3
+    candidates = joint_angle_candidates(time, observations, emission, parameters, sd)
+    if candidates is not None:
+        middle = candidates[len(candidates) // 2]
+        speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])
+        values["initial.angle"] = middle[0]
+        values["initial.angle_scale"] = 0.5
+        values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
+        if emission.tips:
+            # What rigid links cannot explain is observation noise to begin with.
+            tips = dynamics_for(body.num_joints).keypoints(torch.as_tensor(middle), parameters)
+            off = rows[:, :points] - tips[:, emission.tips].flatten(-2).numpy()
+            misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).reshape(-1, 2).max(axis=1)
+            values["emission.keypoint_scale"] = np.clip(misfit, noise, 0.3 * reach)
+    return values
+
+
+def jitter(columns: np.ndarray) -> np.ndarray:
+    """Noise sd of each column (T, C) from its differences, robustly; 0 where too little is seen.
+
+    Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
+    """
+    found = [differences(column[np.isfinite(column)]) for column in columns.T]
+    return np.array([1.4826 * np.median(np.abs(each)) if len(each) else 0.0 for each in found])
+
+
+def differences(column: np.ndarray) -> np.ndarray:
+    """n-th differences of values (T,), (T − n,), as large as the noise in them; none of too few values.
+
+    Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
+    to them falls with n, so that the order with the least of them counts. Of a very fast one it falls beyond ``ORDERS``
+    still: higher ones follow while each has surely less, by ``SURELY`` standard deviations of a median's logarithm.
+    """
+
+    def scaled(n: int) -> np.ndarray:
+        return np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n))
+
+    orders = [n for n in ORDERS if len(column) > n]
+    found = min((scaled(n) for n in orders), key=lambda each: np.median(np.abs(each)), default=np.empty(0))
+    for higher in (scaled(n) for n in HIGHER if len(column) > 2 * n):
+        ratio = math.exp(-SURELY * math.sqrt(MEDIAN / len(higher)))
+        if not np.median(np.abs(higher)) < ratio * np.median(np.abs(found)):
+            break
+        found = higher
+    return found
+
+
+def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:
+    """Smallest of ``SUBSTEPS`` whose error stays under ``share`` of what can be noticed; the last one, if none does.
+
+    The error is the difference to twice as many sub-steps, over one row, along the smoothed
+    inverse kinematics. What can be noticed: an angle of "noise.angle" plus a tenth of the observation
+    noise. "euler" keeps one step, as printed: its error is part of that model.
+    """
+    if model.integrator == "euler":
+        return 1
+    paths = model.initial_paths(observations)
+    path = paths[len(paths) // 2]
+    rows = torch.arange(1, model.num_steps)
+    joints = model.body.num_joints
+    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
+    tried, ends = copy(model), {}
+
+    def angles(count: int) -> Tensor:
+        """At the ends of all rows, in so many sub-steps."""
+        if count not in ends:
+            tried.substeps = count
+            ends[count] = tried.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
+        return ends[count]
+
+    with torch.no_grad():
+        for substeps in SUBSTEPS:
+            error = (angles(substeps) - angles(2 * substeps)).abs()
+            # A few frames of wild inverse kinematics must not decide.
+            if bool((torch.quantile(error, 0.99, dim=0) <= share * limit).all()):
+                break
+    return substeps

@@ -1,0 +1,84 @@
+"""The mean of a linear-Gaussian chain as one banded least-squares problem.
+
+The chain of :mod:`.square_root`, without errors of linearisation, is the stack of rows
+
+    L_0⁻¹ (x_0 − m_0) ≈ 0,    L_{t+1}⁻¹ (x_{t+1} − F_t x_t − a_t) ≈ 0,    E_t x_t ≈ e_t        or    A x ≈ c.
+
+AᵀA is block-tridiagonal. LAPACK factorises it in one call for all rows, where a recursion takes T turns of Python. That
+its condition number is A's squared is made good by refinement, x ← x + (AᵀA)⁻¹ Aᵀ (c − A x), twice ("corrected
+semi-normal equations": Björck 1996, "Numerical methods for least squares problems", §2.9.4 and §6.6.5).
+
+Shapes: as in :mod:`.square_root`, without batch. L must be regular.
+"""
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs
+
+from invdyn.inference.smoothing.square_root import apply
+
+REFINEMENTS, SETTLED = 2, 1e-7
+"""Steps of refinement, and the relative size of the last one above which there are no digits to trust."""
+
+
+class Singular(ArithmeticError):
+    """The chain has no band Cholesky factor: a state without noise, or a condition beyond repair."""
+
+
+def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np.ndarray, m0: np.ndarray) -> np.ndarray:
+    """Posterior mean path (T, D); raises :class:`Singular`."""
+    if not (np.diagonal(L, axis1=-2, axis2=-1) != 0).all():
+        raise Singular("expected noise in every state; the recursions of square_root.py take chains without")
+    inverse = np.linalg.inv(L)
+    back = inverse[1:] @ F
+    within = _gram(inverse) + _gram(E)
+    within[:-1] += _gram(back)
+    unit = 1 / np.sqrt(np.diagonal(within, axis1=-2, axis2=-1))  # columns of A at length one
+    factor, failed = dpbtrf(_band(within, -_transposed(inverse[1:]) @ back, unit), lower=1)
+    if failed:
+        raise Singular("the chain's normal equations have no Cholesky factor")
+
+    def rows(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A x, the chain's and the observations' part."""
+        chain = apply(inverse, x)
+        chain[1:] -= apply(back, x[:-1])
+        return chain, apply(E, x)
+
+    def solved(chain: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """(AᵀA)⁻¹ Aᵀ times such rows."""
+        right = apply(_transposed(inverse), chain) + apply(_transposed(E), seen)
+        right[:-1] -= apply(_transposed(back), chain[1:])
+        solution, _ = dpbtrs(factor, (unit * right).reshape(-1, 1), lower=1)
+        return unit * solution.reshape(unit.shape)
+
+    chain = apply(inverse, np.concatenate([m0[None], a]))
+    x = solved(chain, e)
+    for _ in range(REFINEMENTS):
+        own, seen = rows(x)
+        step = solved(chain - own, e - seen)
+        x = x + step
+    # Columns have length one: a state's standard deviation is at least about that, and less than that is no error.
+    if not np.linalg.norm(step / unit) <= SETTLED * (1 + np.linalg.norm(x / unit)):
+        raise Singular("refinement does not settle")
+    return x
+
+
+def _band(within: np.ndarray, beside: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Lower band (2D, T·D) of a scaled block-tridiagonal matrix: its blocks (T, D, D), and those below (T−1, D, D)."""
+    steps, dim = unit.shape
+    within = within * unit[:, :, None] * unit[:, None, :]
+    beside = beside * unit[1:, :, None] * unit[:-1, None, :]
+    band = np.zeros((2 * dim, steps * dim))
+    first = np.arange(steps)[:, None] * dim
+    row, column = np.tril_indices(dim)
+    band[row - column, first + column] = within[:, row, column]
+    row, column = np.indices((dim, dim)).reshape(2, -1)
+    band[dim + row - column, first[:-1] + column] = beside[:, row, column]
+    return band
+
+
+def _gram(matrix: np.ndarray) -> np.ndarray:
+    return _transposed(matrix) @ matrix
+
+
+def _transposed(matrix: np.ndarray) -> np.ndarray:
+    return np.swapaxes(matrix, -1, -2)

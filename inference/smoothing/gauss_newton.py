@@ -1,0 +1,191 @@
+"""The path of highest posterior density, and the Gaussian around it.
+
+Gauss–Newton (iterated extended Kalman) smoother with Levenberg–Marquardt damping: Bell (1994),
+"The iterated Kalman smoother as a Gauss–Newton method"; Särkkä & Svensson (2020),
+"Levenberg–Marquardt and line-search extended Kalman smoothers". At the current path x̄ the
+transition and the emission are linearised (:mod:`.linearisation`),
+
+    x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
+
+and the linear problem is solved exactly, by one band Cholesky factor a chain (:mod:`.banded`) where the mean is all
+that is asked for, by the recursions of :mod:`.square_root` where factors are. A step that does not raise log p(x, y)
+is repeated with damping rows √μ (x_t − x̄_t)/s.
+
+With the last linearisation come the Laplace-type evidence (exact for linear-Gaussian models) and the
+factors ψ_t that the controlled guide twists by.
+
+Shapes: observations (T, O), path (…, T, D); the leading dimensions are many parameter sets of
+one model, each with its own path and damping. All in float64.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.smoothing.banded import Singular, chain_mean
+from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, deviations, linearise, log_joint
+from invdyn.inference.smoothing.square_root import BackwardFactors, backward, forward_covariance, forward_mean
+from invdyn.models.fixed_point import settled
+from invdyn.models.state_space import StateSpaceModel, gaussian_moments
+
+
+@dataclass
+class GaussianSmoother:
+    """Result of :func:`gauss_newton`.
+
+    Attributes:
+        path: (…, T, D) the mode.
+        factors: ψ_t and friends, relative to ``path``.
+        linearisation: at ``path``.
+        log_evidence: (…) log of the linearised model's evidence.
+        log_joint: (…) log p(path, y).
+        converged: (…) bool.
+    """
+
+    path: Tensor
+    factors: BackwardFactors
+    linearisation: Linearisation
+    log_evidence: Tensor
+    log_joint: Tensor
+    converged: Tensor
+
+    def covariance(self) -> Tensor:
+        """Marginal posterior covariances (…, T, D, D)."""
+        return torch.as_tensor(forward_covariance(self.factors))
+
+
+def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
+    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) is given."""
+    if damping is not None:
+        linear = _damped(linear, damping, scale)
+    return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
+
+
+def _damped(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> Linearisation:
+    if not np.any(damping > 0):
+        return linear
+    dim = linear.E.shape[-1]
+    rows = np.sqrt(damping)[..., None, None, None] * np.diag(1 / scale)
+    E = np.concatenate([linear.E, np.broadcast_to(rows, (*linear.E.shape[:-2], dim, dim))], -2)
+    e = np.concatenate([linear.e, np.zeros((*linear.e.shape[:-1], dim))], -1)
+    return replace(linear, E=E, e=e)
+
+
+def gauss_newton(
+    model: StateSpaceModel,
+    observations: Tensor,
+    *,
+    start: Tensor | None = None,
+    max_iterations: int = 50,
+    tolerance: float = 1e-3,
+    slopes: Slopes | None = None,
+) -> GaussianSmoother:
+    """Find the mode of p(x_{0:T} | y) and the Gaussian around it.
+
+    Without a ``start`` it is found by a homotopy: all of the model's candidate paths are improved
+    under relaxed dynamics, the best one is kept, and the dynamics are tightened step by step.
+    Stiff dynamics (ε ≪ 1) would otherwise make every Gauss–Newton step a bad one.
+
+    Args:
+        model: with Gaussian transition noise; parameters (…, 1, own shape) for batches.
+        observations: (T, O), NaN where missing.
+        start: path (…, T, D) to begin at.
+        max_iterations: linearisations at most, at the last stage.
+        tolerance: stop when a step gains less than this, in nats.
+        slopes: to take everywhere instead of the model's own: many parameter sets that are nearly the same may share
+            those of one of them, as slopes are most of a step's work. What is found is nearly the mode.
+
+    Raises TypeError for a transition or emission that has no Gaussian approximation here, and
+    ValueError when the starting path has no finite density.
+    """
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
+    if start is None:
+        start = _by_homotopy(model, observations)
+    start = start.detach().cpu().double()
+    path, merit, done, linear = _ascend(model, observations, start, max_iterations, tolerance, slopes)
+    linear = linear or linearise(model, path, observations, slopes=slopes)
+    factors = solve(linear)
+    evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
+    return GaussianSmoother(path, factors, linear, evidence, merit, done)
+
+
+def gauss_newton_path(
+    model: StateSpaceModel, observations: Tensor, start: Tensor, max_iterations: int, tolerance: float
+) -> Tensor:
+    """The path alone, (…, T, D), that :func:`gauss_newton` would find from ``start``; raises as it does."""
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations, start = (values.detach().cpu().double() for values in (observations, start))
+    return _ascend(model, observations, start, max_iterations, tolerance)[0]
+
+
+def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
+    path = model.initial_paths(observations)
+    for amount in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
+        relaxed = model.relaxed(amount)
+        if relaxed is model:
+            return path[0]
+        # Candidates part ways in how often they wind round, and what strays leads some astray: two are plain at once.
+        for count, steps in ((2, 1), (1, 3)) if path.ndim == 3 else ():
+            path, merit, *_ = _ascend(relaxed, observations, path, max_iterations=steps, tolerance=1.0)
+            path = path[merit.nan_to_num(-torch.inf).argsort(descending=True, stable=True)[:count]]
+        path = path[0] if path.ndim == 3 else _ascend(relaxed, observations, path, max_iterations=4, tolerance=1.0)[0]
+    return path
+
+
+def _ascend(
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    max_iterations: int,
+    tolerance: float,
+    slopes: Slopes | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Linearisation | None]:
+    """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation if it has it.
+
+    Slopes are asked for only where a step begins: those that are refused, and the last one, need none.
+    """
+    batch = path.shape[:-2]
+    scale = gaussian_moments(model.initial())[1]
+    scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()
+    path = settled(model, path)
+    here, linear = deviations(model, path, observations), None
+    merit = log_joint(here)
+    if not np.isfinite(merit).any():
+        raise ValueError("the starting path has no finite density: check noise scales and units")
+    damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
+    for _ in range(max_iterations):
+        linear = linear or linearise(model, path, observations, here, slopes)
+        with np.errstate(over="ignore", invalid="ignore"):  # a step that is not finite reaches nothing, and is refused
+            step = torch.as_tensor(mean_step(linear, damping, scale))
+        candidate = settled(model, path + step)
+        there = deviations(model, candidate, observations)
+        reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
+        gain = reached - merit
+        better = (gain >= 0) & ~done
+        if better.any():
+            path = torch.where(torch.as_tensor(better)[..., None, None], candidate, path)
+            here, linear = there if better.all() else deviations(model, path, observations), None
+        merit = np.where(better, reached, merit)
+        near = (damping == 0) & (gain > -tolerance)  # a whole step, and hardly a difference
+        damping = np.where(better, damping / 10, np.maximum(damping, 1e-5) * 10)
+        damping = np.where(damping < 1e-4, 0.0, damping)
+        # A step that gains nothing, or none that can, ends the search.
+        done = done | (better & (gain < tolerance)) | (~better & near) | (np.abs(gain) < 1e-9) | (damping > 1e12)
+        if done.all():
+            break
+    return path, torch.as_tensor(merit), torch.as_tensor(done), linear
+
+
+def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Posterior mean (…, T, D) of a linearised model, damped as in :func:`solve`."""
+    damped = _damped(linear, damping, scale)
+    pieces = [getattr(damped, name) for name in ("F", "a", "L", "E", "e", "m0")]
+    batch = damped.m0.shape[:-1]
+    try:
+        steps = [chain_mean(*(piece[chain] for piece in pieces)) for chain in np.ndindex(batch)]
+    except Singular:
+        return forward_mean(solve(linear, damping, scale), linear.m0)  # the recursions square nothing
+    return np.stack(steps).reshape(*batch, *steps[0].shape)

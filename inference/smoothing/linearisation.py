@@ -1,0 +1,183 @@
+"""A model along a path: linearised by tangents, and by what the path itself is off.
+
+At a path x̄ the transition f and the emission h are
+
+    x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
+
+with slopes F and H by differences. What the path is off, a = f(x̄_t) − x̄_{t+1} and e = W (y − h(x̄)), takes a quarter of
+the work, and tells log p(x̄, y) exactly: it is all that a search for a path asks of a step that it refuses.
+
+Shapes: observations (T, O), path (…, T, D); the leading dimensions are many parameter sets of
+one model, each with its own path. All in float64.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.smoothing.square_root import log_abs_det
+from invdyn.models.observation.missing import explained, gaussian_rows, times
+from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
+
+NUDGE, JUMP = 1e-6, 1e-6
+"""Of every state for its slopes, in its standard deviations at the first row; and as it is, of a model with jumps."""
+
+
+@dataclass
+class Linearisation:
+    """A model along a path, in deviations from it; shapes as in :mod:`.square_root`, plus constants (…).
+
+    ``rows`` are what E and e were made of, if by tangents.
+    """
+
+    F: np.ndarray
+    a: np.ndarray
+    L: np.ndarray
+    E: np.ndarray
+    e: np.ndarray
+    m0: np.ndarray
+    log_constant: np.ndarray
+    V: np.ndarray | None = None
+    rows: "SeenRows | None" = None
+
+
+def emission_mean(model: StateSpaceModel, state: Tensor, rows: Tensor) -> Tensor:
+    """Location (…, T, O) of the emission along states (…, T, D)."""
+    emission = model.emission(state, rows)
+    return getattr(emission, "base_dist", emission).loc
+
+
+def prior_chain(model: StateSpaceModel, path: Tensor, root: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Noise roots L (…, T, D, D) and prior mean m_0 − x̄_0 (…, D) of a model along ``path``.
+
+    ``root`` (…, T−1, D, D) are the transitions', if the caller has them.
+    """
+    rows = torch.arange(path.shape[-2])
+    batch, dim = path.shape[:-2], path.shape[-1]
+    with torch.no_grad():
+        mean, first = gaussian_moments(model.initial())
+        if root is None:
+            _, root = gaussian_moments(model.transition(path[..., :-1, :], rows[1:]))
+    # Parameter sets carry a row axis of length one; a single set carries none.
+    mean = mean.reshape(*mean.shape[:-1], 1, dim) if mean.ndim == 1 else mean
+    first = first.reshape(1, dim, dim) if first.ndim == 2 else first
+    root = root.expand(*batch, len(rows) - 1, dim, dim)
+    L = torch.cat([first.expand(*batch, 1, dim, dim), root], -3)
+    return L, (mean - path[..., :1, :]).squeeze(-2)
+
+
+@dataclass
+class SeenRows:
+    """What is seen, whitened about where a path has it.
+
+    Attributes:
+        whitening: W, as :func:`.missing.gaussian_rows` has it.
+        e: (…, T, O) by what rows are off, zero where missing.
+        normaliser: (…, T) log densities where nothing is off.
+    """
+
+    whitening: Tensor
+    e: np.ndarray
+    normaliser: np.ndarray
+
+    @property
+    def log_constant(self) -> np.ndarray:
+        """(…): of all rows."""
+        return self.normaliser.sum(-1)
+
+
+@torch.no_grad()
+def seen_rows(model: StateSpaceModel, path: Tensor, observations: Tensor) -> SeenRows:
+    """What ``model`` says of ``observations`` (T, O) along ``path`` (…, T, D)."""
+    emission = model.emission(path, torch.arange(path.shape[-2]))
+    whitening, constant = gaussian_rows(emission, observations)
+    seen = explained(emission, observations)
+    residual = torch.where(torch.isnan(seen), 0.0, seen - getattr(emission, "base_dist", emission).loc)
+    return SeenRows(whitening, times(whitening, residual.unsqueeze(-1)).squeeze(-1).numpy(), constant.numpy())
+
+
+@dataclass
+class Deviations:
+    """By what a path is off: fields of a :class:`Linearisation`."""
+
+    a: np.ndarray
+    L: np.ndarray
+    m0: np.ndarray
+    rows: SeenRows
+
+
+@torch.no_grad()
+def deviations(model: StateSpaceModel, path: Tensor, observations: Tensor) -> Deviations:
+    """What ``model`` says of ``path`` (…, T, D), without slopes: a quarter or less of :func:`linearise`'s work."""
+    transition = model.transition(path[..., :-1, :], torch.arange(1, path.shape[-2]))
+    L, m0 = prior_chain(model, path, gaussian_moments(transition)[1])
+    a = gaussian_mean(transition) - path[..., 1:, :]
+    return Deviations(a.numpy(), L.numpy(), m0.numpy(), seen_rows(model, path, observations))
+
+
+Slopes = tuple[Tensor, Tensor]
+"""F (…, T−1, D, D) of the transition and H (…, T, O, D) of the emission along a path."""
+
+
+@torch.no_grad()
+def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
+    """Slopes of ``model`` along ``path`` (…, T, D) by differences, which take half the time of a backward pass.
+
+    Central ones, of an error of ``NUDGE``²; one-sided where the model has ``driven`` states, which lie at stops.
+    """
+    rows = torch.arange(path.shape[-2])
+    scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
+    nudges = torch.diag(NUDGE * torch.where(scale > 0, scale, 1.0))
+
+    def transition(x: Tensor) -> Tensor:
+        return gaussian_mean(model.transition(x, rows[1:]))
+
+    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges)
+    if model.driven is not None:
+        return _differences(transition, path[..., :-1, :], JUMP * torch.eye(path.shape[-1]).to(path), False), H
+    return _differences(transition, path[..., :-1, :], nudges), H
+
+
+def _differences(function, x: Tensor, nudges: Tensor, central: bool = True) -> Tensor:
+    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by D ``nudges`` (D, D), a multiple of I each."""
+    steps = nudges.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
+    ends = x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])])
+    values, width = function(ends), (1 + central) * nudges.diagonal().reshape(-1, *[1] * x.ndim)
+    return ((values[: len(steps)] - values[len(steps) :]) / width).movedim(0, -1)
+
+
+def linearise(
+    model: StateSpaceModel,
+    path: Tensor,
+    observations: Tensor,
+    known: Deviations | None = None,
+    slopes: Slopes | None = None,
+) -> Linearisation:
+    """Linearise ``model`` along ``path`` (…, T, D) by tangents; ``known`` are its :func:`deviations` there.
+
+    Or with the ``slopes`` of a model that is nearly the same along a path that is.
+    """
+    here = known or deviations(model, path, observations)
+    F, H = (each.expand(*path.shape[:-2], *each.shape[-3:]) for each in slopes or slopes_along(model, path))
+    E = times(here.rows.whitening, H).numpy()
+    return Linearisation(F.numpy(), here.a, here.L, E, here.rows.e, here.m0, here.rows.log_constant, rows=here.rows)
+
+
+def seen_as(linear: Linearisation, rows: SeenRows, H: Tensor) -> Linearisation:
+    """``linear`` of a model that moves alike, but takes what is seen for ``rows``; H (…, T, O, D) are its slopes."""
+    E = times(rows.whitening, H).numpy()
+    return replace(linear, E=E, e=rows.e, log_constant=rows.log_constant, rows=rows)
+
+
+def log_joint(here: Deviations) -> np.ndarray:
+    """Log p(x̄, y) (…) of a path: exact, whatever lies beside it."""
+    driven = np.concatenate([here.m0[..., None, :], here.a], -2)
+    still = np.diagonal(here.L, axis1=-2, axis2=-1) == 0
+    with np.errstate(all="ignore"):  # a path may have run away, or have no density
+        own = np.linalg.solve(here.L + still[..., None] * np.eye(driven.shape[-1]), driven[..., None])[..., 0]
+        squares = (own**2).sum((-2, -1)) + (here.rows.e**2).sum((-2, -1))
+        volume = log_abs_det(here.L).sum(-1) + 0.5 * math.log(2 * math.pi) * driven.shape[-2] * driven.shape[-1]
+        return np.where(still.any((-2, -1)), -np.inf, here.rows.log_constant - volume - 0.5 * squares)

@@ -1,0 +1,1 @@
+"""Variational SMC: its bound, learned guides and training."""

@@ -1,0 +1,1 @@
+"""The articulated body as a state-space model: time grid, drive, step, observation."""

@@ -1,0 +1,301 @@
+"""Bodies: planar chains of rigid links, each scalar of them a number, a prior or a learned parameter.
+
+Denavit–Hartenberg geometry in the plane: θ₁ is counted from the x axis, each further angle from the
+parent link, counter-clockwise positive; a limb that hangs down has θ₁ = −π/2. Link k begins at joint k
+and ends at its tip, where joint k+1 sits.
+
+Per link: `length` m, `mass` kg, `com` m from the joint along the link (default length/2), `inertia`
+kg·m² about the centre of mass (default mass·length²/12, a uniform rod). Per body: `gravity` m/s² and the
+first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py`, `body_mjcf.py`, `body_urdf.py`.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import pyro
+import pyro.distributions as dist
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from invdyn.models.bodies import body_mjcf, body_toml, body_urdf
+from invdyn.models.bodies.scalars import (
+    QUANTITIES,
+    BodyError,
+    Learned,
+    Scalar,
+    check_keys,
+    check_name,
+    checked,
+    nominal,
+    number,
+    prior,
+    vector,
+)
+
+__all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
+
+MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
+
+
+class BodyParameters(NamedTuple):
+    """The numbers of a K-link body as tensors; leading dimensions are many parameter sets.
+
+    `length`, `mass`, `com`, `inertia` (..., K); `gravity`, `base` (..., 2). Units at the top of this file.
+    """
+
+    length: Tensor
+    mass: Tensor
+    com: Tensor
+    inertia: Tensor
+    gravity: Tensor
+    base: Tensor
+
+    def to(self, *args, **kwargs) -> "BodyParameters":
+        """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
+        return BodyParameters(*(value.to(*args, **kwargs) for value in self))
+
+
+@dataclass(frozen=True)
+class Link:
+    """One rigid link. Each of its scalars is a number, a scalar Pyro distribution (its prior) or `Learned`.
+
+    Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive, a negative
+    inertia, a prior that allows such, a centre of mass more than three lengths from the joint, and a link
+    that has neither com nor inertia to resist a torque.
+    """
+
+    name: str
+    joint: str
+    tip: str
+    length: Scalar
+    mass: Scalar
+    com: Scalar | None = None
+    inertia: Scalar | None = None
+
+    def __post_init__(self):
+        for key in ("name", "joint", "tip"):
+            check_name(getattr(self, key), f"{key} of a link")
+        where = f"link '{self.name}'"
+        for key in QUANTITIES:
+            value = getattr(self, key)
+            if value is not None or key in ("length", "mass"):
+                object.__setattr__(self, key, checked(value, key, where))
+        length, mass, com, inertia = (self.nominal(key) for key in QUANTITIES)
+        if abs(com) > MAX_COM * length:
+            raise BodyError(
+                f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
+                f"got {com:g} m; are both in metres?"
+            )
+        if inertia + mass * com**2 == 0:
+            raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
+
+    def nominal(self, quantity: str) -> float:
+        """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
+        value = getattr(self, quantity)
+        if value is not None:
+            return nominal(value)
+        if quantity == "com":
+            return self.nominal("length") / 2
+        return self.nominal("mass") * self.nominal("length") ** 2 / 12
+
+
+@dataclass(frozen=True)
+class Body:
+    """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
+
+    Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and
+    unknown or negative uncertainties.
+    """
+
+    name: str
+    links: Sequence[Link]
+    gravity: Sequence[float] = (0.0, -9.81)
+    base: Sequence[float] = (0.0, 0.0)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        check_name(self.name, "name of a body")
+        where = f"body '{self.name}'"
+        object.__setattr__(self, "links", tuple(self.links))
+        object.__setattr__(self, "gravity", vector(self.gravity, f"{where}: gravity in m/s²"))
+        object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
+        if not self.links:
+            raise BodyError(f"{where}: expected at least one link, got none")
+        for key in ("name", "joint", "tip"):
+            names = [getattr(link, key) for link in self.links]
+            for name in names:
+                if names.count(name) > 1:
+                    raise BodyError(f"{where}: expected a {key} of its own for each link, got '{name}' twice")
+        for place, tip in enumerate(self.keypoint_names):
+            # a keypoint is called after the joint that it shows, so one name cannot mean two places
+            if tip in self.joint_names and self.joint_names.index(tip) != place + 1:
+                raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
+        check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
+        sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
+        if any(sd < 0 for sd in sds.values()):
+            raise BodyError(f"{where}: expected relative standard deviations ≥ 0 as uncertainty, got {sds}")
+        object.__setattr__(self, "uncertainty", sds)
+
+    @property
+    def num_joints(self) -> int:
+        """K, the number of joints and of links."""
+        return len(self.links)
+
+    @property
+    def has_priors(self) -> bool:
+        """Whether any scalar is a prior rather than a number."""
+        return any(isinstance(getattr(link, key), dist.Distribution) for link in self.links for key in QUANTITIES)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the K joints, from the base outwards."""
+        return tuple(link.joint for link in self.links)
+
+    @property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """Names of the K tips, from the base outwards."""
+        return tuple(link.tip for link in self.links)
+
+    @property
+    def base_keypoint(self) -> str:
+        """Name of the keypoint at the base: the first joint's."""
+        return self.links[0].joint
+
+    def parameters(
+        self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None, **given: Tensor
+    ) -> BodyParameters:
+        """Return `BodyParameters` (K,) at the nominal values (see `Link.nominal`).
+
+        Keyword arguments length, mass, com, inertia (..., K) take the place of the body's own, with any
+        leading dimensions; the defaults of com and inertia follow them. Raises `BodyError` for other
+        keywords, or another number than K.
+        """
+        check_keys(given, QUANTITIES, "Body.parameters")
+        given = {key: torch.as_tensor(value, dtype=dtype, device=device) for key, value in given.items()}
+        for key, value in given.items():
+            if value.shape[-1:] != (self.num_joints,):
+                raise BodyError(f"expected {key} of shape (..., {self.num_joints}), got {tuple(value.shape)}")
+
+        def column(place: int, key: str) -> Tensor | None:
+            if key in given:
+                return given[key][..., place]
+            own = getattr(self.links[place], key)
+            return None if own is None else torch.tensor(nominal(own), dtype=dtype, device=device)
+
+        return self._assemble(column, dtype, device)
+
+    def sample(
+        self,
+        prefix: str = "",
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str | None = None,
+    ) -> BodyParameters:
+        """Return `BodyParameters`: priors by `pyro.sample`, learned scalars by `pyro.param`.
+
+        Sites are called prefix + "upper_arm.length". In a plate, what is sampled gains its dimensions,
+        (..., K).
+        """
+
+        def column(place: int, key: str) -> Tensor | None:
+            own, site = getattr(self.links[place], key), f"{prefix}{self.links[place].name}.{key}"
+            if own is None:
+                return None
+            if isinstance(own, dist.Distribution):
+                return pyro.sample(site, own).to(dtype=dtype, device=device)
+            value = torch.tensor(nominal(own), dtype=dtype, device=device)
+            if isinstance(own, Learned):
+                support = constraints.real if key == "com" else constraints.positive
+                return pyro.param(site, value, constraint=support)
+            return value
+
+        return self._assemble(column, dtype, device)
+
+    def _assemble(
+        self,
+        column: Callable[[int, str], Tensor | None],
+        dtype: torch.dtype,
+        device: torch.device | str | None,
+    ) -> BodyParameters:
+        links = []
+        for place in range(self.num_joints):
+            length, mass, com, inertia = (column(place, key) for key in QUANTITIES)
+            com = length / 2 if com is None else com
+            inertia = mass * length**2 / 12 if inertia is None else inertia
+            links.append((length, mass, com, inertia))
+        # each quantity has only the leading dimensions that it needs itself
+        scalars = [torch.stack(torch.broadcast_tensors(*column), -1) for column in zip(*links, strict=True)]
+        vectors = [torch.tensor(value, dtype=dtype, device=device) for value in (self.gravity, self.base)]
+        return BodyParameters(*scalars, *vectors)
+
+    def with_uncertainty(self) -> Self:
+        """Return the body with its relative sds made priors around the nominal values, and none left.
+
+        Scalars that are priors or learned already stay so. A com or inertia that is given one no longer
+        follows length and mass. Raises `BodyError` for a relative sd of a com or inertia of 0.
+        """
+        links = []
+        for link in self.links:
+            priors = {}
+            for key, sd in self.uncertainty.items():
+                if sd > 0 and isinstance(getattr(link, key), float | None):
+                    if link.nominal(key) == 0:
+                        raise BodyError(f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior")
+                    priors[key] = prior(link.nominal(key), sd * abs(link.nominal(key)))
+            links.append(dataclasses.replace(link, **priors))
+        return dataclasses.replace(self, links=tuple(links), uncertainty={})
+
+    def with_values(self, **given: Sequence[Scalar | None]) -> Self:
+        """Return the body with other scalars, K of each: `body.with_values(length=[0.31, 0.27])`.
+
+        An entry is anything that a `Link` takes. Raises `BodyError` for another number of them than K.
+        """
+        check_keys(given, QUANTITIES, "Body.with_values")
+        for key, values in given.items():
+            if len(values) != self.num_joints:
+                raise BodyError(f"expected {self.num_joints} values of {key}, one for each link, got {len(values)}")
+        columns = [{key: values[place] for key, values in given.items()} for place in range(self.num_joints)]
+        links = [dataclasses.replace(link, **new) for link, new in zip(self.links, columns, strict=True)]
+        return dataclasses.replace(self, links=tuple(links))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a body file of any kind: MJCF (.xml, .mjcf), URDF (.urdf), else TOML. Raises as they do."""
+        readers = {".xml": cls.from_mjcf, ".mjcf": cls.from_mjcf, ".urdf": cls.from_urdf}
+        return readers.get(Path(path).suffix.lower(), cls.from_toml)(path)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
+        return cls._from_tables({"name": Path(path).stem, **body_toml.read(path)}, path)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path) -> Self:
+        """Read a planar chain of hinges from MuJoCo's format (extra `robots`); see `body_mjcf`.
+
+        Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
+        """
+        return cls._from_tables(body_mjcf.read(path), path)
+
+    @classmethod
+    def from_urdf(cls, path: str | Path) -> Self:
+        """Read a planar chain of revolute joints from URDF (extra `robots`); warns and raises as `from_mjcf`."""
+        return cls._from_tables(body_urdf.read(path), path)
+
+    @classmethod
+    def _from_tables(cls, tables: dict, path: str | Path) -> Self:
+        try:
+            return cls(**tables | {"links": [Link(**link) for link in tables["links"]]})
+        except BodyError as error:
+            raise BodyError(f"{path}: {error}") from error
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write a body file that `from_toml` reads back.
+
+        Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
+        """
+        links = [{key: getattr(link, key) for key in body_toml.LINK_KEYS} for link in self.links]
+        body_toml.write(path, {key: getattr(self, key) for key in body_toml.BODY_KEYS} | {"links": links})

@@ -1,0 +1,118 @@
+"""Body files: TOML text to plain tables and back, with every complaint naming the file.
+
+    name = "bench arm"
+    gravity = [0.0, -9.81]      # m/s², in the recording's frame; this is the default
+    base = [0.0, 0.0]           # m, the first joint; this is the default
+    [[links]]                   # one for each link, from the base outwards
+    name = "upper_arm"
+    joint = "shoulder"          # at its proximal end
+    tip = "elbow"               # keypoint at its distal end
+    length = 0.30               # m
+    mass = 1.5                  # kg
+    com = 0.15                  # m from the joint, along the link; default length/2
+    inertia = 0.01125           # kg·m² about the centre of mass; default mass·length²/12
+    [uncertainty]               # optional relative standard deviations, marginalised
+    mass = 0.05
+
+Instead of a number, a link's length, mass, com or inertia may be one of two tables:
+
+    mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
+    mass = {start = 1.5}            # learned from the recording, beginning here
+"""
+
+import difflib
+import json
+import tomllib
+from pathlib import Path
+
+import pyro.distributions as dist
+
+from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
+from invdyn.models.bodies.whole_file import write_whole
+
+BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
+REQUIRED = ("name", "joint", "tip", "length", "mass")
+LINK_KEYS = (*REQUIRED, "com", "inertia")
+
+
+def read(path: str | Path) -> dict:
+    """Return the tables of a body file under the keys of `BODY_KEYS` that it has; `links` as a list of dicts.
+
+    A link's scalars come as float, prior or `Learned`. Raises `BodyError` for broken TOML, a TOML that
+    is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file cannot be read.
+    """
+    try:
+        tables = tomllib.loads(Path(path).read_bytes().decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BodyError(f"{path}: broken TOML: {error}") from error
+    links = tables.get("links")
+    if links is None:
+        close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
+        hint = f" (is [[{close[0]}]] meant as [[links]]?)" if close else ""
+        raise BodyError(f"{path}: not a body: expected [[links]] tables, one for each link, got none{hint}")
+    if not isinstance(links, list) or not all(isinstance(link, dict) for link in links):
+        raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
+    if not isinstance(tables.get("uncertainty", {}), dict):
+        raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
+    check_keys(tables, BODY_KEYS, str(path))
+    tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
+    return tables
+
+
+def write(path: str | Path, tables: dict) -> None:
+    """Write tables as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
+    lines = [f"{key} = {literal(tables[key])}" for key in ("name", "gravity", "base")]
+    for link in tables["links"]:
+        values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
+        lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
+    if tables["uncertainty"]:
+        lines += ["", "[uncertainty]", *(f"{k} = {literal(v)}" for k, v in tables["uncertainty"].items())]
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def _read_link(link: dict, where: str) -> dict:
+    check_keys(link, LINK_KEYS, where)
+    missing = [key for key in REQUIRED if key not in link]
+    if missing:
+        raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")
+    return {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
+
+
+def scalar_from_table(value: object, what: str) -> object:
+    """Return a scalar of a file: a table as prior or `Learned`, all else as it is. Raises `BodyError`."""
+    if not isinstance(value, dict):
+        return value  # a number, which `Link` checks
+    if set(value) == {"start"}:
+        return Learned(number(value["start"], f"{what}'s start"))
+    if set(value) != {"mean", "sd"}:
+        keys = ", ".join(value)
+        raise BodyError(f"{what}: expected a number, {{mean = …, sd = …}} or {{start = …}}, got the keys {keys}")
+    mean, sd = (number(value[key], f"{what}'s {key}") for key in ("mean", "sd"))
+    if sd <= 0:
+        raise BodyError(f"{what}: expected a positive sd, got {sd:g}; where it is known, write the number alone")
+    return prior(mean, sd)
+
+
+def scalar_to_table(value: str | Scalar, key: str) -> object:
+    """Return what a file says of a scalar. Raises `BodyError` for a prior that no file can express."""
+    if isinstance(value, Learned):
+        return {"start": value.start}
+    if isinstance(value, dist.Distribution):
+        mean, sd = nominal(value), float(value.stddev)
+        if type(value) is not type(prior(mean, sd)):
+            raise BodyError(f"a body file has log-normal priors, but {key} has a {type(value).__name__}")
+        return {"mean": mean, "sd": sd}
+    return value
+
+
+def literal(value: object) -> str:
+    """Return a value as TOML."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON's escapes are TOML's
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(literal(item) for item in value) + "]"
+    return repr(value)

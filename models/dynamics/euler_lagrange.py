@@ -1,0 +1,232 @@
+"""SymPy derives a planar chain's equation of motion by Euler–Lagrange and writes it as torch functions.
+
+    T = Σ ½ m v·v + ½ I φ̇²      V = −Σ m g·r      d/dt ∂(T−V)/∂φ̇ − ∂(T−V)/∂φ = F
+
+The generalised coordinates are the links' absolute angles φ = A θ (A: lower-triangular ones), in which the
+terms stay short: M(φ) φ̈ + b(φ, φ̇) + G(φ) = F, each term a number of the body × cosines or sines × velocities.
+Joint torques are τ = Aᵀ F, so D = Aᵀ M A, h = Aᵀ b, c = Aᵀ G. Units: SI and radians.
+
+Generated source is kept in the user's cache folder. A file that is broken, or of another version, is derived
+again, and a folder that cannot be written costs only the seconds of deriving.
+"""
+
+import hashlib
+import inspect
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import platformdirs
+import torch
+
+from invdyn.models.bodies.whole_file import write_whole
+
+DERIVATION = 2  # raise it whenever this file's output changes, so that old cache files are left alone
+
+# What each generated expression reads, in this order; `_symbols` has the scalars behind each word.
+ARGUMENTS = {
+    "inertia": ("phi", "length", "mass", "com", "inertia"),
+    "coriolis": ("phi", "w", "length", "mass", "com"),
+    "gravity_load": ("phi", "length", "mass", "com", "gravity"),
+    "system": ("phi", "w", "length", "mass", "com", "inertia", "gravity"),
+    "kinetic_energy": ("phi", "w", "length", "mass", "com", "inertia"),
+    "potential_energy": ("phi", "length", "mass", "com", "gravity", "base"),
+    "keypoints": ("phi", "length", "base"),
+}
+MOVING = ("phi", "w")
+
+
+@dataclass(frozen=True)
+class Generated:
+    """An expression of `ARGUMENTS` in two functions, from lists of scalar tensors to a list of them.
+
+    `numbers` takes the words of the body and gives its coefficients, `values` the words of `MOVING`, then those.
+    """
+
+    numbers: Callable[..., list]
+    values: Callable[..., list]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """SymPy expressions of a chain of K links in absolute angles φ and angular velocities w = φ̇.
+
+    `symbols` maps "phi", "w", "length", "mass", "com", "inertia", "gravity", "base" to lists of symbols.
+    """
+
+    symbols: dict
+    inertia: object  # M, (K, K)
+    coriolis: object  # b, (K, 1)
+    gravity_load: object  # G, (K, 1)
+    kinetic_energy: object  # T
+    potential_energy: object  # V
+    keypoints: object  # tips, (K, 2)
+
+    def in_joint_angles(self) -> tuple:
+        """Return D (K, K), h (K, 1), c (K, 1) in the joint angles θ and velocities θ̇, and those symbols.
+
+        These are the equations as papers print them: D θ̈ + h + c = τ.
+        """
+        import sympy as sp
+
+        K = len(self.symbols["phi"])
+        q, qd = sp.symbols(f"theta1:{K + 1}", real=True), sp.symbols(f"thetadot1:{K + 1}", real=True)
+        A = sp.Matrix(K, K, lambda i, j: 1 if j <= i else 0)
+        joint = dict(zip(self.symbols["phi"], A * sp.Matrix(q), strict=True))
+        joint.update(zip(self.symbols["w"], A * sp.Matrix(qd), strict=True))
+        M, b, G = (matrix.subs(joint) for matrix in (self.inertia, self.coriolis, self.gravity_load))
+        return A.T * M * A, A.T * b, A.T * G, q, qd
+
+
+def derive(num_joints: int) -> Equations:
+    """Derive the `Equations` of a chain of `num_joints` links."""
+    import sympy as sp
+    from sympy.simplify.fu import TR8  # products of sines and cosines become those of sums and differences
+
+    symbols = _symbols(num_joints)
+    phi, w = symbols["phi"], symbols["w"]
+    gravity, joint = sp.Matrix(symbols["gravity"]), sp.Matrix(symbols["base"])
+    kinetic, potential, tips = sp.Integer(0), sp.Integer(0), []
+    for k in range(num_joints):
+        direction = sp.Matrix([sp.cos(phi[k]), sp.sin(phi[k])])
+        com = joint + symbols["com"][k] * direction
+        velocity = com.jacobian(phi) * sp.Matrix(w)
+        kinetic += symbols["mass"][k] * velocity.dot(velocity) / 2 + symbols["inertia"][k] * w[k] ** 2 / 2
+        potential -= symbols["mass"][k] * gravity.dot(com)
+        joint = joint + symbols["length"][k] * direction
+        tips.append(joint.T)
+    kinetic, potential = sp.expand(TR8(sp.expand(kinetic))), sp.expand(potential)
+
+    momentum = sp.Matrix([kinetic.diff(velocity) for velocity in w])
+    coriolis = momentum.jacobian(phi) * sp.Matrix(w) - sp.Matrix([kinetic.diff(angle) for angle in phi])
+    return Equations(
+        symbols=symbols,
+        inertia=momentum.jacobian(w),
+        coriolis=coriolis.expand(),
+        gravity_load=sp.Matrix([potential.diff(angle) for angle in phi]),
+        kinetic_energy=kinetic,
+        potential_energy=potential,
+        keypoints=sp.Matrix.vstack(*tips),
+    )
+
+
+def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dict[str, Generated]:
+    """Return {name of `ARGUMENTS`: the functions of that expression}.
+
+    M is given as its upper triangle, row by row; "system" returns that and then b + G. An output is a plain
+    number where nothing depends on the arguments. `cache_dir` defaults to the user's cache folder.
+    """
+    folder = Path(cache_dir or platformdirs.user_cache_dir("invdyn"))
+    path = folder / f"planar_chain_{num_joints}_sympy_{version('sympy')}_v{DERIVATION}.json"
+    functions = _read_cache(path)
+    if functions is None:
+        sources = generate(num_joints)
+        _write_cache(path, sources)
+        functions = _compile(sources)
+    return functions
+
+
+def generate(num_joints: int) -> dict[str, dict[str, str]]:
+    """Derive the chain and return the Python source of the functions of every name in `ARGUMENTS`."""
+    eq = derive(num_joints)
+    M = [eq.inertia[i, j] for i in range(num_joints) for j in range(i, num_joints)]
+    outputs = {
+        "inertia": M,
+        "coriolis": list(eq.coriolis),
+        "gravity_load": list(eq.gravity_load),
+        "system": M + list(eq.coriolis + eq.gravity_load),
+        "kinetic_energy": [eq.kinetic_energy],
+        "potential_energy": [eq.potential_energy],
+        "keypoints": list(eq.keypoints),
+    }
+    sources = {}
+    for name, words in ARGUMENTS.items():
+        body, numbers, steps, results = _share(outputs[name], eq.symbols)
+        moving, still = ([eq.symbols[word] for word in words if (word in MOVING) == moves] for moves in (True, False))
+        sources[name] = {
+            "numbers": _source(still, body, list(numbers.values())),
+            "values": _source([*moving, list(numbers)], steps, results),
+        }
+    return sources
+
+
+def _source(arguments: list, steps: list, results: list) -> str:
+    import sympy as sp
+
+    # a flat list of scalars: a Matrix would become torch.tensor([[…]]), which drops gradients
+    return inspect.getsource(sp.lambdify(arguments, results, modules="torch", cse=lambda _: (steps, results)))
+
+
+def _symbols(K: int) -> dict[str, list]:
+    import sympy as sp
+
+    words = ("phi", "w", "length", "mass", "com", "inertia")
+    symbols = {word: list(sp.symbols(f"{word}1:{K + 1}", real=True)) for word in words}
+    return symbols | {word: list(sp.symbols(f"{word}_x {word}_y", real=True)) for word in ("gravity", "base")}
+
+
+def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, dict, list, list]:
+    """Common subexpressions, such that a large batch costs few operations: of the body's numbers, and of the rest.
+
+    Steps to the numbers; what each number is called, and what it is; steps from there on; results. The body's numbers
+    are worked out on their own: they are one for each parameter set, the state one for each particle and row. Where cos
+    and sin of φ are there anyway, those of φᵢ−φⱼ are built from them, since products are cheaper than cosines.
+    """
+    import sympy as sp
+
+    names = {}  # coefficient → symbol
+
+    def named(coefficient):
+        sign = -1 if coefficient.could_extract_minus_sign() else 1
+        coefficient = sp.factor(sign * coefficient)
+        number, coefficient = coefficient.as_coeff_Mul()
+        if coefficient.is_number:
+            return sign * number * coefficient
+        return sign * number * names.setdefault(coefficient, sp.Symbol(f"p{len(names)}"))
+
+    trig = set().union(*(expression.atoms(sp.cos, sp.sin) for expression in expressions))
+    products = any(function.args[0] in symbols["phi"] for function in trig)
+    generators = sorted(trig | set(symbols["w"]), key=sp.default_sort_key)
+    bases = [sp.expand_trig(generator) if products else generator for generator in generators]
+    arranged = []
+    for expression in expressions:
+        total = sp.Integer(0)
+        for powers, coefficient in sp.Poly(expression, *generators).terms():
+            factors = [base**power for base, power in zip(bases, powers, strict=True)]
+            total += named(coefficient) * sp.Mul(*factors)
+        arranged.append(total)
+    body, numbers = sp.cse(list(names), symbols=sp.numbered_symbols("k"))
+    steps, results = sp.cse(arranged, symbols=sp.numbered_symbols("x"))
+    return body, dict(zip(names.values(), numbers, strict=True)), steps, results
+
+
+def _compile(sources: dict[str, dict[str, str]]) -> dict[str, Generated]:
+    return {name: Generated(*(_function(sources[name][part]) for part in ("numbers", "values"))) for name in ARGUMENTS}
+
+
+def _function(source: str) -> Callable[..., list]:
+    namespace = {"cos": torch.cos, "sin": torch.sin, "torch": torch}
+    exec(source, namespace)
+    return namespace["_lambdifygenerated"]
+
+
+def _digest(sources: dict[str, dict[str, str]]) -> str:
+    return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
+
+
+def _read_cache(path: Path) -> dict[str, Generated] | None:
+    try:
+        cached = json.loads(path.read_text(encoding="utf-8"))
+        return _compile(cached["sources"]) if cached["sha256"] == _digest(cached["sources"]) else None
+    except (OSError, ValueError, KeyError, TypeError, SyntaxError):
+        return None  # absent or broken: derive again
+
+
+def _write_cache(path: Path, sources: dict[str, dict[str, str]]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps({"sha256": _digest(sources), "sources": sources}))
+    except OSError:
+        pass  # read-only home: the next process derives again

@@ -1,0 +1,1 @@
+"""What sensors show of the state, and how missing entries drop out."""

@@ -1,0 +1,130 @@
+"""Missing observations drop out of the likelihood.
+
+An entry of y that is NaN contributes no term: it is masked in an independent emission and
+marginalised out of a correlated Gaussian one. It is never filled in.
+"""
+
+import math
+
+import pyro
+import torch
+from pyro.distributions import Distribution, Independent, MultivariateNormal
+from torch import Tensor
+
+from invdyn.models.observation.mixture import MistakenRows
+
+
+def observe(name: str, emission: Distribution, observation: Tensor) -> None:
+    """Condition on ``observation`` (O,) at the Pyro site ``name``; no site if all of it is missing."""
+    seen = ~torch.isnan(observation)
+    if bool(seen.all()):
+        pyro.sample(name, emission, obs=observation)
+    elif bool(seen.any()):
+        if isinstance(emission, MistakenRows):
+            pyro.sample(name, emission, obs=observation)  # which leaves out what is missing by itself
+        elif isinstance(emission, Independent):
+            filled = _filled(emission, observation, seen)
+            pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled)
+        else:
+            pyro.sample(name, _marginal(emission, seen), obs=observation[seen])
+
+
+def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Log p(y | x) over the entries that were seen; shape is the emission's batch shape.
+
+    ``observation`` (..., O) broadcasts against the emission. A correlated emission takes one
+    row (O,), or rows (T, O) against a batch shape that ends in T. Whoever knows which entries were ``seen``, of the
+    observation's shape, says so: then an independent emission asks the device for nothing.
+    """
+    if seen is None:
+        seen = ~torch.isnan(observation)
+        if bool(seen.all()):
+            return emission.log_prob(observation)
+    if isinstance(emission, MistakenRows):
+        return emission.log_prob(observation)
+    if isinstance(emission, Independent):
+        # The fill-in must be finite, or its gradient would be NaN even where masked.
+        filled = _filled(emission, observation, seen)
+        return (emission.base_dist.log_prob(filled) * seen).sum(-1)
+    if observation.ndim == 1:
+        if not bool(seen.any()):
+            return emission.loc.new_zeros(emission.batch_shape)
+        return _marginal(emission, seen).log_prob(observation[seen])
+    rows = [
+        observed_log_prob(MultivariateNormal(loc, scale_tril=tril), y)
+        for loc, tril, y in zip(
+            emission.loc.unbind(-2), emission.scale_tril.unbind(-3), observation.unbind(-2), strict=True
+        )
+    ]
+    return torch.stack(rows, -1)
+
+
+def _filled(emission: Independent, observation: Tensor, seen: Tensor) -> Tensor:
+    # A heavy-tailed Student-t has no mean, and NaN would come through the mask.
+    return torch.where(seen, observation, emission.base_dist.mean.detach().nan_to_num())
+
+
+def _marginal(emission: Distribution, seen: Tensor) -> MultivariateNormal:
+    if not isinstance(emission, torch.distributions.MultivariateNormal):
+        raise TypeError(
+            f"expected an independent or MultivariateNormal emission where entries are missing, got {emission}"
+        )
+    covariance = emission.covariance_matrix[..., seen, :][..., seen]
+    return MultivariateNormal(emission.loc[..., seen], covariance_matrix=covariance)
+
+
+def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, Tensor]:
+    """Whitening W (..., O, O or O diagonal as vector) and log-normaliser of a Gaussian fit to log p(y | ·).
+
+    Near the emission's mean h the log-density is −½|W (y − h)|² + c. For a Gaussian this is
+    exact. For Student-t, W is that of iteratively reweighted least squares,
+    w = (ν + 1)/(ν + r²)/σ², which has the same value and gradient in h; so have the rows of a
+    mixture, with what :func:`explained` makes of y. Missing entries get zero rows. Returns W as
+    (..., O) for independent emissions and mixtures that shift no row, (..., O, O) otherwise, and c with shape (...).
+
+    Raises TypeError for other families.
+    """
+    seen = ~torch.isnan(observation)
+    if isinstance(emission, MistakenRows):
+        whitening, _, constant = emission.gaussian_rows(observation)
+        return whitening, constant
+    if isinstance(emission, torch.distributions.MultivariateNormal):
+        return _correlated_rows(emission, observation, seen)
+    base = emission.base_dist if isinstance(emission, Independent) else emission
+    if isinstance(base, torch.distributions.Normal):
+        whitening = seen / base.scale
+        constant = -(torch.log(base.scale) + 0.5 * math.log(2 * math.pi)) * seen
+    elif isinstance(base, torch.distributions.StudentT):
+        residual = torch.where(seen, (observation - base.loc) / base.scale, 0.0)
+        weight = (base.df + 1) / (base.df + residual**2)
+        whitening = seen * weight.sqrt() / base.scale
+        filled = torch.where(seen, observation, base.loc)
+        constant = (base.log_prob(filled) + 0.5 * weight * residual**2) * seen
+    else:
+        raise TypeError(f"expected a Normal, StudentT or MultivariateNormal emission, got {emission}")
+    return whitening, constant.sum(-1)
+
+
+def explained(emission: Distribution, observation: Tensor) -> Tensor:
+    """The rows (..., O) that :func:`gaussian_rows` compares with the emission's mean: those observed, but for swaps.
+
+    A detection that another keypoint explains better stands, in that share, where it belongs.
+    """
+    return emission.gaussian_rows(observation)[1] if isinstance(emission, MistakenRows) else observation
+
+
+def times(whitening: Tensor, rows: Tensor) -> Tensor:
+    """W times rows (..., O, D), W as :func:`gaussian_rows` has it."""
+    return whitening @ rows if whitening.ndim == rows.ndim else whitening.unsqueeze(-1) * rows
+
+
+def _correlated_rows(emission, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+    size = observation.shape[-1]
+    covariance = emission.covariance_matrix
+    pair = seen.unsqueeze(-1) & seen.unsqueeze(-2)
+    # Missing entries become independent unit ones, whose rows are then struck out.
+    covariance = torch.where(pair, covariance, torch.eye(size, dtype=covariance.dtype))
+    tril = torch.linalg.cholesky(covariance)
+    whitening = torch.linalg.solve_triangular(tril, torch.diag_embed(seen.to(covariance.dtype)), upper=False)
+    constant = -torch.log(tril.diagonal(dim1=-2, dim2=-1)).sum(-1)
+    return whitening, constant - 0.5 * math.log(2 * math.pi) * seen.sum(-1, dtype=constant.dtype)

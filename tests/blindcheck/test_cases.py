@@ -1,0 +1,233 @@
+"""Cases: whole, readable, the same from the same seed to the byte, and nothing in them tells the answer."""
+
+import ast
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import invdyn.blindcheck.cases as cases
+import invdyn.blindcheck.initial_state_fit as starts
+from invdyn.blindcheck.cases import CATALOGUE, KINDS, effects_of, make_case, planned
+from invdyn.blindcheck.commitment import canonical
+from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.models import Body
+from invdyn.recordings import read_keypoint_csv
+
+pytest.importorskip("mujoco")
+QUICK = {
+    "commanded": ["joint_coupling", "external_push", "clock_rate"],
+    "passive": ["payload", "label_swap"],
+    "none": [None],
+    "weak": ["actuator_lag"],
+    "two": [("backlash", "camera_roll"), ("inertial_error", "keypoint_offset")],
+    "unknown_torque": ["viscous_friction", "camera_scale"],
+    "outside": ["detent"],
+    "leave_one_out": ["joint_limit", "gravity_tilt"],
+}
+
+
+def check(case, kind, folder):
+    """What holds for every case."""
+    case.write(folder)
+    body = Body.from_toml(folder / "body.toml")
+    read = read_keypoint_csv(
+        folder / "recording.csv", keypoints=body.keypoint_names, joints=body.joint_names, base=body.base_keypoint
+    )
+    public = json.loads((folder / "case.json").read_text())
+    assert public["regime"] == case.regime
+    assert (read.torques is not None) == (case.regime == "commanded")
+    reach = sum(link.nominal("length") for link in body.links)
+    frames = read.keypoints[np.isfinite(read.keypoints).any(axis=(1, 2))]
+    assert len(frames) > 0.9 * 4 * 30
+    assert 3.9 < read.duration < 10.1
+    assert np.median(np.linalg.norm(frames - np.array(body.base), axis=-1)) < 1.3 * reach
+    assert (folder / "other.csv").exists() == (public["held_out"] is not None)
+    canonical(case.answer)  # finite throughout, and plain JSON
+    assert len(case.answer["effects"]) == {"none": 0, "two": 2}.get(kind, 1)
+    for effect in case.answer["effects"]:
+        assert effect["side"] == ("observation" if effect["effect"] in cases.OBSERVATIONS else "dynamics")
+        assert effect["effect"] in (OUTSIDE if kind == "outside" else CATALOGUE)
+        assert effect["parameters"]
+        known = {"joint": body.joint_names, "keypoint": body.keypoint_names, "link": [e.name for e in body.links]}
+        for site, names in known.items():
+            assert site not in effect or effect[site] in names
+        struck = [effect["effect"], *(["camera_roll"] if effect["effect"] == "gravity_tilt" else [])]
+        assert public["without"] == (struck if kind == "leave_one_out" else [])
+    return read
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
+    monkeypatch.setattr(cases, "TRIES", 2)
+    monkeypatch.setattr(starts, "STEPS", 2)
+
+
+@pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
+def test_a_case_is_whole(kind, effect, tmp_path, hasty):
+    check(make_case(7, kind, effect), kind, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("none", "two")])
+def test_every_effect_makes_every_kind_of_case(kind, tmp_path):
+    for effect in effects_of(kind):
+        for seed in (31, 32, 33):
+            case = make_case(seed, kind, effect)
+            check(case, kind, tmp_path / f"{effect}{seed}")
+
+
+@pytest.mark.slow
+def test_any_two_make_a_case(tmp_path):
+    for seed in range(100):
+        check(make_case(seed, "two"), "two", tmp_path / str(seed))
+
+
+def test_the_same_seed_is_the_same_case_to_the_byte(tmp_path, hasty):
+    answers = [{}, {}]
+    for each, folder in zip(answers, "ab", strict=True):
+        for name, *job in planned({"commanded": 2, "none": 1}, seed=4):
+            case = make_case(*job)
+            case.write(tmp_path / folder / name)
+            each[name] = case.answer
+    files = [sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in "ab"]
+    assert canonical(answers[0]) == canonical(answers[1])
+    assert [p.relative_to(tmp_path / "a") for p in files[0]] == [p.relative_to(tmp_path / "b") for p in files[1]]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(*files, strict=True))
+    assert sorted(answers[0]) == [f"case-{number:04d}" for number in range(3)]
+    first, second = (a["effects"][0]["effect"] for a in answers[0].values() if a["kind"] == "commanded")
+    assert first != second  # effects take turns
+
+
+def test_names_of_cases_tell_nothing():
+    plan = planned({"commanded": 40, "none": 20, "two": 5}, seed=3)
+    assert [name for name, *_ in plan] == [f"case-{number:04d}" for number in range(65)]
+    kinds = [kind for _, _, kind, _ in plan]
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {"commanded": 40, "none": 20, "two": 5}
+    assert kinds != sorted(kinds)
+    assert {effect for _, _, kind, effect in plan if kind == "commanded"} == set(CATALOGUE)  # all before any again
+    assert planned({"commanded": 40, "none": 20, "two": 5}, seed=4) != plan
+
+
+def test_commands_may_run_faster_than_the_camera():
+    seen = set()
+    for seed in range(8):
+        recording = make_case(seed, "none").recording
+        if recording.torques is None:
+            continue
+        assert np.isfinite(recording.torques).all()
+        with_points = np.isfinite(recording.keypoints).any(axis=(1, 2)).mean()
+        seen.add("faster" if with_points < 0.6 else "alike")
+    assert seen == {"faster", "alike"}
+
+
+def test_a_recording_is_what_was_filmed_and_commanded(monkeypatch, hasty):
+    filmed = []
+
+    def spy(real, time, effects, noise, seed, film=cases.film):
+        filmed.append((real, time))
+        return film(real, time, effects, noise, seed)
+
+    monkeypatch.setattr(cases, "film", spy)
+    case = make_case(3, "commanded", "viscous_friction")
+    real, time = filmed[-1]
+    seen = case.recording.keypoints[np.isin(case.recording.time, time)]
+    tips = seen[:, -case.body.num_joints :]
+    true = np.stack([np.interp(time, real.time, column) for column in real.points[:, 1:].reshape(len(real.time), -1).T])
+    error = tips.reshape(len(time), -1) - true.T
+    count = np.isfinite(error).sum()
+    assert np.nanstd(error) == pytest.approx(case.answer["noise"]["keypoint_sd"], rel=5 / np.sqrt(2 * count))
+    start = int(np.argmin(np.abs(real.command_time)))
+    given = real.command[start : start + len(case.recording.time)]
+    np.testing.assert_allclose(case.recording.torques, given, rtol=1e-6)
+
+
+def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
+    case = make_case(3, "commanded", "camera_scale")
+    (effect,) = case.answer["effects"]
+    off = abs(effect["parameters"]["scale"]["value"] - 1)
+    keypoints = case.recording.keypoints[:, -case.body.num_joints :]
+    frames = np.isfinite(keypoints).all(axis=(1, 2))
+    scale = effect["parameters"]["scale"]["value"]
+    rms = off * np.sqrt((keypoints[frames] ** 2).mean()) / scale / case.answer["noise"]["keypoint_sd"]
+    assert effect["visibility_rms"] == pytest.approx(rms, rel=0.05)
+    assert effect["dprime"] == pytest.approx(effect["visibility_rms"] * np.sqrt(keypoints[frames].size))
+
+
+@pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
+def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch):
+    """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
+    monkeypatch.setattr(cases, "TRIES", tries)
+    (effect,) = make_case(seed, "commanded", "backlash").answer["effects"]
+    assert effect["parameters"]["width"]["value"] > 0.005
+    assert effect["dprime"] < 1
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="kind of case among commanded"):
+        make_case(1, "weird")
+    with pytest.raises(ValueError, match="actuator_gain"):
+        make_case(1, "passive", "actuator_gain")
+    with pytest.raises(ValueError, match="has 2 of"):
+        make_case(1, "two", "payload")
+    with pytest.raises(ValueError, match="has 2 of"):
+        make_case(1, "two", ("gravity_tilt", "camera_roll"))
+
+
+def test_the_room_stays_independent():
+    """Reality must not know the effects that the diagnosis looks for."""
+    folder = Path(cases.__file__).parent
+    for name in (
+        "reality",
+        "mechanisms",
+        "outside",
+        "camera",
+        "motion",
+        "sizes",
+        "present",
+        "visibility",
+        "cases",
+        "sealed",
+        "softer",
+        "starts",
+    ):
+        for node in ast.walk(ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))):
+            source = getattr(node, "module", None) or ""
+            names = [alias.name for alias in getattr(node, "names", [])] if hasattr(node, "names") else []
+            imported = [source, *names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+            assert not [each for each in imported if "effects" in str(each) or "inference" in str(each)]
+
+
+def test_a_body_that_cannot_be_is_drawn_again(monkeypatch):
+    """A link that has lost more than its mass, which grown sizes may take."""
+    monkeypatch.setattr(cases, "WEAK", 10.0)
+    case = make_case(1, "weak", "inertial_error")
+    (effect,) = case.answer["effects"]
+    link = next(each for each in case.body.links if each.name == effect["link"])
+    for name in ("mass", "inertia"):
+        assert effect["parameters"][name]["value"] > -link.nominal(name)
+
+
+@pytest.mark.parametrize(
+    ("draws", "strengths"),
+    [
+        ([(5, 100)] * 10, [1, 1, 1, *(1.5**n for n in range(1, 6)), 1.5**5, 1.5**5]),  # met or not, up to the largest
+        ([(5, 100)] * 5 + [None] * 3 + [(100, 100)], [1, 1, 1, 1.5, 2.25, *[1.5**3] * 4]),  # that whirl, say nothing
+    ],
+)
+def test_only_what_is_hardly_met_is_made_larger(monkeypatch, draws, strengths):
+    """What stands beside it has its usual size in all draws."""
+    asked = []
+
+    def attempted(_, kind, names, strength):
+        asked.append(tuple(strength))
+        met = draws[len(asked) - 1] if len(asked) <= len(draws) else (100, 100)
+        return met and SimpleNamespace(answer={"effects": [{"dprime": float(each)} for each in met]})
+
+    monkeypatch.setattr(cases, "_attempt", attempted)
+    make_case(1, "two", ("backlash", "inertial_error"))
+    assert [first for first, _ in asked[: len(draws)]] == pytest.approx(strengths)
+    assert {other for _, other in asked} == {1.0}

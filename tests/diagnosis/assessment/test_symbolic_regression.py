@@ -1,0 +1,77 @@
+"""A formula for what the catalogue lacks."""
+
+import numpy as np
+import pytest
+from pendulum import ARM, recording_of
+from pyro.distributions import Normal
+
+from invdyn.diagnosis.assessment.symbolic_regression import _library, describe
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect, Parameter
+
+
+class CubicSpring(Effect):
+    """Torque −k θ³ at a joint: in no catalogue."""
+
+    def parameters(self, scale):
+        return (Parameter("stiffness", "N·m/rad³", Normal(0.0, 10.0)),)
+
+    def force(self, p, now):
+        j = self.place[0]
+        return now.at(j, -p["stiffness"] * now.q[..., j : j + 1] ** 3)
+
+
+def described(recording):
+    here = setting(recording, ARM)
+    path = gauss_newton(here.with_residual(LOOSE), here.observations).path
+    none = refine(here, (), {}, path, LOOSE)
+    return describe(here, none, none.path), here, none
+
+
+def test_a_cubic_spring_is_put_into_a_formula():
+    stiffness = 1.5
+    recording = recording_of(CubicSpring("elbow"), ARM, rows=100, effort=1.0, stiffness=stiffness)
+    formula, here, none = described(recording)
+    assert formula.variables[0] == "position:elbow"
+    first, (coefficient, sd, unit) = next(iter(formula.terms.items()))
+    assert first.endswith(" on elbow")
+    assert "θ[elbow]" in first
+    assert first in formula.text
+    assert unit in formula.text
+    assert formula.gain_per_frame > 0
+    # Whatever terms there are, they give about the torque that acted.
+    terms, features = _library(none, none.path)
+    values = {name: feature for (name, *_), feature in zip(terms, features, strict=True)}
+    said = sum(c * values[name] for name, (c, *_) in formula.terms.items() if name.endswith(" on elbow"))
+    angle = here.model.split(none.path)[1][:, 1].numpy()
+    acted = -stiffness * ((angle[1:] + angle[:-1]) / 2) ** 3
+    assert np.linalg.norm(said - acted) < 0.3 * np.linalg.norm(acted)
+    assert 0 < sd < abs(coefficient) / 3
+
+
+def test_a_coefficient_is_that_of_the_torque():
+    """Alone, and as large: a residual that decays between rows, or a motion taken at their beginning, would be off."""
+    damping = 0.3
+    rubbing = recording_of(EFFECTS["viscous_friction"]("elbow"), ARM, rows=100, effort=1.0, damping=damping)
+    formula, *_ = described(rubbing)
+    assert list(formula.terms) == ["dθ[elbow]/dt on elbow"]
+    coefficient, *_ = formula.terms["dθ[elbow]/dt on elbow"]
+    assert -coefficient == pytest.approx(damping, rel=0.05)
+
+
+def test_where_nothing_is_left_there_is_no_formula():
+    formula, *_ = described(recording_of(body=ARM, rows=60))
+    assert formula is None
+
+
+def test_a_rotor_follows_the_acceleration():
+    inertia = 0.02
+    rotor = EFFECTS["armature"]("elbow")
+    formula, *_ = described(recording_of(rotor, ARM, rows=150, effort=1.0, inertia=inertia))
+    coefficient, _, unit = formula.terms["d²θ[elbow]/dt² on elbow"]
+    assert unit == "N·m·s²/rad"
+    assert formula.variables[0] == "acceleration:elbow"
+    assert inertia / 2 < -coefficient < 2 * inertia  # terms beside it take a part

@@ -1,0 +1,332 @@
+"""Forward selection over sets of causes."""
+
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from pendulum import ARM, MANY, PENDULUM, recording_of
+
+from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.forward_step import extend
+from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.search import INSTEAD, WIDTH, _mistaken, _overtaken, _settled, search
+from invdyn.diagnosis.hypotheses.swap_step import SWAPS
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.models.effects import EFFECTS
+from invdyn.simulate import random_arm, record
+
+KEY = "joint_limit.pivot.upper"
+
+
+@cache
+def searched(name=None, *where, left_out=(), **values) -> Search:
+    bound = setting(recording_of(EFFECTS[name](*where) if name else None, **values), PENDULUM)
+    return search(bound, *data_path(bound), left_out)
+
+
+def test_no_gap_wins_where_there_is_none():
+    found = searched()
+    assert found.ranked[0].key == ""
+    assert found.ranked[0].by_size.argmax() == 0
+    assert len(found.pool) < 10  # nothing is missing that every effect would have to be tried for
+    assert {s.effect.key for s in found.first if s.effect} <= {e.key for e in found.candidates}
+
+
+def test_friction_is_named():
+    found = searched("viscous_friction", "pivot", left_out=MANY, damping=0.05)
+    best = found.ranked[0]
+    assert best.key == "viscous_friction.pivot"
+    assert abs(best.mean[0] - 0.05) < 4 * best.sd[0]
+    assert found.score(best) > found.score(found.pool[""]) + 5
+    screened = [s for s in found.first if s.effect is not None]
+    assert [s.log_evidence for s in screened] == sorted((s.log_evidence for s in screened), reverse=True)
+    # The screen has it in front already, and would have seen it at its usual size.
+    place = [s.effect.key for s in screened].index("viscous_friction.pivot")
+    assert place < 2
+    assert screened[place].dprime > 10
+
+
+def test_tissue_that_swings_is_found_whatever_the_torque():
+    """As it is seen along the data's path, tissue that follows at once explains nothing of it."""
+    tissue = EFFECTS["soft_tissue"]("elbow").softened()
+    values = {"kappa": 0.005, "damping_ratio": 0.36}
+    arm = random_arm(ARM, duration=2.0, fps=50, noise=0.0004, torque_scale=0.5, commanded=True, seed=1)
+    given = {f"effect.{tissue.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+    recording = replace(record(arm.with_effects(tissue).replace(**given), 1)[0], torques=None)
+    bound = setting(recording, ARM)
+    found = search(bound, *data_path(bound), [name for name in EFFECTS if name not in (tissue.name, "keypoint_offset")])
+    best = found.ranked[0]
+    assert best.key == tissue.key
+    assert best.effects[0].softness == 1
+    assert best.log_evidence > found.pool["keypoint_offset.elbow"].log_evidence + 1000
+    assert np.all(np.abs(best.mean - list(values.values())) < 4 * best.sd)
+
+
+def test_no_more_effects_at_once_than_asked_for():
+    """Where two are at work, both are found, and one alone where no more are asked for, which leaves something."""
+    damped, spring = EFFECTS["viscous_friction"]("pivot"), EFFECTS["joint_stiffness"]("pivot")
+    values = {f"{damped.key}.damping": 0.05, f"{spring.key}.stiffness": 1.0, f"{spring.key}.torque": 0.2}
+    arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    bound = setting(record(arm.with_effects(damped, spring).replace(**given), 0)[0], PENDULUM)
+    start, few = data_path(bound), {damped.name, spring.name, "payload", "camera_scale"}
+    struck = [name for name in EFFECTS if name not in few]
+    one = search(bound, *start, struck, most=1)
+    assert one.most == 1  # no prior for another beside it
+    assert {len(cause.effects) for cause in one.pool.values()} == {0, 1}
+    assert not one.ranked[0].complete
+    both = search(bound, *start, struck, most=2).ranked[0]
+    assert {effect.key for effect in both.effects} == {damped.key, spring.key}
+    assert both.complete
+
+
+def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
+    """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
+    tried = []
+    module = sys.modules[extend.__module__]
+    monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
+    arm = recording_of(EFFECTS["backlash"]("pivot"), width=0.1)
+    for torques, looked in ((None, False), (0 * arm.torques, True)):
+        tried.clear()
+        bound = setting(replace(arm, torques=torques), PENDULUM)
+        found = search(bound, *data_path(bound), [name for name in MANY if name != "backlash"])
+        assert ("backlash" in tried) is looked
+        if torques is None:
+            assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
+
+
+@pytest.mark.parametrize(
+    ("overtaking", "gain", "complete", "known", "looked"),
+    [
+        (("viscous_friction.pivot",), 50.0, False, False, True),
+        (("viscous_friction.pivot",), 50.0, False, True, False),  # it was extended before
+        (("viscous_friction.pivot",), -50.0, False, False, False),  # it is the best, and the next to be extended
+        (("viscous_friction.pivot",), 50.0, True, False, True),  # beside it, another might do better
+        ((KEY,), 50.0, False, False, True),
+        ((KEY,), 50.0, True, False, False),
+        ((KEY, "viscous_friction.pivot"), 50.0, True, False, True),  # and here one might be enough
+    ],
+)
+def test_the_best_single_effect_that_several_overtook_is_extended_too(
+    monkeypatch, overtaking, gain, complete, known, looked
+):
+    """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
+    extended, key = [], KEY
+    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    path, stray = data_path(bound)
+    effects = {e.key: e for e in considered(bound)}
+    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[key],)))
+    spike = np.arange(len(none.by_size)) == 0
+    none, one = replace(none, log_evidence=0.0), replace(one, log_evidence=100.0)
+    worse = replace(one, effects=(effects["payload"],), log_evidence=90.0)
+    more = (effects["payload"], *(effects[each] for each in overtaking))
+    both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
+    monkeypatch.setattr(sys.modules[search.__module__], "extend", lambda *given: extended.append(given[2:]))
+    pool = Search(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
+    before = {"", key} if known else {""}
+    _overtaken(bound, pool, before)
+    assert extended == ([(one, 4)] if looked else [])
+    assert (key in before) is (known or looked)
+
+
+@pytest.mark.parametrize(
+    ("complete", "known", "gains", "swapped", "widths"),
+    [
+        (False, False, False, False, [WIDTH[1]]),
+        (False, False, True, False, [WIDTH[1], WIDTH[2]]),  # and then what has joined it
+        (False, True, False, False, []),  # it was extended before
+        (True, False, False, False, []),
+        (False, False, False, True, [SWAPS]),  # what came in place of another
+    ],
+)
+def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gains, swapped, widths):
+    """A large effect that was reached by way of others that imitate it, which are left out then, hides a small one."""
+    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    path, stray = data_path(bound)
+    effects = {e.key: e for e in considered(bound)}
+    limit, payload, gain = (effects[key] for key in ("joint_limit.pivot.upper", "payload", "actuator_gain.pivot"))
+    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (limit,)))
+    sizes = np.where(np.arange(len(none.by_size)) == 0, 0.0 if complete else -100.0, 0.0)
+    one = replace(one, by_size=sizes, log_evidence=none.log_evidence + 500.0)
+    worse = replace(one, effects=(limit, gain), log_evidence=one.log_evidence - 50.0)
+    more = replace(one, effects=(limit, payload), log_evidence=one.log_evidence + 300.0)
+    other = replace(one, effects=(payload,), log_evidence=one.log_evidence + 100.0)
+    module, asked = sys.modules[search.__module__], []
+    pool = Search(considered(bound), {c.key: c for c in (none, one, worse)}, [], path, stray)
+
+    def extend(_, pool, base, width):
+        asked.append(width)
+        if gains:
+            pool.add(more)
+
+    monkeypatch.setattr(module, "extend", extend)
+    monkeypatch.setattr(module, "reduce", lambda *_: None)
+    monkeypatch.setattr(module, "exchange", lambda _, pool: pool.add(other) if swapped else None)
+    _settled(bound, pool, {"", worse.key, one.key} if known else {"", worse.key})
+    assert asked == widths
+
+
+def add_friction(found, complete):
+    """A best single effect, far ahead, that leaves nothing or something."""
+    none = found.pool[""]
+    friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
+    by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
+    found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=by_size))
+
+
+@pytest.mark.parametrize(
+    ("complete", "named", "looked"),
+    [(True, True, False), (True, False, True), (False, True, True)],
+)
+def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monkeypatch, complete, named, looked):
+    """Stribeck friction at more than all speeds may stand for dry friction and viscous, and leave nothing."""
+    bound = setting(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    module, asked = sys.modules[search.__module__], []
+    monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
+    monkeypatch.setattr(module, "credible", lambda *_: named)
+    monkeypatch.setattr(module, "shortened", lambda setting, _: setting)
+    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
+    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    search(bound, path, stray, MANY)
+    assert ("_several" in asked) is ("_overtaken" in asked) is looked
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
+    """An unknown torque takes errors of integration along, and is left in its own."""
+    recording = recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05)
+    bound = setting(recording if known else replace(recording, torques=None), PENDULUM)
+    path, stray = data_path(bound)
+    module, asked = sys.modules[search.__module__], []
+
+    def extend(setting, found, base, _):
+        asked.append((base.key, setting.model.substeps))
+        if not base.effects:
+            add_friction(found, False)
+
+    monkeypatch.setattr(module, "extend", extend)
+
+    def shortened(setting, _):
+        assert known
+        return setting.in_substeps(7)
+
+    monkeypatch.setattr(module, "shortened", shortened)
+    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
+    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    search(bound, path, stray, MANY)
+    own = bound.model.substeps
+    assert own != 7
+    assert asked == ([("", own), ("viscous_friction.pivot", 7)] if known else [("", own)])
+
+
+@pytest.mark.parametrize(
+    ("truth", "twin", "parameter", "value"),
+    [
+        ("gravity_tilt", "camera_roll", "angle", 0.1),
+        pytest.param("actuator_delay.pivot", "camera_latency", "delay", 0.015, marks=pytest.mark.slow),
+    ],
+)
+def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
+    name, *where = truth.split(".")
+    others = tuple(each for each in MANY if each not in (name, twin))
+    where = where if EFFECTS[name].site != "arm" else ()
+    found = searched(name, *where, left_out=others, **{parameter: value})
+    keys = [cause.key for cause in found.ranked]
+    first, second = (next(c for c in found.ranked if c.key.split(".")[0] == k.split(".")[0]) for k in (truth, twin))
+    assert abs(first.mean[0] - value) < 4 * first.sd[0]
+    # What is left between them is how likely their priors hold such a size.
+    priors = [cause.effects[0].parameters(cause.model.scale)[0].prior for cause in (first, second)]
+    unlike = [float(prior.log_prob(prior.mean.new_tensor(value))) for prior in priors]
+    assert first.log_evidence - second.log_evidence == pytest.approx(unlike[0] - unlike[1], abs=0.5)
+    assert {first.key, second.key} <= set(keys[:3])
+
+
+def test_stray_detections_are_explained_before_anything_else(monkeypatch):
+    """Under them nothing else can be told; what is refined is what may stand beside them."""
+    arm = random_arm(ARM, duration=3.0, fps=50, noise=0.001, torque_scale=1.0, commanded=True, seed=4)
+    recording = record(arm, 4)[0]
+    points = recording.keypoints.copy()
+    swapped = np.random.default_rng(1).random(len(points)) < 0.06
+    points[swapped] = points[swapped][:, ::-1]
+    bound = setting(replace(recording, keypoints=points), ARM)
+    path, stray = data_path(bound)
+    bases = []
+    extending = sys.modules[extend.__module__]
+    plain = extending.refine_promising
+    monkeypatch.setattr(
+        extending, "refine_promising", lambda s, f, base, *rest: bases.append(base.key) or plain(s, f, base, *rest)
+    )
+    found = search(bound, path, stray)
+    assert found.ranked[0].key == "label_swap.elbow.wrist"
+    assert found.ranked[0].complete
+    assert bases[0] == "label_swap.elbow.wrist"
+
+
+BENDING = EFFECTS["link_flexibility"]("forearm")
+
+
+@cache
+def bending():
+    """Setting and path of an arm whose forearm bends so much that the wrist strays from where a rigid one has it."""
+    recording = recording_of(BENDING, ARM, effort=1.0, seed=2, stiffness=0.7, damping=0.0014)
+    bound = setting(recording, ARM)
+    return bound, *data_path(bound)
+
+
+def test_what_bends_by_much_is_no_stray_detection():
+    """Stray detections gain a hundred nats, and it by itself hundreds more."""
+    bound, path, stray = bending()
+    assert stray
+    found = search(bound, path, stray, [name for name in MANY if name not in ("outliers", BENDING.name)])
+    assert found.ranked[0].key == BENDING.key
+    assert found.ranked[0].complete
+    assert found.pool["outliers"].log_evidence > found.pool[""].log_evidence + 100
+    assert found.ranked[0].log_evidence > found.pool["outliers"].log_evidence + 300
+    # The screen that the report shows is of single effects, with nothing beside them.
+    assert found.first[0].effect.key == BENDING.key
+    assert next(s for s in found.first if s.effect is None).log_evidence < found.pool["outliers"].log_evidence - 100
+
+
+@pytest.mark.parametrize(
+    ("strays", "cleared", "gain", "complete", "taken"),
+    [
+        (True, False, 500.0, True, True),
+        (True, False, 500.0, False, False),  # what it leaves may be the stray detections
+        (True, False, -500.0, True, False),
+        (True, True, 500.0, True, None),  # where stray detections leave nothing, nobody looks
+        (False, False, 500.0, True, None),  # and where there are none, all are looked at anyway
+    ],
+)
+def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
+    monkeypatch, strays, cleared, gain, complete, taken
+):
+    bound, path, stray = bending()
+    module, asked, screened = sys.modules[search.__module__], [], [None]
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    outliers, limit = (next(e for e in considered(bound) if e.name == name) for name in ("outliers", "joint_limit"))
+
+    def like(complete, *effects, nats):
+        by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
+        return replace(none, effects=effects, log_evidence=none.log_evidence + nats, by_size=by_size)
+
+    mistaken = like(cleared, outliers, nats=200.0 if strays else -200.0)
+    found = Search([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, aside=path)
+
+    def promising(_, pool, base, given, width):
+        asked.append((base.key, given, width))
+        pool.add(like(complete, limit, nats=200.0 + gain))
+
+    monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
+    monkeypatch.setattr(module, "screened_with", lambda *_: (None, screened))
+    monkeypatch.setattr(module, "refine_promising", promising)
+    _mistaken(bound, found)
+    assert asked == ([] if taken is None else [("", screened, INSTEAD)])
+    assert (limit.key in found.pool) is bool(taken)
+    assert found.first == (screened if taken else [])

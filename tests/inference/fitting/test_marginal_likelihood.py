@@ -1,0 +1,130 @@
+"""Parameters by marginal likelihood, against the Kalman filter's own on linear models."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from scipy.optimize import minimize
+
+from invdyn.inference import Free, fit
+from invdyn.inference.fitting.marginal_likelihood import _Objective
+
+F64 = torch.float64
+FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
+STEPS = 60
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return oracles.random_chain(seed=6)
+
+
+@pytest.fixture(scope="module")
+def y(chain):
+    return oracles.with_gaps(chain.simulate(STEPS, seed=6)[1])
+
+
+def negative_log_posterior(chain, y):
+    """Of φ, by the Kalman filter: factors of e^φ on the roots, e^2φ on the covariances."""
+
+    def value(phi):
+        scaled = replace(chain, Q=chain.Q * math.exp(2 * phi[0]), R=chain.R * math.exp(2 * phi[1]))
+        prior = -0.5 * ((phi[0] / 2.0) ** 2 + (phi[1] / 0.7) ** 2)
+        return -(oracles.kalman(scaled, y)[0] + prior)
+
+    return value
+
+
+def differences(function, phi, h=1e-3):
+    """Gradient and Hessian by central differences."""
+    eye = h * np.eye(len(phi))
+    gradient = np.array([function(phi + e) - function(phi - e) for e in eye]) / (2 * h)
+    hessian = np.array(
+        [
+            [function(phi + e + f) - function(phi + e - f) - function(phi - e + f) + function(phi - e - f) for f in eye]
+            for e in eye
+        ]
+    ) / (4 * h**2)
+    return gradient, hessian
+
+
+@pytest.mark.parametrize("phi", [[0.0, 0.0], [0.4, -0.3], [-0.7, 0.5]])
+def test_value_gradient_and_hessian_are_the_kalman_filters(chain, y, phi):
+    phi = np.array(phi)
+    objective = _Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None)
+    exact = negative_log_posterior(chain, y)
+    gradient, hessian = differences(exact, phi)
+    assert objective.value(phi) == pytest.approx(exact(phi), abs=1e-6)
+    # its own differences are 0.03 wide: an error of their square, and of their first power across
+    scale = np.abs(hessian).max()
+    assert objective.gradient(phi) == pytest.approx(gradient, abs=5e-3 * scale)
+    assert objective.hessian(phi) == pytest.approx(hessian, abs=0.15 * scale)
+
+
+def test_it_finds_the_kalman_filters_optimum(chain, y):
+    model = chain.model(STEPS)
+    start = model.replace(
+        transition_root=3.0 * model.parameters["transition_root"],
+        emission_root=0.4 * model.parameters["emission_root"],
+    )
+    wide = [Free(f.name, tied=True, sd=50.0) for f in FREE]
+    told = []
+    found = fit(start, torch.as_tensor(y), wide, progress=lambda *n: told.append(n))
+
+    def value(phi):
+        scaled = replace(chain, Q=chain.Q * math.exp(2 * phi[0]), R=chain.R * math.exp(2 * phi[1]))
+        return -oracles.kalman(scaled, y)[0]
+
+    best = minimize(value, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8})
+    assert found.converged
+    # it stops where no more than a fraction of a nat is to be gained
+    assert found.log_evidence == pytest.approx(-best.fun, abs=0.1)
+    reached = [
+        math.log(found.model.parameters[name][0, 0] / model.parameters[name][0, 0])
+        for name in ("transition_root", "emission_root")
+    ]
+    _, hessian = differences(value, best.x)
+    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    assert (np.abs(np.array(reached) - best.x) < 0.5 * sd).all()
+    for name, expected in zip(("transition_root", "emission_root"), sd, strict=True):
+        assert found.log_sd[name] == pytest.approx([expected], rel=0.25)
+    assert told
+    assert all(done <= total for done, total in told)
+    path, _ = oracles.rts(replace(chain, Q=chain.Q * math.exp(2 * reached[0]), R=chain.R * math.exp(2 * reached[1])), y)
+    assert found.path.numpy() == pytest.approx(path, abs=1e-6)
+
+
+def test_entries_apart():
+    """Every entry of a parameter that is not tied has its own factor."""
+    one = np.eye(2)
+    chain = oracles.Chain(0.8 * one, 0.2 * one, one, np.diag([0.04, 1.0]), np.zeros(2), one)
+    y = torch.as_tensor(chain.simulate(400, seed=0)[1])
+    model = chain.model(400)
+    start = model.replace(emission_root=0.3 * torch.eye(2, dtype=F64))
+    found = fit(start, y, [Free("emission_root")])
+    root = found.model.parameters["emission_root"]
+    assert torch.diagonal(root).tolist() == pytest.approx([0.2, 1.0], rel=0.25)
+    assert root[0, 1] == root[1, 0] == 0
+
+
+def test_nothing_to_fit_is_the_evidence(chain, y):
+    found = fit(chain.model(STEPS), torch.as_tensor(y), [])
+    assert found.log_evidence == pytest.approx(oracles.kalman(chain, y)[0], abs=1e-6)
+    assert found.converged
+
+
+def test_the_prior_holds_what_the_data_do_not_tell(chain):
+    y = np.full((STEPS, 2), np.nan)
+    y[0, 0] = 0.0
+    found = fit(chain.model(STEPS), torch.as_tensor(y), [Free("transition_root", tied=True, sd=0.5)])
+    root = found.model.parameters["transition_root"]
+    assert (root / chain.model(STEPS).parameters["transition_root"])[0, 0].item() == pytest.approx(1, abs=0.05)
+    assert found.log_sd["transition_root"] == pytest.approx([0.5], rel=0.05)
+
+
+def test_unknown_parameters_are_refused(chain, y):
+    with pytest.raises(KeyError, match=r"no parameter torque\.scale"):
+        fit(chain.model(STEPS), torch.as_tensor(y), [Free("torque.scale")])
