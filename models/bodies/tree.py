@@ -98,9 +98,14 @@ class SpatialLink:
         axes = from_axes(np.transpose([numbers(row, 3, f"{where}: rotation") for row in self.rotation]), where)
         keep(self, "rotation", tuple(map(tuple, axes.tolist())))
         sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
-        keep(self, "sites", ({self.tip: None} if self.tip is not None else {}) | sites)
-        for name in self.sites:
+        keep(self, "sites", sites)
+        for name in self.points:
             check_name(name, f"{where}: name of a site")
+
+    @property
+    def points(self) -> dict[str, Vector | None]:
+        """All of its sites by name: the tip first, as None, because it is where the length puts it."""
+        return ({} if self.tip is None else {self.tip: None}) | dict(self.sites)
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class Tree:
         kinds = {
             "link": [link.name for link in self.links],
             "joint": [link.joint.name for link in self.links],
-            "site": [site for link in self.links for site in link.sites],
+            "site": [site for link in self.links for site in (*link.sites, *([link.tip] if link.tip else []))],
         }
         for kind, names in kinds.items():
             for name in names:
@@ -157,7 +162,7 @@ class Tree:
     @cached_property
     def keypoint_names(self) -> tuple[str, ...]:
         """Names of the S sites, a link's tip first, from the first link on."""
-        return tuple(site for link in self.links for site in link.sites)
+        return tuple(site for link in self.links for site in link.points)
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
@@ -212,7 +217,7 @@ class Tree:
             com.append(drawn(self._com(link, length), link, "com"))
             inertia.append(drawn(self._inertia(link, mass[-1], length), link, "inertia", NAMES))
             position.append(drawn((stretch, 0.0, 0.0) if link.origin is None else link.origin, link, "origin"))
-            sites += [drawn((length, 0.0, 0.0) if at is None else at, link, name) for name, at in link.sites.items()]
+            sites += [drawn((length, 0.0, 0.0) if at is None else at, link, name) for name, at in link.points.items()]
         like = {"dtype": mass[0].dtype, "device": mass[0].device}
         return TreeParameters(
             mass=_stacked(mass),

@@ -101,7 +101,7 @@ def _written(link: dict) -> dict:
             values[key] = [scalar_to_table(each, key) for each in value]
         elif value is not None:
             values[key] = value if key == "tip" else scalar_to_table(value, key)
-    own = {name: [scalar_to_table(x, name) for x in at] for name, at in link["sites"].items() if at is not None}
+    own = {name: [scalar_to_table(x, name) for x in at] for name, at in link["sites"].items()}
     return values | ({"sites": own} if own else {})
 
 

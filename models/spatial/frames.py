@@ -155,7 +155,7 @@ def frames_of(tree: Tree, entry: Entry, regrouped: bool = True) -> Frames:
         carriers.append((at, axes, origin))
         if at >= 0:
             frames[at].body = joined(frames[at].body, _rigid(place, axes, origin, entry))
-        for _ in link.sites:
+        for _ in link.points:
             number = len(sites)
             sites.append((at, add(origin, apply(axes, [entry("sites", number, i) for i in range(3)]))))
     if regrouped:
