@@ -185,7 +185,7 @@ class MuJoCo:
                 f'fullinertia="{_text(p.inertia[place])}"/>'
             )
             sites = "".join(
-                f'<site name="{name}" pos="{_text(p.sites[tree.keypoint_names.index(name)])}"/>' for name in link.sites
+                f'<site name="{name}" pos="{_text(p.sites[tree.keypoint_names.index(name)])}"/>' for name in link.points
             )
             pinned = f'pos="{_text(p.position[place])}" xyaxes="{_text(pose[:, :2].T.ravel())}"'
             xml += f"<body {pinned}>{joints}{inertial}{sites}{self._bodies(tree, children, place)}</body>"

@@ -1,4 +1,4 @@
-"""Programs compiled by numba: the same numbers as torch gives, gradients where they are asked for, and a word without it."""
+"""Programs compiled by numba: torch's numbers, gradients where they are asked for, and a word without numba."""
 
 import logging
 import sys

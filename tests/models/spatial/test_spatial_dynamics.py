@@ -120,7 +120,7 @@ def test_energy_is_kept_to_the_order_of_the_integrator():
             return torch.cat([x[K:], dynamics.forward(x[:K], x[K:], rest, p)])
 
         def energy(x):
-            return dynamics.kinetic_energy(x[:K], x[K:], p) + dynamics.potential_energy(x[:4], p)
+            return dynamics.kinetic_energy(x[:K], x[K:], p) + dynamics.potential_energy(x[:K], p)
 
         before = energy(x)
         for _ in range(steps):
