@@ -39,7 +39,7 @@ def unit(values: object, count: int, what: str) -> np.ndarray:
     length = float(np.linalg.norm(vector))
     if abs(length - 1) > ROUNDED:
         raise BodyError(f"{what}: expected length 1, got length {length:.4g}; divide all of it by that")
-    return vector / length
+    return vector if abs(length - 1) < EXACT else vector / length
 
 
 def about(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -73,8 +73,10 @@ def from_axes(axes: object, what: str) -> np.ndarray:
         raise BodyError(f"{what}: expected axes at right angles to each other")
     if np.linalg.det(matrix) < 0:
         raise BodyError(f"{what}: expected right-handed axes, z = x × y, got left-handed ones; turn one round")
-    u, _, v = np.linalg.svd(matrix)  # the nearest rotation: printed digits are rounded
-    return clean(u @ v)
+    if np.abs(matrix.T @ matrix - IDENTITY).max() > EXACT:
+        u, _, v = np.linalg.svd(matrix)  # the nearest rotation: printed digits are rounded
+        matrix = u @ v
+    return clean(matrix)
 
 
 def onto(axis: np.ndarray) -> np.ndarray:
