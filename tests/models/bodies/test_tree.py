@@ -205,8 +205,8 @@ def test_inertia_is_asked_for_no_more_than_plays_a_part():
     # about one direction: its moment alone; without turns: nothing
     Tree("b", [SpatialLink("l", Joint("j"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
     Tree("b", [SpatialLink("l", Joint("j", "slide"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
+    tilted = Joint("j", axis=(math.sqrt(0.5), math.sqrt(0.5), 0.0))
     with pytest.raises(BodyError, match="moment of inertia about its hinge"):
-        tilted = Joint("j", axis=(math.sqrt(0.5), math.sqrt(0.5), 0.0))
         Tree("b", [SpatialLink("l", tilted, mass=1.0, inertia=(1, 1, 1, -2, 0, 0))])
 
 
@@ -216,7 +216,7 @@ def test_circles_and_names_used_twice():
         Tree("t", [one, two])
     for twice in ({"name": "b"}, {"joint": Joint("k")}, {"tip": "s", "length": 0.1}):
         first = dataclasses.replace(one, parent="world", **twice)
-        with pytest.raises(BodyError, match="got '[bks]' twice"):
+        with pytest.raises(BodyError, match=r"got '[bks]' twice"):
             Tree("t", [first, dataclasses.replace(two, parent=first.name, sites={"s": (0, 0, 0)})])
 
 
@@ -238,7 +238,8 @@ def test_what_a_file_cannot_say_is_said_in_one_line_with_its_name(said, tmp_path
         ("4" if "dimensions" in said else "3"),
         ("[0, -9.81]" if "gravity" in said else "[0, 0, -9.81]"),
     )
-    text = f'dimensions = {dimensions}\ngravity = {gravity}\n[[links]]\nname = "l"\njoint = "j"\nmass = 1.0\n{WRITTEN[said]}'
+    link = f'[[links]]\nname = "l"\njoint = "j"\nmass = 1.0\n{WRITTEN[said]}'
+    text = f"dimensions = {dimensions}\ngravity = {gravity}\n{link}"
     (tmp_path / "body.toml").write_text(text)
     with pytest.raises(BodyError, match=said) as caught:
         load(tmp_path / "body.toml")
