@@ -29,7 +29,7 @@ def paper_arm(gravity=(0.0, 0.0, -1.0)):
 def panda():
     """The Franka Emika Panda without its hand.
 
-    Geometry: the maker's table of Denavit and Hartenberg, modified (frankaemika.github.io/docs/control_parameters).
+    Geometry, as a modified table: joints of mujoco_menagerie/franka_emika_panda/panda_nohand.xml (Apache-2.0).
     Inertial numbers: C. Gaz, M. Cognetti, A. Oliva, P. Robuffo Giordano, A. De Luca, "Dynamic identification of the
     Franka Emika Panda robot with retrieval of feasible parameters using penalty-based optimization", IEEE Robotics and
     Automation Letters 4 (2019), as printed in franka_description/robots/fer/inertials.yaml (Apache-2.0).

@@ -109,7 +109,7 @@ def test_names_of_coordinates():
     assert tree.joint_names[6:] == ("wrist_turn1", "wrist_turn2", "wrist_turn3")
 
 
-def test_the_pandas_table_puts_its_flange_where_the_maker_says():
+def test_the_pandas_last_joint_with_all_joints_at_zero():
     # all joints at 0: straight up, d1 + d3 + d5, and back down by nothing; a7 to the front
     q = torch.zeros(7, dtype=F64)
     close(SpatialDynamics(panda()).keypoints(q, panda().parameters())[0], [0.088, 0, 0.333 + 0.316 + 0.384], 1e-12)
