@@ -74,12 +74,12 @@ def parse(content: bytes, path: str) -> dict:
 
 def write(path: str | Path, tables: dict) -> None:
     """Write tables as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
-    lines = [f"{key} = {_toml(tables[key])}" for key in ("name", "gravity", "base")]
+    lines = [f"{key} = {literal(tables[key])}" for key in ("name", "gravity", "base")]
     for link in tables["links"]:
-        values = {key: _to_table(value, key) for key, value in link.items() if value is not None}
-        lines += ["", "[[links]]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+        values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
+        lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
     if tables["uncertainty"]:
-        lines += ["", "[uncertainty]", *(f"{k} = {_toml(v)}" for k, v in tables["uncertainty"].items())]
+        lines += ["", "[uncertainty]", *(f"{k} = {literal(v)}" for k, v in tables["uncertainty"].items())]
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -88,10 +88,11 @@ def _read_link(link: dict, where: str) -> dict:
     missing = [key for key in REQUIRED if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")
-    return {k: _from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
+    return {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
 
 
-def _from_table(value: object, what: str) -> object:
+def scalar_from_table(value: object, what: str) -> object:
+    """Return a scalar of a file: a table as prior or `Learned`, all else as it is. Raises `BodyError`."""
     if not isinstance(value, dict):
         return value  # a number, which `Link` checks
     if set(value) == {"start"}:
@@ -108,7 +109,8 @@ def _from_table(value: object, what: str) -> object:
         raise BodyError(f"{what}: {error}") from None
 
 
-def _to_table(value: str | Scalar, key: str) -> object:
+def scalar_to_table(value: str | Scalar, key: str) -> object:
+    """Return what a file says of a scalar. Raises `BodyError` for a prior that no file can express."""
     if isinstance(value, Learned):
         return {"start": value.start}
     if isinstance(value, dist.Distribution):
@@ -119,11 +121,14 @@ def _to_table(value: str | Scalar, key: str) -> object:
     return value
 
 
-def _toml(value: object) -> str:
+def literal(value: object) -> str:
+    """Return a value as TOML."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON's escapes are TOML's
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
+        return "[" + ", ".join(literal(item) for item in value) + "]"
     return repr(value)
