@@ -70,7 +70,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
             axes.set_ylabel(posterior["position"].attrs["units"])
-            for space, color in enumerate((BLUE, VERMILION)):
+            for space, color in zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False):
                 draw_bands(axes, time, tips[:, :, row, space], color)
                 if "position" in observed:
                     draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)

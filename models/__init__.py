@@ -2,7 +2,7 @@
 
 from invdyn.models.articulated.arm import ArmModel
 from invdyn.models.bodies.body import Body, BodyError, BodyParameters, Learned, Link
-from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.protocol import ArticulatedBody, BodyBase
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
@@ -31,6 +31,7 @@ __all__ = [
     "ArmModel",
     "ArticulatedBody",
     "Body",
+    "BodyBase",
     "BodyError",
     "BodyParameters",
     "Dynamics",

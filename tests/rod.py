@@ -39,4 +39,4 @@ def torque_of(model, ideal, x, t=3):
     _, q, qd = ideal.split(x)
     body = ideal.body_parameters()
     drive = replace(driven(model, torch.zeros_like(q), t), body=body)
-    return model.mechanics._rubbed(*model.mechanics._smooth(drive, q, qd, 0.0))[0]
+    return model.mechanics.with_friction(*model.mechanics.smooth(drive, q, qd, 0.0))[0]

@@ -15,8 +15,8 @@ Within a step the mechanical integrator sees the torque move on a straight line 
 mean one step later; explicit Euler sees it held, as printed.
 
 The model is composed: :mod:`.timeline` the rows' clocks, :mod:`.drive` commands and motors, :mod:`.step` the mechanics
-of a row, :mod:`.state` what a state is made of, :mod:`.sight` what is seen of it. Other circumstances of the same body,
-such as an effect or another command, are another model that shares the rest.
+of a row, :mod:`.transition` how states go on, made as :mod:`.state` says, :mod:`.sight` what is seen of them. Other
+circumstances of the same body, such as an effect or another command, are another model that shares the rest.
 """
 
 import copy
@@ -24,18 +24,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.articulated.drive import Drive, Motors, RowDrive
+from invdyn.models.articulated.defaults import Value, default_parameters, shaped
+from invdyn.models.articulated.drive import Drive, Motors
 from invdyn.models.articulated.sight import Sight
 from invdyn.models.articulated.start import kinematic_paths
 from invdyn.models.articulated.state import StateLayout
 from invdyn.models.articulated.step import Mechanics
 from invdyn.models.articulated.timeline import Row, Timeline
+from invdyn.models.articulated.transition import Transition
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.registry import dynamics_for
@@ -43,14 +46,14 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition
 from invdyn.models.effects.parameters import check_tracked, hidden_scales, is_signed, parameters_of
-from invdyn.models.effects.scale import Experience, Scale, typical_torque
+from invdyn.models.effects.scale import Experience, Scale
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.observation import Observation
-from invdyn.models.shapes import by_column, join
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
-Value = Tensor | np.ndarray | float | Sequence[float]
+DERIVED = ("layout", "mechanics", "_motors", "chain", "sight")
+"""What a model makes of its parts, once it is asked for."""
 
 
 class ArmModel(StateSpaceModel):
@@ -100,41 +103,10 @@ class ArmModel(StateSpaceModel):
         self.experience = Experience()
         self.torque_size = self.torque.size(body.num_joints)
         self.observation_dim = self.observation.size
-        nominal = body.parameters()
-        self._numbers = type(nominal)
-        super().__init__(self._defaults(nominal._asdict(), typical_torque(self.dynamics, nominal)))
+        self._numbers = type(body.parameters())
+        super().__init__(default_parameters(body, self.dynamics, self.torque, self.observation))
         self.state_dim = self.layout.size
-        given = {name: self._shaped(name, value) for name, value in (parameters or {}).items()}
-        self.parameters = self.replace(**given).parameters
-
-    def _defaults(self, body: Mapping[str, Tensor], scale: Tensor) -> dict[str, Tensor]:
-        reach = self.dynamics.reach(self._numbers(**body)).item()
-
-        def constant(value: float) -> Tensor:
-            return torch.full((self.body.num_joints,), value, dtype=torch.float64)
-
-        return {
-            **{f"body.{name}": value for name, value in body.items()},
-            **self.torque.defaults(scale),
-            "noise.angle": constant(1e-3),
-            "noise.velocity": constant(1e-2),
-            "initial.angle": constant(0.0),
-            "initial.angle_scale": constant(1.0),
-            "initial.velocity": constant(0.0),
-            "initial.velocity_scale": constant(3.0),
-            **self.observation.defaults(reach),
-        }
-
-    def _shaped(self, name: str, value: Value) -> Value:
-        """A given parameter in its own shape; those that there are not are named by :meth:`replace`."""
-        if name not in self.parameters:
-            return value
-        value, own = torch.as_tensor(value, dtype=torch.float64), self.parameters[name]
-        try:
-            return value.expand_as(own).clone() if value.ndim <= own.ndim else value
-        except RuntimeError:
-            expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-            raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
+        self.parameters = self.replace(**shaped(parameters or {}, self.parameters)).parameters
 
     # -- parts ---------------------------------------------------------------------------------
     @cached_property
@@ -151,6 +123,11 @@ class ArmModel(StateSpaceModel):
     @cached_property
     def _motors(self) -> Motors:
         return Motors(self.drive, self.timeline, self.effects, self.parameters, self.body.num_joints, self.dtype)
+
+    @cached_property
+    def chain(self) -> Transition:
+        """How its states go on."""
+        return Transition(self.mechanics, self._motors, self.timeline, self.torque, self.layout, self.substeps_taken)
 
     @cached_property
     def sight(self) -> Sight:
@@ -196,7 +173,7 @@ class ArmModel(StateSpaceModel):
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
         return self.torque.unconstrained | mine | signed
 
-    def body_parameters(self):
+    def body_parameters(self) -> Any:
         """The body's numbers, each (..., own shape); those that follow from others do, effects come last."""
         return self.mechanics.body_parameters()
 
@@ -212,78 +189,33 @@ class ArmModel(StateSpaceModel):
     # -- the three distributions ---------------------------------------------------------------
     def initial(self) -> Distribution:
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
-        p = self.parameters
-        root = self.torque.stationary(self.timeline.interval(0, self.dtype), p)
-        sds = self._with_hidden("initial.hidden", p["initial.angle_scale"], p["initial.velocity_scale"])
-        return self.layout.gaussian(self.layout.at_rest(p["initial.angle"], p["initial.velocity"]), root, sds)
+        return self.chain.initial()
 
     def transition(self, state: Tensor, t: Row) -> Distribution:
         """x_t given x_{t−1} = ``state`` (..., D); event shape (D,)."""
-        p = self.parameters
-        root = self.torque.noise(self._step(t), p)
-        if (late := self.late(t)) is not None:
-            root = torch.hypot(root, late)
-        sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
-        moved = self.layout.gaussian(self.transition_mean(state, t), root, sds)
-        if self.timeline.anew is None:
-            return moved
-        return self.layout.one_or_other(self.timeline.anew[t], self._begun(t), moved)
-
-    def _begun(self, t: Row) -> Distribution:
-        """Where another recording starts: as the first one does, within about half a turn of some angles."""
-        middle, p = self.timeline.middle[t], self.parameters
-        root = self.torque.stationary(self.timeline.interval(0, self.dtype), p)
-        sds = self._with_hidden("initial.hidden", torch.full_like(middle, np.pi), p["initial.velocity_scale"])
-        return self.layout.gaussian(self.layout.at_rest(middle, torch.zeros_like(middle)), root, sds)
-
-    def transition_mean(self, state: Tensor, t: Row) -> Tensor:
-        """E[x_t | x_{t−1} = state], shape (..., D)."""
-        z, q, qd = self.layout.split(by_column(state))
-        z, hidden = z[..., : self.torque_size], z[..., self.torque_size :]
-        z_next = self.torque.mean(z, self._step(t), self.parameters)
-        return join(z_next, *self.mechanics.step(self._row(z, z_next, t), hidden, q, qd))
-
-    def _row(self, z: Tensor, z_next: Tensor, t: Row) -> RowDrive:
-        joints = self.body.num_joints
-        start, change = z[..., :joints], (z_next - z)[..., :joints]
-        if self.command is not None:
-            mean, slope = (row.to(z) for row in self.motors.row(t))
-            start, change = start + mean - slope / 2, change + slope
-        times = self.timeline.clock(t - 1, self.dtype), self.timeline.interval(t, self.dtype), self._step(t)
-        return RowDrive(start, change, self.body_parameters(), *times, self.substeps_taken)
+        return self.chain.following(state, t)
 
     def emission(self, state: Tensor, t: Row) -> Distribution:
         """What sensors show in row ``t`` given x_t = ``state``; event shape (O,)."""
         return self.sight.emission(state, t)
 
-    def acceleration(self, state: Tensor, t: Row, body) -> Tensor:
+    def transition_mean(self, state: Tensor, t: Row) -> Tensor:
+        """E[x_t | x_{t−1} = state], shape (..., D)."""
+        return self.chain.mean(state, t)
+
+    def acceleration(self, state: Tensor, t: Row, body: Any) -> Tensor:
         """θ̈ at row ``t`` in ``state``, (..., K), under the mean of the commands before and after it, which may jump."""
         return self.sight.acceleration(state, t, body)
 
     def late(self, t: Row) -> Tensor | None:
-        """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t`` and nobody was told.
-
-        None where there are none, or where a recording begins with what it knows.
-        """
-        if not (self.effects.has_late and self.torque.underway):
-            return None
-        begun = self.timeline.since[t - 1].to(self.dtype).unsqueeze(-1)
-        share = self.effects.late(self.parameters, begun, self.body.num_joints)
-        return share * self.torque.unsettled(self._step(t), self.parameters)
-
-    def _step(self, t: Row) -> Tensor:
-        """What a row's interval really takes, s."""
-        dt = self.timeline.interval(t, self.dtype)
-        return self.effects.interval(self.parameters, dt) if self.effects else dt
-
-    def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
-        return join(*(self.parameters[f"{name}.{each.key}"] for each in self.effects.hidden), angle, velocity)
+        """Sd (..., K), N·m, of what late motors still do in the step into row ``t``; see :meth:`.Transition.late`."""
+        return self.chain.late(t)
 
     # -- the same body under other circumstances -------------------------------------------------
     def _with(self, **parts: object) -> "ArmModel":
         """The model with other parts, and what follows from them made anew."""
         other = copy.copy(self)
-        for name in ("layout", "mechanics", "_motors", "sight"):
+        for name in DERIVED:
             other.__dict__.pop(name, None)
         other.__dict__.update(parts)
         return other

@@ -67,12 +67,12 @@ class Mechanics:
 
     def under(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> Tensor:
         """θ̈ (..., K) where a row begins; no hidden hinge moves."""
-        torque, own, now = self._smooth(drive, q, qd, 0.0)
+        torque, own, now = self.smooth(drive, q, qd, 0.0)
         if self.effects.bristles:
-            now = self._now(drive, q, qd, 0.0)
+            now = self.now(drive, q, qd, 0.0)
             bent = self.effects.shares(hidden)[self.effects.bristles.key]
             torque = torque + self._bending(bent, now)[0]
-        torque, own = self._rubbed(torque, own, now)
+        torque, own = self.with_friction(torque, own, now)
         return self.dynamics.forward(q, qd, torque, drive.body, own)
 
     def _moved(self, drive: RowDrive, bent: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -109,13 +109,13 @@ class Mechanics:
         """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
         held, off, first = 0.0, None, None
         if self.effects.has_friction:
-            torque, own, now = self._smooth(drive, q, qd, begun)
+            torque, own, now = self.smooth(drive, q, qd, begun)
             held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
             if first is not None and not s:
                 return first
-            torque, own, _ = self._smooth(drive, q, qd, begun + share * s)
+            torque, own, _ = self.smooth(drive, q, qd, begun + share * s)
             return self.dynamics.forward(q, qd, torque + held, drive.body, own)
 
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * drive.dt, steps)
@@ -127,12 +127,12 @@ class Mechanics:
         links, whole = hinge.chain(p, drive.body), planar_dynamics(self.body.num_joints + 1)
 
         def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
-            return self._rubbed(*self._smooth(drive, q, qd, s))
+            return self.with_friction(*self.smooth(drive, q, qd, s))
 
         def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
             if not self.effects.pulls:
                 return 0.0
-            here = self._now(drive, hinge.turned(angles), hinge.turned(rates), s)
+            here = self.now(drive, hinge.turned(angles), hinge.turned(rates), s)
             bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
             rigid = self.effects.pull(self.parameters, here)
             return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)
@@ -144,15 +144,15 @@ class Mechanics:
         """How far bristles are bent, q and q̇ one row later."""
 
         def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
-            torque, own, _ = self._smooth(drive, q, qd, s)
-            now = self._now(drive, q, qd, s)
+            torque, own, _ = self.smooth(drive, q, qd, s)
+            now = self.now(drive, q, qd, s)
             friction, rate = self._bending(bent, now)
-            torque, own = self._rubbed(torque + friction, own, now)
+            torque, own = self.with_friction(torque + friction, own, now)
             return self.dynamics.forward(q, qd, torque, drive.body, own), rate
 
         return self.effects.bristles.step(moving, hidden, q, qd, drive.dt, drive.parts)
 
-    def _smooth(
+    def smooth(
         self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor
     ) -> tuple[Tensor, Tensor | None, Situation | None]:
         """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
@@ -164,16 +164,16 @@ class Mechanics:
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
             return drive.motor(s), own, None
-        now = self._now(drive, q, qd, s)
+        now = self.now(drive, q, qd, s)
         return now.motor + self.effects.force(self.parameters, now), own, now
 
-    def _now(self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor) -> Situation:
+    def now(self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor) -> Situation:
         """The moment a share ``s`` of the row after it has begun."""
         time, elapsed = (reading + s * drive.interval for reading in drive.clock)
         step = drive.dt / drive.parts
         return Situation(q, qd, drive.motor(s), time, elapsed, step, drive.body, self.dynamics)
 
-    def _rubbed(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
+    def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
         if self.effects.has_friction:
             torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]

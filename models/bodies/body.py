@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
-from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
     KNOWN,
     QUANTITIES,
@@ -116,7 +116,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Body(ArticulatedBody):
+class Body(BodyBase):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
     Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and

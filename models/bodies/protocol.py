@@ -5,7 +5,7 @@ numbers are a named tuple of tensors, each (..., own shape); leading dimensions 
 is between a body and its dynamics (:func:`invdyn.models.dynamics.registry.dynamics_for`); a model keeps them as its
 parameters "body.<name>", and asks for no more than this.
 
-A class of its own may derive from :class:`ArticulatedBody` for what most bodies have in common.
+A class of its own derives from :class:`BodyBase` for what most bodies have in common, and writes the rest.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +19,8 @@ AXES = "xyz"
 
 class Numbers(Protocol):
     """A body's numbers: a named tuple of tensors, gravity (..., d) m/s² among them."""
+
+    _fields: ClassVar[tuple[str, ...]]
 
     @property
     def gravity(self) -> Tensor:
@@ -35,14 +37,21 @@ class Numbers(Protocol):
 class ArticulatedBody(Protocol):
     """Rigid links on joints; see the top of the file."""
 
-    space: ClassVar[int]
-    """d, coordinates of a point: 2 in the plane, 3 in space."""
-    signed: ClassVar[frozenset[str]] = frozenset({"gravity"})
-    """Numbers that may be negative."""
+    @property
+    def space(self) -> int:
+        """D, coordinates of a point: 2 in the plane, 3 in space."""
 
-    name: str
-    gravity: Sequence[float]
-    """d numbers, m/s²."""
+    @property
+    def signed(self) -> frozenset[str]:
+        """Its numbers that may be negative."""
+
+    @property
+    def name(self) -> str:
+        """Its own."""
+
+    @property
+    def gravity(self) -> Sequence[float]:
+        """The d numbers of m/s²."""
 
     @property
     def num_joints(self) -> int:
@@ -60,51 +69,99 @@ class ArticulatedBody(Protocol):
     def link_names(self) -> tuple[str, ...]:
         """Of its links."""
 
-    def parameters(self) -> Numbers:
-        """The numbers where priors stand at their means and learned ones at their starts, in float64."""
-
-    def sample(
-        self, prefix: str = "", dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
-    ) -> Numbers:
-        """The numbers with priors drawn by ``pyro.sample`` and learned ones looked up by ``pyro.param``."""
-
-    # -- what most bodies have in common -------------------------------------------------------
     @property
     def base_keypoint(self) -> str | None:
         """Name of a point that stands still at the first joint; None where there is none."""
-        return None
 
     @property
     def has_priors(self) -> bool:
         """Whether any number is a prior."""
-        return False
-
-    def with_uncertainty(self) -> Self:
-        """The body with what it states of its numbers' uncertainty made priors."""
-        return self
 
     @property
     def learned(self) -> Mapping[str, tuple[int, ...]]:
         """Entries of its numbers that are to be fitted, by the number's name."""
-        return {}
-
-    def completed(self, numbers: Any) -> Any:
-        """A model's numbers with those that follow from others made to."""
-        return numbers
-
-    def drawn(self, numbers: Any) -> dict[str, Tensor]:
-        """Of a model's numbers those that are drawn or learned, by :meth:`sample`, at Pyro's sites."""
-        return self.sample(dtype=numbers.gravity.dtype, device=numbers.gravity.device)._asdict()
 
     @property
     def hanging(self) -> Sequence[float]:
-        """K coordinates in which it is at rest, as near as it can be told without its dynamics."""
-        return [0.0] * self.num_joints
+        """K coordinates in which a simulation begins: at rest, or near it."""
+
+    def parameters(self) -> Any:
+        """The numbers where priors stand at their means and learned ones at their starts, in float64."""
+
+    def sample(
+        self, prefix: str = "", dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
+    ) -> Any:
+        """The numbers with priors drawn by ``pyro.sample`` and learned ones looked up by ``pyro.param``."""
+
+    def with_uncertainty(self) -> Self:
+        """The body with what it states of its numbers' uncertainty made priors."""
+
+    def completed(self, numbers: Any) -> Any:
+        """A model's numbers with those that follow from others made to."""
+
+    def drawn(self, numbers: Any) -> dict[str, Tensor]:
+        """Of a model's numbers those that are drawn or learned, by :meth:`sample`, at Pyro's sites."""
 
     def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
         """Its numbers (own shape) with the names of their dims, as a posterior keeps them."""
+
+
+class BodyBase:
+    """What most bodies have in common: no priors, no learned numbers, none that follow from others."""
+
+    signed: ClassVar[frozenset[str]] = frozenset({"gravity"})
+
+    @property
+    def base_keypoint(self) -> str | None:
+        """None."""
+        return None
+
+    @property
+    def has_priors(self) -> bool:
+        """No number is one."""
+        return False
+
+    @property
+    def learned(self) -> Mapping[str, tuple[int, ...]]:
+        """None."""
+        return {}
+
+    @property
+    def hanging(self: ArticulatedBody) -> Sequence[float]:
+        """All coordinates zero."""
+        return [0.0] * self.num_joints
+
+    def with_uncertainty(self) -> Self:
+        """Itself."""
+        return self
+
+    def completed(self, numbers: Any) -> Any:
+        """As they are."""
+        return numbers
+
+    def drawn(self: ArticulatedBody, numbers: Any) -> dict[str, Tensor]:
+        """All of them, where any is a prior or learned."""
+        if not (self.has_priors or self.learned):
+            return {}
+        return dict(self.sample(dtype=numbers.gravity.dtype, device=numbers.gravity.device)._asdict())
+
+    def sample(
+        self: ArticulatedBody,
+        prefix: str = "",
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str | None = None,
+    ) -> Any:
+        """The nominal numbers."""
+        numbers = self.parameters()
+        return type(numbers)(*(value.to(dtype=dtype, device=device) for value in numbers))
+
+    def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
+        """Dims are called after the number, gravity's "space"."""
         own = {name: value.detach() for name, value in numbers._asdict().items()}
-        return {name: ([f"{name}_{i}" for i in range(value.ndim)], value) for name, value in own.items()}
+        dims = {name: [f"{name}_{i}" for i in range(value.ndim)] for name, value in own.items()} | {
+            "gravity": ["space"]
+        }
+        return {name: (dims[name], value) for name, value in own.items()}
 
 
 def axes(body: ArticulatedBody) -> list[str]:

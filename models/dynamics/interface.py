@@ -18,12 +18,14 @@ A subclass writes the abstract methods; the others follow from them, by forward-
 those of a motion are asked for, and may be written out where that is faster.
 """
 
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.func import jvp
 
 
 class Dynamics(ABC):
@@ -86,12 +88,12 @@ class Dynamics(ABC):
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J θ̇, m/s, (..., S, d)."""
         q, qd = torch.broadcast_tensors(q, qd)
-        return jvp(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
+        return _jvp()(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J θ̈ + J̇ θ̇, m/s², (..., S, d)."""
         q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
-        return jvp(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))[1]
+        return _jvp()(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))[1]
 
     def torque_of(self, q: Tensor, site: int, force: Tensor, p: Any) -> Tensor:
         """Jᵀ F, N·m, (..., K), of a force (..., d) N that pulls at a site."""
@@ -109,15 +111,21 @@ class Dynamics(ABC):
         return torch.stack([self.gravity_load(there, p._replace(gravity=size * way)) for way in ways]).norm(dim=0)
 
     def reach(self, p: Any) -> Tensor:
-        """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m."""
+        """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m.
+
+        Or the largest of :meth:`levers`, where that is more.
+        """
         points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
         points = torch.cat([points, torch.zeros_like(points[:1])])
-        return torch.cdist(points, points).max()
+        return torch.maximum(torch.cdist(points, points).max(), self.levers(p).max())
 
     def levers(self, p: Any) -> Tensor:
-        """How far (K,) some site moves when a joint turns by a radian, m: what an error of a point is divided by."""
+        """How far (K,) some site moves when a joint turns by a radian, m: what an error of a point is divided by.
+
+        The largest one's stands for a joint that moves no site at zero coordinates.
+        """
         moved = self.jacobian(p.gravity.new_zeros(self.num_joints), p).norm(dim=-2).amax(0)
-        return torch.where(moved > 0, moved, self.reach(p))
+        return torch.where(moved > 0, moved, moved.max())
 
     def _check(self, **joint: Tensor) -> None:
         for name, value in joint.items():
@@ -126,3 +134,13 @@ class Dynamics(ABC):
                     f"expected {name} of shape (..., {self.num_joints}), one entry for each joint, "
                     f"got {tuple(value.shape)}"
                 )
+
+
+@cache
+def _jvp() -> Callable[..., tuple[Tensor, Tensor]]:
+    """Torch's derivative along a direction, by forward mode."""
+    with warnings.catch_warnings():
+        # At first use torch imports what it deprecates itself.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from torch._decomp import decompositions_for_jvp  # noqa: F401
+    return torch.func.jvp

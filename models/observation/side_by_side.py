@@ -13,7 +13,7 @@ from torch import Tensor
 
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob
 from invdyn.models.observation.row_distribution import RowDistribution
-from invdyn.models.shapes import common, join
+from invdyn.models.shapes import apply, common, join
 
 
 class SideBySide(RowDistribution):
@@ -51,7 +51,7 @@ class SideBySide(RowDistribution):
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the entries that are not NaN."""
         pieces = value.split(self.sizes, -1)
-        return sum(observed_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
+        return sum(_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
 
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of the parts, W as a vector where all of them are, else block by block."""
@@ -76,3 +76,12 @@ class SideBySide(RowDistribution):
     def sample(self, sample_shape=()) -> Tensor:
         """Draw rows (sample_shape, ..., O)."""
         return torch.cat([part.sample(torch.Size(sample_shape)) for part in self.parts], -1)
+
+
+def _log_prob(part: Distribution, value: Tensor) -> Tensor:
+    """Log-density (...) of one part over what was seen, without asking the device what that is."""
+    if not isinstance(part, torch.distributions.MultivariateNormal):
+        return observed_log_prob(part, value, ~torch.isnan(value))
+    whitening, constant = gaussian_rows(part, value)
+    off = torch.where(torch.isnan(value), 0.0, value - part.loc)
+    return constant - 0.5 * apply(whitening, off).square().sum(-1)

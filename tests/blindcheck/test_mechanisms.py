@@ -296,7 +296,7 @@ def test_what_a_joint_has_of_its_own_is_on_the_motor_s_side_of_its_play(name):
     rows, width = 0.005 * np.arange(101), 0.06
     commands = np.stack([1.5 * np.sin(5 * rows) + 1, 1.5 * np.cos(9 * rows)], axis=-1)
     world, rigid = World(ARM), World(ARM)
-    model = ArmModel(ARM, rows, emission=Observation(Keypoints(range(2))), command=commands)
+    model = ArmModel(ARM, rows, observation=Observation(Keypoints(range(2))), command=commands)
     given = {Backlash("elbow"): {"width": width}}
     if name != "nothing":
         MECHANISMS[name](world, *where, **parameters)

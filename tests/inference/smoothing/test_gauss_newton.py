@@ -156,7 +156,7 @@ def test_other_emissions_and_torques():
         (Observation(Keypoints([0, 1]), Encoders()), 0.01),
         (Observation(Keypoints([0, 1]), family="student_t"), 0.01),
     ):
-        model = arm(60, noise, emission=emission, torque=Matern32(), parameters={"torque.scale": 0.5})
+        model = arm(60, noise, observation=emission, torque=Matern32(), parameters={"torque.scale": 0.5})
         truth, y = model.simulate()
         y[10:14] = torch.nan
         smoother = gauss_newton(model, y)
@@ -165,7 +165,7 @@ def test_other_emissions_and_torques():
 
 
 def test_student_t_shrugs_off_stray_detections():
-    model = arm(80, 0.005, emission=Observation(Keypoints([0, 1]), family="student_t"))
+    model = arm(80, 0.005, observation=Observation(Keypoints([0, 1]), family="student_t"))
     truth, y = model.simulate()
     clean = gauss_newton(model, y).path
     y[20, 2:] += 0.5

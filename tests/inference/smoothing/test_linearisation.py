@@ -19,7 +19,7 @@ F64 = torch.float64
 def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
     """Also where the emission's Gaussian is a fit only, rows are missing, and for many paths at once."""
     options = {} if torque is None else {"torque": torque(2)}
-    model = arm(40, 0.01, emission=Observation(Keypoints([0, 1]), family=family), **options)
+    model = arm(40, 0.01, observation=Observation(Keypoints([0, 1]), family=family), **options)
     torch.manual_seed(0)
     paths, observations = model.simulate((3,))
     observations = observations[0].clone()

@@ -33,7 +33,9 @@ def arm(arm):
     def make(joints=2, rows=12, **options):
         sure = np.random.default_rng(1).uniform(0.2, 1.0, size=(rows, joints))
         return arm(
-            joints, rows, **{"emission": Observation(Keypoints(range(joints), confidence=sure), Encoders()), **options}
+            joints,
+            rows,
+            **{"observation": Observation(Keypoints(range(joints), confidence=sure), Encoders()), **options},
         )
 
     return make
@@ -140,7 +142,7 @@ def test_places_are_checked(name, arm):
         with pytest.raises(ValueError, match="two different"):
             model.with_effects(kind(effect.where[0], effect.where[0]))
     if kind.site in ("keypoint", "keypoints") and kind.side == "observation":
-        blind = arm(3, emission=Observation(Encoders()))
+        blind = arm(3, observation=Observation(Encoders()))
         with pytest.raises(ValueError, match="tracked"):
             blind.with_effects(effect)
 

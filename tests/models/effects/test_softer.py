@@ -50,7 +50,7 @@ def test_a_share_of_the_coriolis_torque_loads_a_gear(share, arm, states, having)
     _, q, qd = ideal.split(states(ideal, 50))
     qd = qd + qd.sign()  # fast enough not to stop within the sub-step
     torque, body = torch.randn(50, 2, dtype=F64), ideal.body_parameters()
-    now = model.mechanics._now(driven(model, torque), q, qd, 0.0)
+    now = model.mechanics.now(driven(model, torque), q, qd, 0.0)
     load = torque + ideal.dynamics.gravity_load(q, body) + share * ideal.dynamics.coriolis(q, qd, body)
     friction, _, _ = model.effects.friction(model.parameters, now, torque, None)
     expected = -0.2 * load[:, 0].abs() * qd[:, 0].sign()
