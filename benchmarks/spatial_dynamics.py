@@ -29,7 +29,7 @@ import torch
 from mujoco import rollout
 
 from invdyn.models.bodies.tree import Tree
-from invdyn.models.spatial.dynamics import SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state

@@ -18,7 +18,7 @@ from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.models.bodies.scalars import BodyError, Learned, prior
 from invdyn.models.bodies.tree import SpatialLink, Tree
-from invdyn.models.spatial.dynamics import SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 PLANAR = """
 name = "flat"

@@ -17,7 +17,7 @@ handed to the parent; outwards again q̈ = (τ − S·p − U·a)/D. Gravity is 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from invdyn.models.spatial.algebra import (
+from invdyn.models.dynamics.spatial.algebra import (
     ZERO,
     Matrix,
     Vector,
@@ -33,9 +33,9 @@ from invdyn.models.spatial.algebra import (
     symmetric,
     transpose,
 )
-from invdyn.models.spatial.expressions import Scalar
-from invdyn.models.spatial.frames import Frame, Frames, PlacedFrame
-from invdyn.models.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frame, Frames, PlacedFrame
+from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
 
 Pair = tuple[Vector, Vector]
 

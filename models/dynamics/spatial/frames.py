@@ -21,7 +21,7 @@ from typing import NamedTuple
 from invdyn.models.bodies.inertia import PLACES
 from invdyn.models.bodies.rotations import onto
 from invdyn.models.bodies.tree import Tree
-from invdyn.models.spatial.algebra import (
+from invdyn.models.dynamics.spatial.algebra import (
     NOTHING,
     UNIT,
     ZERO,
@@ -36,7 +36,7 @@ from invdyn.models.spatial.algebra import (
     symmetric,
     transpose,
 )
-from invdyn.models.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.expressions import Scalar
 
 Entry = Callable[..., Scalar]
 """Of a field of `TreeParameters` and the place in it: the scalar there."""

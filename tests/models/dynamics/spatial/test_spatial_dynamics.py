@@ -10,7 +10,7 @@ from trees import F64, mobile_arm, paper_arm, random_state, random_tree
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
-from invdyn.models.spatial.dynamics import Driven, SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 
 
 def learned(p):

@@ -3,10 +3,10 @@
 ∂x/∂q_j = z_j × (x − p_j) for a turn about z_j through p_j, z_j for a shift; 0 for joints that do not carry the site
 """
 
-from invdyn.models.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
-from invdyn.models.spatial.expressions import Scalar
-from invdyn.models.spatial.frames import Frames
-from invdyn.models.spatial.motion import Motion, placed
+from invdyn.models.dynamics.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frames
+from invdyn.models.dynamics.spatial.motion import Motion, placed
 
 
 def world_frames(frames: Frames, motion: Motion) -> list[tuple[Matrix, Vector]]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from invdyn.models.spatial.expressions import Expression, Graph, Node, Scalar
+from invdyn.models.dynamics.spatial.expressions import Expression, Graph, Node, Scalar
 
 
 @dataclass(frozen=True)

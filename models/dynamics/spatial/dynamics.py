@@ -20,14 +20,14 @@ from torch.autograd import forward_ad
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree, TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
+from invdyn.models.dynamics.spatial.algebra import ZERO
+from invdyn.models.dynamics.spatial.compiled import Compiled, engine
+from invdyn.models.dynamics.spatial.expressions import Graph, Scalar
+from invdyn.models.dynamics.spatial.frames import Frames, frames_of
+from invdyn.models.dynamics.spatial.motion import Motion
+from invdyn.models.dynamics.spatial.programs import Program, program
 from invdyn.models.shapes import common, join, stacked
-from invdyn.models.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
-from invdyn.models.spatial.algebra import ZERO
-from invdyn.models.spatial.compiled import Compiled, engine
-from invdyn.models.spatial.expressions import Graph, Scalar
-from invdyn.models.spatial.frames import Frames, frames_of
-from invdyn.models.spatial.motion import Motion
-from invdyn.models.spatial.programs import Program, program
 
 POSES = ((0.6, 1.1), (2.3, -0.7), (-1.9, 0.4))
 """Of coordinates, nothing special: a first value and a step, rad or m."""

@@ -5,10 +5,10 @@ forces f = I a + v ×* I v inwards; a torque is what its axis takes of the force
 Gravity is an acceleration −g of the world. Without accelerations, velocities or gravity the recursion is the shorter.
 """
 
-from invdyn.models.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
-from invdyn.models.spatial.expressions import Scalar
-from invdyn.models.spatial.frames import Frame, Frames
-from invdyn.models.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frame, Frames
+from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
 
 
 def torques(frames: Frames, motion: Motion) -> list[Scalar]:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models.spatial.programs import Program, function
+from invdyn.models.dynamics.spatial.programs import Program, function
 
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}  # not nnan and ninf: a simulation that diverges must show it
 LANES = 16

@@ -4,10 +4,10 @@ R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6. D_jk = S_j ·
 k to the world, 0 for joints on different branches.
 """
 
-from invdyn.models.spatial.algebra import Vector, add, cross
-from invdyn.models.spatial.expressions import Scalar
-from invdyn.models.spatial.frames import Frame, Frames, RigidBody, joined, moved
-from invdyn.models.spatial.motion import Motion, placed
+from invdyn.models.dynamics.spatial.algebra import Vector, add, cross
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frame, Frames, RigidBody, joined, moved
+from invdyn.models.dynamics.spatial.motion import Motion, placed
 
 
 def inertia_matrix(frames: Frames, motion: Motion) -> list[list[Scalar]]:

@@ -8,7 +8,7 @@ import torch
 from chains import assert_close as close
 from trees import mobile_arm, paper_arm, random_state
 
-from invdyn.models.spatial.dynamics import Driven, SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 
 K = 4
 
@@ -21,7 +21,7 @@ def fast():
 
 def test_the_same_as_torch(fast, caplog):
     slow, p = SpatialDynamics(paper_arm()), paper_arm().parameters()
-    caplog.set_level(logging.INFO, "invdyn.models.spatial.compiled")
+    caplog.set_level(logging.INFO, "invdyn.models.dynamics.spatial.compiled")
     state = random_state(K, 0, batch=(50,))
     close(fast.forward(*state, p), slow.forward(*state, p), 1e-9)  # thin rods: D's condition is large
     assert fast.compile_seconds["forward float64"] < 60

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from invdyn.models.spatial.algebra import ZERO, Vector, add, cross
-from invdyn.models.spatial.expressions import Scalar
-from invdyn.models.spatial.frames import Frames, PlacedFrame
+from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, cross
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frames, PlacedFrame
 
 NONE: Sequence[Scalar] = ()
 
