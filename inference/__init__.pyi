@@ -8,6 +8,8 @@ from .filters.backward_simulation import backward_simulation as backward_simulat
 from .filters.backward_simulation import genealogy as genealogy
 from .filters.bootstrap import Bootstrap as Bootstrap
 from .filters.controlled import Controlled as Controlled
+from .filters.filtering import SMCOptions as SMCOptions
+from .filters.filtering import run_filters as run_filters
 from .filters.nested import OuterWeights as OuterWeights
 from .filters.nested import outer_weights as outer_weights
 from .filters.particle_filter import ParticleFilter as ParticleFilter
@@ -21,14 +23,10 @@ from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
 from .infer import infer as infer
 from .methods.differentiate import differentiate as differentiate
-from .methods.laplace import GaussianChain as GaussianChain
 from .methods.laplace import laplace as laplace
 from .methods.nuts import nuts as nuts
 from .methods.particle_gibbs import particle_gibbs as particle_gibbs
 from .methods.registry import METHODS as METHODS
-from .methods.smc import SMCOptions as SMCOptions
-from .methods.smc import gaussian_smoother as gaussian_smoother
-from .methods.smc import run_filters as run_filters
 from .methods.smc import smc as smc
 from .methods.svi import svi as svi
 from .methods.variational_smc import vsmc as vsmc
@@ -41,6 +39,8 @@ from .posterior.posterior import save_posterior as save_posterior
 from .posterior.posterior import summarise as summarise
 from .smoothing.gauss_newton import GaussianSmoother as GaussianSmoother
 from .smoothing.gauss_newton import gauss_newton as gauss_newton
+from .smoothing.gaussian_chain import GaussianChain as GaussianChain
+from .smoothing.posterior_linearisation import gaussian_smoother as gaussian_smoother
 from .smoothing.posterior_linearisation import posterior_linearisation as posterior_linearisation
 from .task import Task as Task
 from .task import free_parameters as free_parameters

@@ -34,9 +34,10 @@ import numpy as np
 import pandas as pd
 import torch
 
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.held_out import log_score
 from invdyn.inference.methods.registry import METHODS
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare

@@ -13,10 +13,11 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, Body, Learned
 from invdyn.recordings import InputError, Recording, Truth

@@ -36,9 +36,9 @@ from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.block_filter import BLOCK, BlockFilter
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult, joined
-from invdyn.inference.methods.laplace import GaussianChain
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.models import ArmModel
 

@@ -21,8 +21,9 @@ import torch
 from scipy.signal import butter, filtfilt
 from torch import Tensor
 
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
-from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import BodyParameters, Emission, dynamics_for

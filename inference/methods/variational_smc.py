@@ -38,19 +38,20 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation, genealogy
+from invdyn.inference.filters.filtering import SMCOptions, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.fitting.identifiability import unidentified
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
-from invdyn.inference.methods.parameter_guide import Following, Uncertain
-from invdyn.inference.methods.smc import Progress, SMCOptions, gaussian_smoother, sufficient_dtype
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import combine, to_inference_data
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
-from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother, posterior_linearisation
 from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.parameter_guide import Following, Uncertain
 from invdyn.inference.variational.training import train
 from invdyn.inference.variational.vsmc import VSMC_ELBO
 from invdyn.models import StateSpaceModel

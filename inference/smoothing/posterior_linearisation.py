@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.smoothing.square_root import apply, forward_mean
 from invdyn.models.observation.missing import explained, gaussian_rows
@@ -126,3 +126,9 @@ def _recentred(linear: Linearisation, shift: np.ndarray) -> Linearisation:
         log_constant=linear.log_constant,
         V=linear.V,
     )
+
+
+def gaussian_smoother(model: StateSpaceModel, observations: Tensor, start: Tensor | None = None) -> GaussianSmoother:
+    """Gauss–Newton from ``start`` (T, D), then linearised over the posterior; raises as :func:`gauss_newton` does."""
+    smoother = gauss_newton(model, observations, start=start)
+    return posterior_linearisation(model, observations, smoother)

@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.inference.fitting.marginal_likelihood import LogParameters
-from invdyn.inference.methods.smc import gaussian_smoother
-from invdyn.inference.methods.svi import PathwiseOnly
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.path_guides import PathwiseOnly
 from invdyn.models import StateSpaceModel
 
 SITE = "log_parameters"
