@@ -14,9 +14,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-import torch
-
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, by_effect, closed, unseen
@@ -36,6 +33,7 @@ from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.models import Body
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
 
@@ -146,11 +144,12 @@ def diagnose(
 def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
     """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
-        path, stray = data_path(bound)
-        bound = finely_stepped(bound.shaped(path), path)
-        found = search(bound, path, stray, without, workers, most)
-        return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
-    except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
+        with diverging():
+            path, stray = data_path(bound)
+            bound = finely_stepped(bound.shaped(path), path)
+            found = search(bound, path, stray, without, workers, most)
+            return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
+    except Diverged as error:
         raise cannot_follow(bound) from error
 
 

@@ -41,18 +41,19 @@ class Commands(TyperGroup):
                 if error.errno == errno.EPIPE:  # whoever read our output has left
                     raise
                 _say("error", f"{error.filename}: {error.strerror}" if error.filename else error)
-            except ValueError as error:
+            except (ValueError, ArithmeticError) as error:
                 if not isinstance(error, _input_errors()):
                     raise
                 _say("error", error)
             raise typer.Exit(BAD_INPUT)
 
 
-def _input_errors() -> tuple[type[ValueError], ...]:
+def _input_errors() -> tuple[type[Exception], ...]:
     from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
+    from invdyn.models.divergence import Diverged
     from invdyn.recordings import InputError
 
-    return InputError, BodyError
+    return InputError, BodyError, Diverged
 
 
 def _say(kind: str, message: object) -> None:

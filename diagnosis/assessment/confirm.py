@@ -41,6 +41,7 @@ from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.models import ArmModel
+from invdyn.models.divergence import Diverged, diverging
 
 FILTERS, PARTICLES = 8, 20
 """Filters of a run, particles of each filter."""
@@ -110,8 +111,9 @@ def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Ten
     """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
     values, log_ratio = _draw(setting, cause, filters, seed)
     try:
-        result = _filtered(setting, cause, values, best_size(setting, cause), seed)
-    except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        with diverging():
+            result = _filtered(setting, cause, values, best_size(setting, cause), seed)
+    except (SMCFailed, Diverged):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 

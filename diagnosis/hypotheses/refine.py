@@ -31,6 +31,7 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regressio
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, log_prior, sizes, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
 
 ROUNDS = 6
@@ -97,7 +98,7 @@ def refine(
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
-            raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
+            raise Singular("the expansion about these parameters is not finite")
         mean, covariance = top.mean[0], top.covariance[0]
         target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
@@ -127,8 +128,9 @@ def refine(
         nonlocal best, worth, most_seen, step
         for done in range(most):
             try:
-                cause, target, promised = once(point, path, stiffness * size, fresh and not done)
-            except np.linalg.LinAlgError:
+                with diverging():
+                    cause, target, promised = once(point, path, stiffness * size, fresh and not done)
+            except Singular:
                 if best is None:
                     raise
                 break  # a step too far; what was found before it stands

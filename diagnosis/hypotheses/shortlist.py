@@ -20,7 +20,6 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-import torch
 
 from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import Search, imitable
@@ -31,7 +30,9 @@ from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import NotTogether
 
 T = TypeVar("T")
 
@@ -216,8 +217,11 @@ def idle(screened: Sequence[Screened]) -> float:
 
 
 def attempt(work: Callable[..., T], *arguments, **options) -> T | None:
-    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all."""
+    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all, or to
+    effects that no simulation has together.
+    """
     try:
-        return work(*arguments, **options)
-    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        with diverging():
+            return work(*arguments, **options)
+    except (Diverged, NotTogether):
         return None

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
 from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.state_space import StateSpaceModel
 
 STEP = 2e-3
@@ -133,8 +134,9 @@ class _Objective:
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         if self._known is None or self._known[0] != phi.tobytes():
             try:
-                self._known = (phi.tobytes(), self._expand(phi))
-            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                with diverging():
+                    self._known = (phi.tobytes(), self._expand(phi))
+            except Diverged:
                 if self.path is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.

@@ -21,6 +21,7 @@ from torch import Tensor
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.smoothing.square_root import apply, forward_mean
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
@@ -41,8 +42,9 @@ def posterior_linearisation(
     change = math.inf
     for _ in range(iterations):
         try:
-            refined = _one_pass(model, observations, smoother)
-        except (np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            with diverging():
+                refined = _one_pass(model, observations, smoother)
+        except Singular:
             break  # a covariance that overflowed: the previous pass is the better answer
         moved = (refined.log_evidence - smoother.log_evidence).abs().max().item()
         if not moved <= change:

@@ -3,7 +3,6 @@
 φ = centre + root u,   u ~ q(u) = N(m, S), learned;   prior of φ: N(0, diag sd²)
 """
 
-import numpy as np
 import pyro
 import torch
 from pyro.distributions import Distribution, MultivariateNormal
@@ -16,6 +15,7 @@ from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.path_guides import PathwiseOnly
 from invdyn.models import StateSpaceModel
+from invdyn.models.divergence import Diverged, diverging
 
 SITE = "log_parameters"
 
@@ -94,8 +94,9 @@ class Following(Corrected):
         key = b"".join(value.numpy().tobytes() for value in fixed.parameters.values())
         if self._known is None or self._known[0] != key:
             try:
-                smoother = gaussian_smoother(fixed, self.observations, self.smoother.path)
-            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                with diverging():
+                    smoother = gaussian_smoother(fixed, self.observations, self.smoother.path)
+            except Diverged:
                 smoother = self.smoother
             self._known = key, smoother
         return Corrected(model, self.observations, self._known[1], name=self.name).sampled(model)

@@ -23,17 +23,23 @@ PARTS = 8
 """Of a row, each with a line of its own, where a lagging command is changed further."""
 
 
+class NotTogether(ValueError):
+    """Effects that no model has at once."""
+
+
 class Composition:
     """Bound effects and the parameters that a model has for them.
 
     Args:
         effects: in any order; hooks run by :attr:`Effect.order`.
+
+    Raises NotTogether for an effect twice at a place, and for two whose hidden states move the arm.
     """
 
     def __init__(self, effects: tuple[Effect, ...] = ()):
         keys = [effect.key for effect in effects]
         if twice := {key for key in keys if keys.count(key) > 1}:
-            raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
+            raise NotTogether(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
         self.yields = any(effect.yields for effect in effects)
@@ -58,7 +64,7 @@ class Composition:
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
         if len(movers) > 1:
             keys = " and ".join(effect.key for effect in movers)
-            raise ValueError(f"expected at most one effect whose hidden states move the arm, got {keys}")
+            raise NotTogether(f"expected at most one effect whose hidden states move the arm, got {keys}")
         mover = movers[0] if movers else None
         self.hinge = mover if isinstance(mover, HiddenHinge) else None
         self.bristles = mover if isinstance(mover, Bristles) else None
