@@ -5,6 +5,7 @@ effect; a mouse's limb and an industrial arm then meet the same share of frictio
 what the effect does to the recording grows in proportion, at least to begin with.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,7 +110,7 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _stribeck(rng, s, k, a):
+def _stribeck(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     coulomb = a * between(rng, 0.03, 0.1) * s.torque[k]
     static = coulomb * rng.uniform(1.5, 3.0)
     level = {"coulomb": coulomb, "static": static, "velocity": rng.uniform(0.2, 0.6) * s.speed[k]}
@@ -120,7 +121,7 @@ def _stribeck(rng, s, k, a):
     return level | {"bristle_stiffness": stiffness, "bristle_damping": damping}
 
 
-def _limit(rng, s, k, a):
+def _limit(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     side = _sign(rng)
     # strength is how far into the stop the free motion would go
     quantile = 1 - a * rng.uniform(0.12, 0.3)
@@ -135,18 +136,18 @@ def _limit(rng, s, k, a):
     }
 
 
-def _inertial(rng, s, link, a):
+def _inertial(rng: np.random.Generator, s: Scene, link: int, a: float) -> dict[str, float]:
     mass, length, inertia = (s.body.links[link].nominal(key) for key in ("mass", "length", "inertia"))
     share = a * rng.uniform(0.1, 0.2, 3) * rng.choice([-1.0, 1.0], 3)
     return {"mass": share[0] * mass, "com": share[1] * length / 2, "inertia": share[2] * inertia}
 
 
-def _saturation(rng, s, k, a):
+def _saturation(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     u = np.abs(s.motion.command[:, k])
     return {"limit": s.peak[k] - a * (s.peak[k] - np.quantile(u, rng.uniform(0.6, 0.85)))}
 
 
-def _push(rng, s, k, a):
+def _push(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     lever = sum(link.nominal("length") for link in s.body.links[: k + 1])
     force = a * between(rng, 1.0, 4.0) * max(s.torque[0], s.inertia[0] * s.speed[0] * 2 * np.pi * _hz(s)) / lever
     angle, start = rng.uniform(0, 2 * np.pi), rng.uniform(0.15, 0.75) * s.plan.duration
@@ -159,7 +160,7 @@ def _push(rng, s, k, a):
     }
 
 
-def _base(rng, s, place, a):
+def _base(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict[str, float]:
     angle, size = rng.uniform(0, 2 * np.pi), a * between(rng, 0.01, 0.03) * s.reach
     return {
         "amplitude_x": size * np.cos(angle),
@@ -169,7 +170,7 @@ def _base(rng, s, place, a):
     }
 
 
-def _flexibility(rng, s, link, a):
+def _flexibility(rng: np.random.Generator, s: Scene, link: int, a: float) -> dict[str, float]:
     # inertia beyond the middle of the link, outstretched; weak is stiffer: the bend goes with 1/k
     far, inertia = -s.body.links[link].nominal("length") / 2, 0.0
     for n, each in enumerate(s.body.links[link:]):
@@ -182,17 +183,17 @@ def _flexibility(rng, s, link, a):
     return {"stiffness": stiffness / a, "damping": 2 * rng.uniform(0.03, 0.15) * np.sqrt(stiffness / a * inertia)}
 
 
-def _drift(rng, s, k, a):
+def _drift(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     b = a * between(rng, 0.03, 0.1) * s.torque[k] / s.speed[k]
     return {"damping": b, "slope": b * rng.uniform(1.5, 4.0) / s.plan.duration}
 
 
-def _offset(rng, s, k, a):
+def _offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     angle, size = rng.uniform(0, 2 * np.pi), a * rng.uniform(0.03, 0.1) * s.body.links[k].nominal("length")
     return {"along": size * np.cos(angle), "across": size * np.sin(angle)}
 
 
-def _tissue(rng, s, k, a):
+def _tissue(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict[str, float]:
     second = np.gradient(np.gradient(s.motion.points[:, k + 1], s.motion.time, axis=0), s.motion.time, axis=0)
     rms = np.sqrt((second**2).sum(-1).mean())
     kappa = a * rng.uniform(0.02, 0.05) * s.body.links[k].nominal("length") / rms
@@ -203,23 +204,23 @@ def _hz(s: Scene) -> float:
     return pendulum_frequency(s.body)
 
 
-def _yaw(rng, s, place, a):
+def _yaw(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict[str, float]:
     turned = {"angle": a * _sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
     return turned | _centre(rng, s)
 
 
-def _lens(rng, s, place, a):
+def _lens(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict[str, float]:
     return {"k1": a * _sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2} | _centre(rng, s)
 
 
-def _centre(rng, s):
+def _centre(rng: np.random.Generator, s: Scene) -> dict[str, float]:
     """Where the camera looks, if not at the origin: of an arm with one link, that would make another twin of it."""
     if s.body.num_joints == 1 or rng.random() > SOFTER:
         return {}
     return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
 
 
-SIZES = {
+SIZES: dict[str, Callable[..., dict[str, float]]] = {
     "viscous_friction": lambda rng, s, k, a: {"damping": a * between(rng, 0.04, 0.2) * s.torque[k] / s.speed[k]},
     "coulomb_friction": lambda rng, s, k, a: {"torque": a * between(rng, 0.04, 0.15) * s.torque[k]},
     "stribeck_friction": _stribeck,

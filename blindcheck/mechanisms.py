@@ -15,6 +15,8 @@ on its way to the motors. Joints, links and tips are counted from 0 at the base;
 """
 
 from collections import deque
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +26,16 @@ from invdyn.blindcheck.simulator import Segment, World
 ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is play between motor and link
 
 
-def set_joint(world: World, joint: int, **attributes) -> None:
+def set_joint(world: World, joint: int, **attributes: Any) -> None:
     """Set attributes of the hinge that a joint's motor drives, as mjSpec calls them."""
     world.on_spec(lambda spec: set_part(spec.joint(world.segments[world.hinge(joint)].hinge), attributes))
 
 
-def _motor(world: World, joint: int, **attributes) -> None:
+def _motor(world: World, joint: int, **attributes: Any) -> None:
     world.on_spec(lambda spec: set_part(spec.actuator(world.segments[world.hinge(joint)].hinge), attributes))
 
 
-def set_part(element, attributes: dict) -> None:
+def set_part(element: Any, attributes: dict) -> None:
     """Set attributes of a part of an MjSpec."""
     for name, value in attributes.items():
         if np.ndim(getattr(element, name)) == 1 and np.ndim(value) == 0:  # newer MuJoCos have polynomials here
@@ -61,11 +63,11 @@ def stribeck_friction(
     bristle_damping: float | None = None,
 ) -> None:
     """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇; through bristles, where they have a stiffness."""
-    if bristle_stiffness is not None:
+    if bristle_stiffness is not None and bristle_damping is not None:
         return bristles(world, joint, coulomb, static, velocity, bristle_stiffness, bristle_damping)
     set_joint(world, joint, frictionloss=static)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         model.dof_frictionloss[h] = coulomb + (static - coulomb) * np.exp(-((data.qvel[h] / velocity) ** 2))
 
@@ -76,7 +78,7 @@ def load_friction(world: World, joint: int, coefficient: float) -> None:
     """−k |τ_motor − τ_external| sgn θ̇, with τ_external what gravity, Coriolis and centrifugal forces exert."""
     set_joint(world, joint, frictionloss=1e-9)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         # qfrc_bias is the load that the motor would have to carry: minus what they exert. One step old: ½ ms
         load = data.qfrc_actuator[h] + data.qfrc_bias[h]
@@ -100,7 +102,7 @@ def joint_coupling(world: World, joint: int, stiffness: float, ratio: float) -> 
     on j, r times the opposite.
     """
 
-    def change(spec):
+    def change(spec: Any) -> None:
         tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[0.0, 0.0])
         set_part(tendon, {"stiffness": stiffness})
         tendon.wrap_joint(world.segments[world.hinge(joint)].hinge, 1.0)
@@ -112,7 +114,7 @@ def joint_coupling(world: World, joint: int, stiffness: float, ratio: float) -> 
 def joint_limit(world: World, joint: int, angle: float, stiffness: float, damping: float, side: float) -> None:
     """A spring-damper past θ_lim (side +1: above it, −1: below) that pushes and never pulls."""
 
-    def torque(t, q, qd):
+    def torque(t: float, q: np.ndarray, qd: np.ndarray) -> float:
         depth = side * (q[joint] - angle)
         return -side * max(0.0, stiffness * depth + damping * side * qd[joint]) if depth > 0 else 0.0
 
@@ -155,7 +157,7 @@ def actuator_gain(world: World, joint: int, gain: float) -> None:
 def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     """T u̇_f + u_f = u."""
 
-    def change(spec):
+    def change(spec: Any) -> None:
         motor = spec.actuator(world.segments[world.hinge(joint)].hinge)
         # not mjDYN_FILTEREXACT, whose decay over a step is exact without Runge–Kutta: with it, it decays twice, as a
         # time constant longer by half a step
@@ -174,7 +176,7 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
     """u(t − T), as a ring buffer of the steps' commands; before the first, the first."""
     ring: deque[float] = deque()
 
-    def change(i, step, u):
+    def change(i: int, step: float, u: np.ndarray) -> np.ndarray:
         if i == 0:
             ring.clear()
         ring.append(u[joint])
@@ -214,7 +216,7 @@ def torque_ripple(world: World, joint: int, amplitude: float, periods: float, ph
 def external_push(world: World, keypoint: int, force_x: float, force_y: float, start: float, stop: float) -> None:
     """A constant force at a tip during an interval, as `xfrc_applied` at the centre of mass and a torque about it."""
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         body = 1 + next(s for s, segment in enumerate(world.segments) if segment.tip == keypoint)
         # the share of this step that lies within the interval
         step = model.opt.timestep
@@ -234,7 +236,7 @@ def base_motion(world: World, amplitude_x: float, amplitude_y: float, frequency:
     amplitude, omega = np.array([amplitude_x, amplitude_y]), 2 * np.pi * frequency
     world.base_shift = lambda t: np.sin(omega * t + phase)[:, None] * amplitude
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         middle = t + model.opt.timestep / 2
         model.opt.gravity[:2] = world.gravity[:2] + omega**2 * amplitude * np.sin(omega * middle + phase)
 
@@ -259,20 +261,20 @@ def drifting_friction(world: World, joint: int, damping: float, slope: float) ->
     """−(b₀ + slope t) θ̇, never below 0."""
     set_joint(world, joint, damping=damping)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         _damp(model, world.hinge(joint), max(damping + slope * t, 0.0))
 
     world.on_step(act)
 
 
-def _damp(model, hinge: int, damping: float) -> None:
+def _damp(model: Any, hinge: int, damping: float) -> None:
     model.dof_damping[hinge] = damping
 
 
-def applied(world: World, joint: int, torque) -> None:
+def applied(world: World, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:
     """Apply `torque(t, q, qd)`, N·m, at a joint; q and qd are those of the chain's joints (K,)."""
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         driven = [world.hinge(k) for k in range(world.num_joints)]
         # the force is held over the step, so it is taken at the middle, from the last acceleration
         half = model.opt.timestep / 2

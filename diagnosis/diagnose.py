@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
@@ -114,7 +115,8 @@ def diagnose(
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
-    weighed, known = side_by_side([partial(weigh, bound, found, seed), partial(attempt, held, likely)], workers)
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    weighed, known = side_by_side(both, workers)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
     left = there.leaves
@@ -179,5 +181,7 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
     posterior = diagnosis.posterior
     if posterior is None:
         (folder / "posterior.nc").unlink(missing_ok=True)
-    parts = [] if posterior is None else [partial(save_posterior, posterior, folder / "posterior.nc")]
-    side_by_side([*parts, told], workers)
+    parts: list[Callable[[], None]] = [told]
+    if posterior is not None:
+        parts.insert(0, partial(save_posterior, posterior, folder / "posterior.nc"))
+    side_by_side(parts, workers)

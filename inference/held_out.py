@@ -11,6 +11,8 @@ good to hundredths of a nat, estimates it: so methods without a filter have a sc
 methods is what they believe. (Bootstrap filters on the tail would differ by more than the methods do.)
 """
 
+from typing import Self
+
 import arviz as az
 import numpy as np
 import torch
@@ -35,14 +37,9 @@ class Continued(StateSpaceModel):
         super().__init__({**model.parameters, "start.mean": mean, "start.root": root})
         self.model, self.first = model, first
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
-        self.num_steps = model.num_steps - first
+        self.num_steps, self.driven = model.num_steps - first, model.driven
 
-    @property
-    def driven(self) -> slice | None:
-        """The model's."""
-        return self.model.driven
-
-    def replace(self, **values: Tensor) -> "Continued":
+    def replace(self, **values: Tensor) -> Self:
         """Other values, of the whole model's parameters too."""
         other = super().replace(**values)
         other.model = self.model.replace(**{name: v for name, v in values.items() if name in self.model.parameters})

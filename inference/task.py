@@ -13,7 +13,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
@@ -168,7 +168,7 @@ def prepare(
 
 
 def _fitted(
-    problem: Problem, free: Sequence[Free], report, checkpoint: Checkpoint | None
+    problem: Problem, free: Sequence[Free], report: Report | None, checkpoint: Checkpoint | None
 ) -> tuple[ArmModel, Tensor, bool]:
     """Model, mode, and whether it converged: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:

@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
-UsageError = typer.BadParameter.__base__
+UsageError: Any = typer.BadParameter.__base__
 
 
 class Commands(TyperGroup):
@@ -28,7 +28,7 @@ class Commands(TyperGroup):
         with warnings.catch_warnings():
             # ArviZ announces its version 1.0 once a day, to whoever imports it
             warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _show_warning  # type: ignore[assignment]  # it leaves out what it does not need
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """Recordings with known truth: an arm driven by random torques, filmed with noise."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from invdyn.recordings import InputError, Recording, Truth
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
 GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
 
-PAPER = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
+PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
     "torque": OrnsteinUhlenbeck("printed", decay=6.0),
     "integrator": "euler",
     "settings": {

@@ -15,6 +15,8 @@ of this enters the likelihood.
 Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from torch import Tensor
 
@@ -53,7 +55,7 @@ def smooth_angles(
     time: np.ndarray,
     measured: np.ndarray,
     sd: np.ndarray,
-    agility=AGILITY,
+    agility: Sequence[float] | np.ndarray = AGILITY,
     wrap: bool | np.ndarray = True,
     gate: float = np.inf,
 ) -> np.ndarray:
@@ -120,7 +122,7 @@ def joint_angle_candidates(
 
 def _whirls(angles: np.ndarray) -> np.ndarray:
     """Whether angles (C, T, K) turn by more than half a turn from one row to the next, (C, 1, K)."""
-    return (np.abs(np.diff(angles, axis=1)) > np.pi).any(axis=1, keepdims=True)
+    return np.any(np.abs(np.diff(angles, axis=1)) > np.pi, axis=1, keepdims=True)
 
 
 def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:

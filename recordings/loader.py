@@ -68,7 +68,17 @@ def load(
         return recording
 
 
-def _read(path, units, fps, keypoints, joints, format, base, scale, individual) -> Recording:
+def _read(
+    path: Path,
+    units: str | None,
+    fps: float | None,
+    keypoints: Sequence[str] | None,
+    joints: Sequence[str] | None,
+    format: str | None,
+    base: str | None,
+    scale: float | None,
+    individual: str | None,
+) -> Recording:
     kind = recognise(path, format)
     form = FORMATS[kind]
     with about(path):

@@ -5,7 +5,9 @@ come with keypoints in alphabetical order. Numbers stay as in the file. https://
 """
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +56,7 @@ def read_with_movement(path: str | Path, software: str, fps: float | None, indiv
         )
 
 
-def _import_movement(path: str | Path):
+def _import_movement(path: str | Path) -> Callable[..., Any]:
     show = warnings.showwarning
     try:
         with warnings.catch_warnings():

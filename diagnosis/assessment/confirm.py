@@ -99,7 +99,7 @@ def confirm(
     if run is None:
         return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
     values, result = run
-    if before is not None:
+    if before is not None and before.result is not None:
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
     rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top]

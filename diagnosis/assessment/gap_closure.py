@@ -108,8 +108,8 @@ def by_effect(
         rest = tuple(e for e in cause.effects if e is not effect)
         lesser = found.pool.get(key_of(rest)) or attempt(without, setting, cause, effect, FIRM)
         lesser = lesser and attempt(taken, lesser)
-        scored = lesser and attempt(scores, there.setting, lesser, rows)
-        return scored and closed(nothing, everything, rows, time, seed, besides=scored)
+        scored = None if lesser is None else attempt(scores, there.setting, lesser, rows)
+        return None if scored is None else closed(nothing, everything, rows, time, seed, besides=scored)
 
     shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers)
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}

@@ -109,7 +109,7 @@ class Play:
         if width not in self.tried:
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
-        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], [width])
+        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], np.array([width]))
 
 
 def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:

@@ -70,8 +70,8 @@ def refine(
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
-    noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
-    noise = {name: float(values[name]) for name in noise}
+    searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
+    noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     integrated = dict(noise_log or {})
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
@@ -156,6 +156,7 @@ def refine(
         descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
+    assert best is not None  # a first step that fails raises
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
         if patient and not best.complete and best.log_evidence >= enough:
@@ -164,7 +165,7 @@ def refine(
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
-    if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

@@ -18,6 +18,7 @@ import secrets
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -163,7 +164,7 @@ def _sync(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _safetensors():
+def _safetensors() -> ModuleType:
     try:
         import safetensors.torch
     except ImportError:

@@ -1,7 +1,7 @@
 """Dataclasses of arrays and tensors, in one another, as tensors by dotted name: the form that checkpoints hold."""
 
 from dataclasses import fields, is_dataclass
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ import torch
 from invdyn.inference.execution.distribute import Tensors
 
 
-def flattened(record: object, prefix: str = "") -> Tensors:
+def flattened(record: Any, prefix: str = "") -> Tensors:
     """The arrays and tensors of a dataclass, and of those in it, by dotted name."""
     tensors: Tensors = {}
     for field in fields(record):
@@ -21,9 +21,9 @@ def flattened(record: object, prefix: str = "") -> Tensors:
     return tensors
 
 
-def unflattened(kind: type, tensors: Tensors, prefix: str = ""):
+def unflattened(kind: Any, tensors: Tensors, prefix: str = "") -> Any:
     """The dataclass of which :func:`flattened` is ``tensors``."""
-    values = {}
+    values: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
         if is_dataclass(hint):
             values[name] = unflattened(hint, tensors, f"{prefix}{name}.")

@@ -164,7 +164,7 @@ def _corrected(
     deviation = x - mean
     # A sliver of each coordinate's own spread keeps S regular when points lie in a plane.
     sliver = 1e-6 * np.diag(np.maximum(deviation.std(0), 1e-12))
-    S = np.linalg.qr(np.concatenate([deviation / np.sqrt(count), sliver]), mode="r").T
+    S = np.asarray(np.linalg.qr(np.concatenate([deviation / np.sqrt(count), sliver]), mode="r")).T
     z = np.linalg.solve(S, deviation.T).T
     # Hermite polynomials are orthonormal on a Gaussian cloud, so one ridge fits all coefficients.
     row, column = np.triu_indices(dim)

@@ -73,7 +73,7 @@ def _conditional_filter(
     history = History(rows, rows, chains, device)
     log_weights = torch.zeros(chains, size, dtype=torch.float64, device=device)
     itself = torch.arange(size, device=device).expand(chains, size)
-    state, twist = None, torch.zeros_like(log_weights)
+    state, twist = torch.empty(0), torch.zeros_like(log_weights)  # no state before the first row
     for t in range(rows):
         parents = itself
         if t == 0:
@@ -145,16 +145,17 @@ def run_chains(
         progress: called with (sweeps done, sweeps).
     """
     model, rows = model.to(device=options.device), observations.to(options.device)
-    guide, bridge = Bootstrap(model), None
+    guide: Proposal = Bootstrap(model)
+    bridge: Bridge | None = None
     if smoother is not None:
         guide = Controlled(model, rows, smoother)
         if len(rows) > BLOCK + 2 and options.device == "cpu":
             bridge = Bridge(model, rows, smoother, BLOCK)
-    sizes, kept = {"num_particles": options.num_particles, "threshold": options.ess_threshold}, []
+    size, threshold, kept = options.num_particles, options.ess_threshold, []
     with seeded(seed, options.device):
-        paths = first_paths(guide, rows, options.num_filters, **sizes)
+        paths = first_paths(guide, rows, options.num_filters, size, threshold=threshold)
         for number in range(sweeps):
-            paths = sweep(guide, rows, paths, **sizes)
+            paths = sweep(guide, rows, paths, size, threshold=threshold)
             if bridge is not None:
                 paths = move_blocks(bridge, paths, number % (BLOCK // 2))
             if number >= warmup:

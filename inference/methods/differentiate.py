@@ -80,7 +80,8 @@ def derivatives(
     q = np.stack([_low_passed(_onto(grid, time, a), f, interval) for a, f in zip(angle.T, cutoffs, strict=True)], -1)
     qd = np.gradient(q, interval, axis=0)
     qdd = np.gradient(qd, interval, axis=0)
-    return tuple(np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    q, qd, qdd = (np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    return q, qd, qdd
 
 
 def winter_cutoff(time: np.ndarray, angle: np.ndarray, count: int = 60) -> np.ndarray:
@@ -120,7 +121,8 @@ def _onto(grid: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
 def inverse_dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, body: BodyParameters) -> np.ndarray:
     """Net joint torques (T, K), N·m."""
     dynamics = dynamics_for(q.shape[-1])
-    return dynamics.inverse(*(torch.as_tensor(x.copy()) for x in (q, qd, qdd)), body).numpy()
+    angles, velocities, accelerations = (torch.as_tensor(x.copy()) for x in (q, qd, qdd))
+    return dynamics.inverse(angles, velocities, accelerations, body).numpy()
 
 
 @torch.no_grad()

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -111,7 +112,7 @@ def arm_problem(
     if learn_lengths:
         body = body.with_values(length=observed_lengths(recording, body))
     values = {**_start_values(body, recording.time, observations, emission), **(parameters or {})}
-    options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
         model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
     except (KeyError, ValueError) as error:

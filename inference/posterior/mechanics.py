@@ -11,6 +11,8 @@ With D(θ), c(θ), h(θ, θ̇) of the body's equation of motion D θ̈ + h + c =
     power             τ θ̇     [chain, draw, time, joint]           W
 """
 
+from typing import Any
+
 import arviz as az
 import numpy as np
 import torch
@@ -35,7 +37,7 @@ def mechanics(idata: az.InferenceData) -> xr.Dataset:
             return tensor(posterior[part].transpose("chain", "draw", "link")).unsqueeze(-2)
         return tensor(constants[part])
 
-    body = BodyParameters(*(constant(part) for part in PARTS))
+    body = BodyParameters(**{part: constant(part) for part in PARTS})
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
     dynamics = dynamics_for(q.shape[-1])
     unit = idata.attrs.get("length_unit", "m")
@@ -54,7 +56,7 @@ def mechanics(idata: az.InferenceData) -> xr.Dataset:
         "potential_energy": (frame, dynamics.potential_energy(q, body), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),
     }
-    coords = {name: posterior[name] for name in joint}
+    coords: dict[str, Any] = {name: posterior[name] for name in joint}
     coords["joint_2"] = posterior["joint"].values
     return xr.Dataset(
         {name: (dims, np.asarray(v), {"units": u}) for name, (dims, v, u) in values.items()}, coords=coords

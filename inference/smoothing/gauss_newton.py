@@ -57,9 +57,9 @@ class GaussianSmoother:
         return torch.as_tensor(forward_covariance(self.factors))
 
 
-def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
-    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) is given."""
-    if damping is not None:
+def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None) -> BackwardFactors:
+    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) and ``scale`` are given."""
+    if damping is not None and scale is not None:
         linear = _damped(linear, damping, scale)
     return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
 

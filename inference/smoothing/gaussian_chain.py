@@ -14,6 +14,8 @@ applications": affine maps compose associatively), so that it is fast and differ
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,7 +47,7 @@ class GaussianChain(TorchDistribution):
         self.loc, self.gain, self.root = loc, gain, root
         super().__init__(event_shape=loc.shape, validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "GaussianChain":
         """Independent paths; batch shape () or a plain repetition of one chain."""
         new = self._get_checked_instance(GaussianChain, _instance)
         new.loc, new.gain, new.root = self.loc, self.gain, self.root
@@ -64,7 +66,7 @@ class GaussianChain(TorchDistribution):
         innovation = torch.cat([deviation[..., :1, :, :], rest], -3)
         return torch.linalg.solve_triangular(self.root, innovation, upper=False).squeeze(-1)
 
-    def rsample(self, sample_shape=()) -> Tensor:
+    def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Reparametrised draws (…, T, D)."""
         shape = self._extended_shape(torch.Size(sample_shape))
         return self.path(torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device))
@@ -78,7 +80,7 @@ class GaussianChain(TorchDistribution):
 
     def conditional(self, t: int, before: Tensor | None) -> MultivariateNormal:
         """Distribution of x_t given x_{t−1} = ``before`` (…, D); of x_0 when t = 0."""
-        loc = self.loc[t] if t == 0 else self.loc[t] + (before - self.loc[t - 1]) @ self.gain[t].mT
+        loc = self.loc[t] if t == 0 or before is None else self.loc[t] + (before - self.loc[t - 1]) @ self.gain[t].mT
         return MultivariateNormal(loc, scale_tril=self.root[t], validate_args=False)
 
     def precision_diagonal(self) -> Tensor:

@@ -13,6 +13,7 @@ which is what lowers the variance of log Ẑ in noisy settings.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -90,10 +91,11 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     residual = torch.where(torch.isnan(observations), 0.0, observations - h).unsqueeze(-1)
     e = (whitening @ residual).squeeze(-1)
     pieces = (F, predicted - path[..., 1:, :], L, whitening @ H, e, m0, constant.sum(-1), V)
-    return Linearisation(*(piece.detach().numpy() for piece in pieces))
+    F_, a, L_, E, e_, m0_, log_constant, V_ = (piece.detach().numpy() for piece in pieces)
+    return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
 
 
-def _regress(function, mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _regress(function: Callable[[Tensor], Tensor], mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D)."""
     dim = mean.shape[-1]
     columns = root.mT.movedim(-2, 0) * dim**0.5  # (D, …, D)

@@ -32,14 +32,10 @@ class Uncertain(StateSpaceModel):
     def __init__(self, parameters: LogParameters, centre: Tensor, root: Tensor):
         super().__init__(parameters.model.parameters)
         self.log_parameters, self.centre, self.root = parameters, centre, root
+        self.driven = parameters.model.driven
         inverse = torch.linalg.inv(root)
         spread = inverse * torch.as_tensor(parameters.sd)
         self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)
-
-    @property
-    def driven(self) -> slice | None:
-        """The model's."""
-        return self.log_parameters.model.driven
 
     def phi(self, u: Tensor) -> Tensor:
         """Log-parameters (…, P) at u (…, P)."""

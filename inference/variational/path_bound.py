@@ -3,6 +3,8 @@
 bound = E_q[log p(x_{0:T}, y) − log q(x_{0:T})] ≤ log p(y),        reparametrised gradients
 """
 
+from collections.abc import Callable
+
 import pyro
 import torch
 from pyro.distributions import ImproperUniform
@@ -22,7 +24,7 @@ CUTS = 4
 """Cuts of the learning rate, after which its noise in thousands of parameters is worth a fraction of a nat."""
 
 
-def path_model(model: StateSpaceModel, observations: Tensor):
+def path_model(model: StateSpaceModel, observations: Tensor) -> Callable[[], None]:
     """The Pyro model of ``model.sequence`` with the path (…, T, D) as one site, "path": for ``PathGuide()``."""
     shape = (len(observations), model.state_dim)
 
@@ -35,7 +37,7 @@ def path_model(model: StateSpaceModel, observations: Tensor):
 
 def maximise(
     guide: PathGuide,
-    target,
+    target: Callable[[], None],
     *,
     num_particles: int = 16,
     learning_rate: float = 0.03,
@@ -77,5 +79,5 @@ def bound(guide: PathGuide, model: StateSpaceModel, observations: Tensor, num_dr
     for _ in range(10):  # a tenth at a time: in little memory
         paths = whole.sample((num_draws // 10,))
         values.append(model.log_joint(paths, observations) - whole.log_prob(paths))
-    values = torch.cat(values)
-    return values.mean().item(), values.std().item() / len(values) ** 0.5
+    every = torch.cat(values)
+    return every.mean().item(), every.std().item() / len(every) ** 0.5

@@ -21,10 +21,14 @@ A guide offers two forms of one distribution: ``guide()`` samples the whole path
 ``model.sequence`` under :func:`pyro.markov`.
 """
 
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
 import pyro
 import torch
 from pyro.distributions import Normal, TorchDistribution
 from torch import Tensor, nn
+from torch.distributions import constraints
 
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
@@ -39,22 +43,22 @@ class PathwiseOnly(TorchDistribution):
     """
 
     has_rsample = True
-    arg_constraints = {}  # noqa: RUF012
+    arg_constraints: ClassVar[dict[str, constraints.Constraint]] = {}
 
     def __init__(self, live: TorchDistribution, frozen: TorchDistribution):
         self.live, self.frozen = live, frozen
         super().__init__(live.batch_shape, live.event_shape, validate_args=False)
 
     @property
-    def support(self):
+    def support(self) -> constraints.Constraint:
         """That of the live one."""
         return self.live.support
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "PathwiseOnly":
         """Both expanded."""
         return PathwiseOnly(self.live.expand(batch_shape), self.frozen.expand(batch_shape))
 
-    def rsample(self, sample_shape=()) -> Tensor:
+    def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Reparametrised draws of ``live``."""
         return self.live.rsample(sample_shape)
 

@@ -197,13 +197,18 @@ class Effect(ABC):
         """One instance for every place of ``body`` at which the effect can act, in every form; ``keypoints`` are those
         tracked.
         """
-        places = {
+        places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
             "pair": list(pairwise(body.joint_names)),
             "keypoint": [(name,) for name in keypoints],
             "link": [(link.name,) for link in body.links],
-        }.get(cls.site, [(name,) for name in body.joint_names])
-        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
+        }
+        joints: list[tuple[str, ...]] = [(name,) for name in body.joint_names]
+        return [
+            cls(*place, *form)
+            for form in ((), *((word,) for word in cls.forms))
+            for place in places.get(cls.site, joints)
+        ]
 
     @abstractmethod
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

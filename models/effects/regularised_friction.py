@@ -40,7 +40,7 @@ class Rubbing(Effect):
     longest: ClassVar[float] = ABRUPT
     softens: ClassVar[bool] = True
 
-    def softened(self) -> Self | Bristles | None:
+    def softened(self) -> Self | Bristles | None:  # type: ignore[override]  # its softest form is a class of its own
         """The ideal law's is soft, and that one's has bristles."""
         return Bristles(self.ideal()) if self.soft else super().softened()
 
