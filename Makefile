@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
-	@echo "make lint     check style and format"
+	@echo "make lint     check style, format and types"
 	@echo "make install  everything for development into $(VENV)"
 	@echo "make clean    remove $(VENV) and the demo"
 	@echo "PYTHON=python3.12 chooses another interpreter (3.11 or newer) for $(VENV)."
@@ -28,6 +28,7 @@ test: $(VENV)/.development
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 clean:
 	rm -rf $(VENV) demo

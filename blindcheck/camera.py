@@ -16,7 +16,7 @@ The rate of the clock is no matter of the picture: it scales every time in the t
 Shapes: T frames, P = K + 1 points, the base and the K tips.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -55,9 +55,10 @@ def film(
     points = points + sd[..., None] * stream("noise").standard_normal(points.shape)
     if "label_swap" in present:
         place, parameters = present["label_swap"]
+        place = place or 0
         one, other = place + 1, (place if place else 2)  # a tip and its neighbour; the base is never mistaken
         swapped = stream("label_swap").random(len(points)) < parameters["rate"]
-        points[np.ix_(swapped, [one, other])] = points[np.ix_(swapped, [other, one])]
+        points[np.ix_(swapped, np.array([one, other]))] = points[np.ix_(swapped, np.array([other, one]))]
     if "outliers" in present:
         _, parameters = present["outliers"]
         rng = stream("outliers")
@@ -66,7 +67,7 @@ def film(
     return points
 
 
-def capture_times(time: np.ndarray, present: Mapping, stream) -> np.ndarray:
+def capture_times(time: np.ndarray, present: Mapping, stream: Callable[[str], np.random.Generator]) -> np.ndarray:
     """When each frame (T,) was really taken, but for the rolling shutter."""
     when = time
     if "camera_latency" in present:

@@ -17,6 +17,7 @@ import json
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: Sequence[float]) -> Case | None:
+def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray) -> Case | None:
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
@@ -155,7 +156,7 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
     real = play(world, nominal, plan, pace(present))
     if _wild(real) or ("joint_coupling" in names and not _unambiguous(real)):
         return None
-    answer = {
+    answer: dict[str, Any] = {
         "kind": kind,
         "regime": regime,
         "effects": [

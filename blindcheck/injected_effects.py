@@ -46,7 +46,7 @@ def world_with(body: Body, present: Sequence[Present], s: Scene) -> World:
     world = World(body)
     for each in sorted(present, key=lambda e: e.name not in FIRST):
         if each.name in OUTSIDE:
-            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place))
+            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place or 0))
         elif each.name in MECHANISMS:
             where = () if each.place is None else (each.place,)
             MECHANISMS[each.name](world, *where, **each.parameters)

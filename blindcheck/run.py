@@ -156,6 +156,8 @@ class BlindRun:
 
         `oracle`: diagnose once more with all but the true effects struck from the catalogue.
         """
+        if self._sealed is None:
+            raise RuntimeError("there is nothing to score before make()")
         # read before the answers open: what a method left running could change its own by them
         before, found = digest(self.folder / "diagnoses"), self._read("diagnoses")
         answers = self._sealed.open_to(self.folder / "answers.json")
@@ -266,8 +268,8 @@ def _each(
     # spawned: a fork of a process with torch's threads may hang
     context = multiprocessing.get_context("spawn")
     # whoever interrupts reaches the children too, who would each print a traceback
-    deaf = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, **deaf) as pool:
+    deaf = signal.SIGINT, signal.SIG_IGN
+    with ProcessPoolExecutor(min(workers, len(jobs)), context, signal.signal, deaf) as pool:
         names = {pool.submit(work, *job): name for name, job in jobs.items()}
         try:
             for number, future in enumerate(as_completed(names), 1):

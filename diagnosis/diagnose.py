@@ -14,9 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-
-import numpy as np
-import torch
+from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
@@ -39,6 +37,7 @@ from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.models import Body
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
 
@@ -140,8 +139,8 @@ def diagnose(
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
-    parts = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
-    weighed, known = side_by_side(parts, workers, allowed)
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
     left = there.leaves
@@ -171,13 +170,12 @@ def diagnose(
 def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
     """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
-        path, stray = data_path(bound)
-        bound = finely_stepped(bound.shaped(path), path)
-        found = search(bound, path, stray, without, workers, most)
-        return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
-    except InputError:
-        raise
-    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:  # ValueError: no finite density
+        with diverging():
+            path, stray = data_path(bound)
+            bound = finely_stepped(bound.shaped(path), path)
+            found = search(bound, path, stray, without, workers, most)
+            return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
+    except Diverged as error:
         raise cannot_follow(bound) from error
 
 
@@ -207,5 +205,7 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
     posterior = diagnosis.posterior
     if posterior is None:
         (folder / "posterior.nc").unlink(missing_ok=True)
-    parts = [] if posterior is None else [partial(save_posterior, posterior, folder / "posterior.nc")]
-    side_by_side([*parts, told], workers)
+    parts: list[Callable[[], None]] = [told]
+    if posterior is not None:
+        parts.insert(0, partial(save_posterior, posterior, folder / "posterior.nc"))
+    side_by_side(parts, workers)

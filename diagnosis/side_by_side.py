@@ -12,9 +12,9 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from multiprocessing.connection import Connection
-from multiprocessing.context import BaseContext
+from multiprocessing.context import ForkContext
 from multiprocessing.sharedctypes import Synchronized
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -22,7 +22,7 @@ from invdyn.diagnosis.budget import Budget
 
 T = TypeVar("T")
 
-Answers = dict[int, tuple[bool, object]]
+Answers = dict[int, tuple[bool, Any]]
 """By the number of a part: whether it was done, and its result, or what it raised."""
 
 
@@ -77,7 +77,7 @@ def _next(turn: Synchronized) -> int:
 
 
 def _begun(
-    context: BaseContext, parts: Sequence[Callable[[], T]], turn: Synchronized
+    context: ForkContext, parts: Sequence[Callable[[], T]], turn: Synchronized
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)
     child = context.Process(target=_work, args=(parts, turn, outbox), daemon=True)

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 BAD_INPUT, INTERRUPTED = 2, 130
 LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
-UsageError = typer.BadParameter.__base__
+UsageError: Any = typer.BadParameter.__base__
 
 
 class Commands(TyperGroup):
@@ -29,7 +29,7 @@ class Commands(TyperGroup):
         with warnings.catch_warnings():
             # ArviZ announces its version 1.0 once a day, to whoever imports it
             warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _show_warning  # type: ignore[assignment]  # it leaves out what it does not need
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt:
@@ -42,18 +42,19 @@ class Commands(TyperGroup):
                 if error.errno == errno.EPIPE:  # whoever read our output has left
                     raise
                 _say("error", f"{error.filename}: {error.strerror}" if error.filename else error)
-            except ValueError as error:
+            except (ValueError, ArithmeticError) as error:
                 if not isinstance(error, _input_errors()):
                     raise
                 _say("error", error)
             raise typer.Exit(BAD_INPUT)
 
 
-def _input_errors() -> tuple[type[ValueError], ...]:
+def _input_errors() -> tuple[type[Exception], ...]:
     from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
+    from invdyn.models.divergence import Diverged
     from invdyn.recordings import InputError
 
-    return InputError, BodyError
+    return InputError, BodyError, Diverged
 
 
 def _say(kind: str, message: object) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def load_recording(
     body_lengths: bool,
     as_filmed: bool = False,
     frames: str = ":",
-    **options: object,
+    **options: Any,
 ) -> Recording:
     """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
 
@@ -116,12 +117,12 @@ def load_recording(
 
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     """Only the keypoints of those numbers."""
-    order, confidence = list(order), recording.confidence
+    places, confidence = list(order), recording.confidence
     return replace(
         recording,
-        keypoints=recording.keypoints[:, order],
-        keypoint_names=tuple(recording.keypoint_names[place] for place in order),
-        confidence=None if confidence is None else confidence[:, order],
+        keypoints=recording.keypoints[:, places],
+        keypoint_names=tuple(recording.keypoint_names[place] for place in places),
+        confidence=None if confidence is None else confidence[:, places],
     )
 
 

@@ -1,10 +1,10 @@
 """Options that commands share: a dataclass whose fields are options, spread into a command by a decorator."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, fields
-from functools import wraps
+from functools import update_wrapper
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -96,7 +96,7 @@ class Inference(Recorded):
         from invdyn.models import FAMILIES, TORQUE_PROCESSES
         from invdyn.recordings import InputError
 
-        named = [("method", method, METHODS) for method in methods]
+        named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
         named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.noise, FAMILIES)]
         for what, given, known in named:
             if given not in known:
@@ -246,12 +246,12 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     rest = [one for one in shared if one not in required]
     parameters = [*required, *(one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own), *rest]
 
-    @wraps(command)
     def spread_command(**options: Any) -> None:
         given = group(**{name: options.pop(name) for name in kinds})
         command(given, **options)
 
-    spread_command.__signature__ = inspect.Signature(parameters)
+    update_wrapper(spread_command, command)
+    vars(spread_command)["__signature__"] = inspect.Signature(parameters)
     spread_command.__annotations__ = {one.name: hints.get(one.name, one.annotation) for one in parameters}
-    del spread_command.__wrapped__
+    del vars(spread_command)["__wrapped__"]
     return spread_command

@@ -44,7 +44,7 @@ class Outputs:
             write_table(curves(idata), self.csv)
         if self.sto is not None:
             low, _, median, _, high = quantiles(idata, "torque")
-            time, joints = idata.posterior["time"].values, idata.posterior["joint"].values
+            time, joints = idata["posterior"]["time"].values, idata["posterior"]["joint"].values
             write_moments(self.sto, time, median, low, high, [str(joint) for joint in joints])
         if self.figure is not None:
             save_figure(plot_posterior(idata), self.figure)
@@ -131,10 +131,10 @@ def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
     """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, angle, velocity."""
-    columns = {"time": idata.posterior["time"].values}
+    columns = {"time": idata["posterior"]["time"].values}
     for quantity in ("torque", "angle", "velocity"):
         low, _, median, _, high = quantiles(idata, quantity)
-        for number, joint in enumerate(idata.posterior["joint"].values):
+        for number, joint in enumerate(idata["posterior"]["joint"].values):
             for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
                 columns[f"{joint}_{quantity}{suffix}"] = values[:, number]
     return columns

@@ -1,6 +1,7 @@
 """Recordings with known truth: an arm driven by random torques, filmed with noise."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own err
 MOST_FRAMES = 1_000_000  # nine hours of film
 GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
 
-PAPER = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
+PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
     "torque": OrnsteinUhlenbeck("printed", decay=6.0),
     "integrator": "euler",
     "settings": {

@@ -45,6 +45,8 @@ def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Re
 
 
 def _read_deeplabcut(path: Path, fps: float | None, individual: str | None) -> Recording:
+    if fps is None:
+        raise InputError("a DeepLabCut file does not say its frame rate: pass --fps, frames a second")
     read = read_deeplabcut_h5 if path.suffix.lower() in (".h5", ".hdf5") else read_deeplabcut_csv
     return read(path, fps, individual)
 

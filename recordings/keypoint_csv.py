@@ -115,7 +115,7 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
         near = difflib.get_close_matches("time", columns, 1)
         hint = f"; rename {near[0]!r}?" if near else ", in seconds"
         raise InputError(f"no column 'time'{hint}")
-    found = [tuple(c.rpartition("_")[::2]) for c in columns if c != "time"]
+    found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c != "time")]
     for stem, suffix in found:
         if not stem or suffix not in SUFFIXES:
             stems = {s for s, _ in found if s} | {*keypoints, *joints}
@@ -124,7 +124,7 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
             near = whole[0] if whole else nearest(column, known)
             raise InputError(
-                f"unknown column {column!r}; the closest known is {near!r} "
+                f"unknown column {column!r}; the closest known is {nearest!r} "
                 f"(known are time and <name>_{', _'.join(SUFFIXES)})"
             )
     return found

@@ -82,16 +82,16 @@ def load(
 
 
 def read_file(
-    path,
-    units=None,
-    fps=None,
-    keypoints=None,
-    joints=None,
-    format=None,
-    base=None,
-    scale=None,
-    individual=None,
-    plane=None,
+    path: Path,
+    units: str | None = None,
+    fps: float | None = None,
+    keypoints: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,
+    format: str | None = None,
+    base: str | None = None,
+    scale: float | None = None,
+    individual: str | None = None,
+    plane: str | None = None,
 ) -> Recording:
     """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
     check_readable(path)

@@ -6,7 +6,9 @@ PyTables, which runs what is in it, so that :mod:`.deeplabcut` does it instead).
 """
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +56,7 @@ def read_with_movement(path: str | Path, software: str, fps: float | None, indiv
         )
 
 
-def _import_movement(path: str | Path):
+def _import_movement(path: str | Path) -> Callable[..., Any]:
     show = warnings.showwarning
     try:
         with warnings.catch_warnings():

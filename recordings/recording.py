@@ -6,6 +6,7 @@ space axes (x right, y up in 2-D; z up in 3-D), K joints.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -148,13 +149,11 @@ class Recording:
 
     def at(self, frames: slice | np.ndarray) -> "Recording":
         """Some frames, a slice or a mask (T,); times stay. Raises InputError if under 2 remain."""
-        return replace(
-            self,
-            **{
-                field: None if (value := getattr(self, field)) is None else value[frames]
-                for field in ("time", "keypoints", "confidence", "angles", "torques")
-            },
-        )
+        chosen: dict[str, Any] = {
+            field: None if (value := getattr(self, field)) is None else value[frames]
+            for field in ("time", "keypoints", "confidence", "angles", "torques")
+        }
+        return replace(self, **chosen)
 
     def relative_to(self, keypoint: str) -> "Recording":
         """Every keypoint less that one's track, frame by frame; where it is missing, all are."""

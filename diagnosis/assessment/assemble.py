@@ -1,7 +1,8 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -33,8 +34,9 @@ from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.problem.cause import Refined
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.noise import is_noise
+from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.models import Body
+from invdyn.models import ArmModel, Body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
@@ -67,7 +69,7 @@ def assembled(
     after, after_sd, path = residual(bound, best)
     _, q, qd = best.model.split(path)
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    parts = [  # what takes longest first
+    parts: list[Callable[[], Any]] = [  # what takes longest first
         partial(replay, best.model, path, bound.starts),
         partial(replay, model, _without_hidden(model, path), bound.starts),
         partial(residual, bound, none),
@@ -97,9 +99,7 @@ def assembled(
     nothing = weighed.causes.get("", (none, 0.0))[1]
     rivals = _ambiguous(causes)
     joints = body.joint_names
-    visibility = tuple(
-        Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
-    )
+    visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
     probability, limit = 1.0 - nothing, tolerated(bound, unexplained, tolerance)
     large = matters(bound, none, best, before, limit)
     return Diagnosis(
@@ -168,9 +168,7 @@ def assembled(
             residual_after_sd=after_sd,
             frame_gap=frame_gap,
         ),
-        screened=tuple(
-            (key(s.effect), float(s.log_evidence - _nothing(found))) for s in found.first if s.effect is not None
-        ),
+        screened=tuple((key(s.effect), float(s.log_evidence - _nothing(found))) for s in added(found.first)),
         visibility=visibility,
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
@@ -184,7 +182,7 @@ def _unseen(bound: Setting, found: Search) -> set[str]:
     Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
     """
     unknown, body = bound.regime == "unknown_torque", bound.model.body
-    shown = [s for s in found.first if s.effect is not None]
+    shown = added(found.first)
     unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
     if bound.regime != "commanded":
         everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
@@ -201,7 +199,7 @@ def _nothing(found: Search) -> float:
     return next(s.log_evidence for s in found.first if s.effect is None)
 
 
-def _without_hidden(model, path: torch.Tensor) -> torch.Tensor:
+def _without_hidden(model: ArmModel, path: torch.Tensor) -> torch.Tensor:
     extra = path.shape[-1] - model.state_dim
     return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
 

@@ -7,6 +7,7 @@ else than the run. T rows, K joints, P tracked keypoints; SI units and radians.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -270,7 +271,7 @@ class Diagnosis:
         }
 
 
-def _finite(value):
+def _finite(value: Any) -> Any:
     """The same with None for numbers that are not finite, which JSON lacks."""
     if isinstance(value, dict):
         return {name: _finite(each) for name, each in value.items()}

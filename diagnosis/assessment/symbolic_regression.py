@@ -135,14 +135,15 @@ def _is_product(name: str) -> bool:
     return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
-def _library(cause: Refined, path: Tensor):
+def _library(cause: Refined, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
     """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))
     time = model.time.numpy() - model.time[0].item()
     u = np.zeros_like(q) if model.command is None else model.command.numpy()
     qdd = np.diff(qd, axis=0) / np.diff(time)[:, None]
-    motion = Motion(*((x[1:] + x[:-1]) / 2 for x in (q, qd)), qdd, u[:-1], (time[1:] + time[:-1]) / 2)
+    angle, velocity, middle = ((x[1:] + x[:-1]) / 2 for x in (q, qd, time))
+    motion = Motion(angle, velocity, qdd, u[:-1], middle)
     terms, features = [], []
     joints = model.body.joint_names
     for joint, acts_on in enumerate(joints):
@@ -175,7 +176,7 @@ def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray)
     return np.logaddexp.reduce([_at(whitened, g, sets, sd).log_evidence for g in range(len(whitened.sizes))])
 
 
-def _held_out_gain(whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
+def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
     """Nats a frame that the last third of the rows gains, with coefficients from the first two."""
     rows = whitened.columns[size]
     cut = int(SHARE * len(rows))

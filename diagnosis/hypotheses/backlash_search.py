@@ -110,7 +110,7 @@ class Play:
             self.setting.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
-        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], [width])
+        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], np.array([width]))
 
 
 def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:

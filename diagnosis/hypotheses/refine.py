@@ -31,6 +31,7 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regressio
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, log_prior, sizes, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
 
 ROUNDS = 6
@@ -73,8 +74,8 @@ def refine(
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
     setting.budget.ask(key_of(effects) or "no effect")
-    noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
-    noise = {name: float(values[name]) for name in noise}
+    searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
+    noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     integrated = dict(noise_log or {})
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
@@ -103,7 +104,7 @@ def refine(
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
-            raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
+            raise Singular("the expansion about these parameters is not finite")
         mean, covariance = top.mean[0], top.covariance[0]
         target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
@@ -135,8 +136,9 @@ def refine(
             if best is not None and setting.budget.over:
                 break
             try:
-                cause, target, promised = once(point, path, stiffness * size, fresh and not done)
-            except np.linalg.LinAlgError:
+                with diverging():
+                    cause, target, promised = once(point, path, stiffness * size, fresh and not done)
+            except Singular:
                 if best is None:
                     raise
                 break  # a step too far; what was found before it stands
@@ -162,6 +164,7 @@ def refine(
         descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
+    assert best is not None  # a first step that fails raises
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
         if patient and not best.complete and best.log_evidence >= enough and not setting.budget.over:
@@ -170,7 +173,7 @@ def refine(
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
-    if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

@@ -29,10 +29,11 @@ Everything that was refined stays in the pool, so that what the data cannot tell
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from torch import Tensor
 
@@ -154,7 +155,7 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
         aside = led(usual, setting.model, path, FIRM)
         return aside, attempt(refine, setting, (), {}, aside, FIRM)
 
-    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
+    starts: list[Callable[[], Any]] = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
     if setting.regime != "unknown_torque":
         starts.append(partial(attempt, along_its_own))
     none, *rest = side_by_side(starts, workers, setting.budget)
@@ -203,7 +204,7 @@ def _mistaken(setting: Setting, found: Search) -> None:
     from where the simulation has it, too, and among stray detections nothing shows of that.
     """
     none = found.pool[""]
-    for path in (found.aside, found.path):
+    for path in (path for path in (found.aside, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
             base = none.moved_to(none.model, path)
             if (cause := attempt(refine_searched, setting, base, effect)) is not None:

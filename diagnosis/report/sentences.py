@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import Cause, Diagnosis, named
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
 from invdyn.diagnosis.report.numbers import handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
@@ -33,7 +33,7 @@ def alike(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
     Two causes are alike where each effect of one is the other's, or in one ambiguity set with it.
     """
 
-    def group(finding):
+    def group(finding: Finding) -> str:
         names = {finding.key, finding.effect}
         found = [i for i, keys in enumerate(diagnosis.ambiguity_set) if names & set(keys) and len(keys) > 1]
         return f"#{found[0]}" if found else finding.key
@@ -52,7 +52,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     """One sentence."""
     answer, probability = kind(diagnosis), percent(diagnosis.gap.probability)
     hidden = diagnosis.regime == "unknown_torque"
-    if answer == "not_enough_data":
+    if answer == "not_enough_data" and diagnosis.not_enough_data is not None:
         return f"Not enough data to say whether there is a gap: {diagnosis.not_enough_data.strip().rstrip('.')}."
     if answer == "none" and hidden:
         return (
@@ -68,6 +68,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     if answer == "unclear":
         return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
     cause = best(diagnosis)
+    if answer == "unclear" or cause is None:
+        return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
     words, together = alike(diagnosis, cause)
     if answer == "ambiguous":
         them = "either" if len(words) == 2 else "any of them"
@@ -181,9 +183,9 @@ def where(diagnosis: Diagnosis) -> str | None:
         much = "" if top[1] >= 0.9 else "mostly " if top[1] > 0.5 else "in part "
         parts.append(f"{much}at {place_words(shares[0], top[0])} ({percent(top[1])})")
     if w.intervals:
-        top = max(w.intervals, key=lambda i: i.share)
-        if top.share >= 0.3:
-            parts.append(f"{percent(top.share)} of it between {top.start:.2f} s and {top.stop:.2f} s")
+        when = max(w.intervals, key=lambda i: i.share)
+        if when.share >= 0.3:
+            parts.append(f"{percent(when.share)} of it between {when.start:.2f} s and {when.stop:.2f} s")
     return f"The gap lies {', '.join(parts)}." if parts else None
 
 

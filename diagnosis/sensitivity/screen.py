@@ -5,9 +5,10 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -86,7 +87,10 @@ def blocks(
     One block without any where there are no effects.
     """
     plain = unchanged(model, path)
-    found, pieces, first, count = [], [], [], 0
+    found: list[Hypothesis] = []
+    pieces: list[Columns] = []
+    first: list[int] = []
+    count = 0
     room = BLOCK if len(path) < LONG else BLOCK * LONG // len(path)
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, plain, times)
@@ -162,6 +166,20 @@ class Screened:
     path: Tensor
 
 
+@dataclass(frozen=True)
+class Added(Screened):
+    """Of an effect, and not of none."""
+
+    effect: Effect
+    best: Hypothesis
+    columns: Columns
+
+
+def added(screened: Iterable[Screened]) -> list[Added]:
+    """All but "no effect", in their order."""
+    return [s for s in screened if isinstance(s, Added)]
+
+
 def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
     """Numbers of a hypothesis' columns, one after the other: what is added as it is, if anything, and what is free."""
     added = () if hypothesis.offset is None else (hypothesis.offset,)
@@ -214,7 +232,7 @@ def screen(
     quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
-    screened = []
+    screened: list[Screened] = []
     linear = linear_of(setting, model, path)
     about = filter_of(setting, model, path, levels, linear)
     if not times and any("moment" in effect.located for effect in effects):
@@ -242,7 +260,7 @@ def screen(
             other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
             by_size = logsumexp(part, axis=1)
             screened.append(
-                Screened(
+                Added(
                     best.effect,
                     float(logsumexp(part)),
                     by_size,
@@ -260,14 +278,14 @@ def screen(
 
 
 def screen_in_halves(
-    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
+    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
     halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
     one, *rest = side_by_side(
         [partial(screen, setting, model, path, half, *given) for half in halves], workers, setting.budget
     )
-    return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
+    return sorted([*one, *(s for other in rest for s in added(other))], key=lambda s: -s.log_evidence)
 
 
 def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:

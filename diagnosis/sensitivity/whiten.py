@@ -137,6 +137,8 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
     is, from 1 on; and those with the data and with columns behind all groups.
     """
     linear, levels = about.linear, about.sizes
+    if linear.rows is None:
+        raise TypeError("expected a linearisation by tangents, got one over a posterior")
     w = innovations(
         about.gained,
         linear.F,

@@ -12,6 +12,7 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -114,7 +115,7 @@ def arm_problem(
             raise InputError(f"expected a chain in the plane to learn lengths of, got '{body.name}': give its lengths")
         body = body.with_values(length=observed_lengths(recording, body))
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
-    options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
         model = ArmModel(body, recording.time, observation, substeps=substeps or 1, **options)
     except (KeyError, ValueError) as error:

@@ -22,6 +22,7 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -127,7 +128,7 @@ def to_inference_data(
             out["time"].attrs["units"] = "s"
         return out
 
-    groups = {
+    groups: dict[str, Any] = {
         "posterior": dataset(posterior),
         "posterior_predictive": dataset(predictive, seen),
         "sample_stats": dataset(stats),
@@ -198,7 +199,7 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
     """
     body = [str(name) for name, each in parts[0]["constant_data"].data_vars.items() if "link" in each.dims]
     varies = any(not part["constant_data"][body].equals(parts[0]["constant_data"][body]) for part in parts)
-    groups = {}
+    groups: dict[str, Any] = {}
     for group in ("posterior", "posterior_predictive", "sample_stats"):
         pieces = []
         for part in parts:

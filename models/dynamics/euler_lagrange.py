@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
@@ -60,18 +61,18 @@ class Generated:
 
 @dataclass(frozen=True)
 class Equations:
-    """SymPy expressions of a chain of K links in absolute angles φ and angular velocities w = φ̇.
+    """SymPy expressions of a chain of K links in absolute angles φ and angular velocities w = φ̇; SymPy has no types.
 
     `symbols` maps "phi", "w", "length", "mass", "com", "inertia", "gravity", "base" to lists of symbols.
     """
 
     symbols: dict
-    inertia: object  # M, (K, K)
-    coriolis: object  # b, (K, 1)
-    gravity_load: object  # G, (K, 1)
-    kinetic_energy: object  # T
-    potential_energy: object  # V
-    keypoints: object  # tips, (K, 2)
+    inertia: Any  # M, (K, K)
+    coriolis: Any  # b, (K, 1)
+    gravity_load: Any  # G, (K, 1)
+    kinetic_energy: Any  # T
+    potential_energy: Any  # V
+    keypoints: Any  # tips, (K, 2)
 
     def in_joint_angles(self) -> tuple:
         """Return D (K, K), h (K, 1), c (K, 1) in the joint angles θ and velocities θ̇, and those symbols.
@@ -182,9 +183,9 @@ def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, dict, lis
     """
     import sympy as sp
 
-    names = {}  # coefficient → symbol
+    names: dict[Any, Any] = {}  # coefficient → symbol
 
-    def named(coefficient):
+    def named(coefficient: Any) -> Any:
         sign = -1 if coefficient.could_extract_minus_sign() else 1
         coefficient = sp.factor(sign * coefficient)
         number, coefficient = coefficient.as_coeff_Mul()

@@ -3,7 +3,6 @@
 φ = centre + root u,   u ~ q(u) = N(m, S), learned;   prior of φ: N(0, diag sd²)
 """
 
-import numpy as np
 import pyro
 import torch
 from pyro.distributions import Distribution, MultivariateNormal
@@ -11,11 +10,12 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.inference.fitting.marginal_likelihood import LogParameters
-from invdyn.inference.methods.smc import gaussian_smoother
-from invdyn.inference.methods.svi import PathwiseOnly
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.path_guides import PathwiseOnly
 from invdyn.models import StateSpaceModel
+from invdyn.models.divergence import Diverged, diverging
 
 SITE = "log_parameters"
 
@@ -32,14 +32,10 @@ class Uncertain(StateSpaceModel):
     def __init__(self, parameters: LogParameters, centre: Tensor, root: Tensor):
         super().__init__(parameters.model.parameters)
         self.log_parameters, self.centre, self.root = parameters, centre, root
+        self.driven = parameters.model.driven
         inverse = torch.linalg.inv(root)
         spread = inverse * torch.as_tensor(parameters.sd)
         self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)
-
-    @property
-    def driven(self) -> slice | None:
-        """The model's."""
-        return self.log_parameters.model.driven
 
     def phi(self, u: Tensor) -> Tensor:
         """Log-parameters (…, P) at u (…, P)."""
@@ -94,8 +90,9 @@ class Following(Corrected):
         key = b"".join(value.numpy().tobytes() for value in fixed.parameters.values())
         if self._known is None or self._known[0] != key:
             try:
-                smoother = gaussian_smoother(fixed, self.observations, self.smoother.path)
-            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                with diverging():
+                    smoother = gaussian_smoother(fixed, self.observations, self.smoother.path)
+            except Diverged:
                 smoother = self.smoother
             self._known = key, smoother
         return Corrected(model, self.observations, self._known[1], name=self.name).sampled(model)

@@ -8,8 +8,9 @@ from pyro import poutine
 from pyro.infer import MCMC, NUTS
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.methods.laplace import GaussianChain
-from invdyn.inference.methods.nuts import mixing, whitened_model
+from invdyn.inference.mcmc.mixing import mixing
+from invdyn.inference.mcmc.nuts import whitened_model
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 
 
 def test_the_whitened_target_is_the_models_own():

@@ -22,8 +22,9 @@ from invdyn.inference import (
     smc,
 )
 from invdyn.inference.filters.bridge import Bridge
-from invdyn.inference.methods.laplace import GaussianChain
-from invdyn.inference.methods.particle_gibbs import first_paths, move_blocks, particle_gibbs, sweep
+from invdyn.inference.mcmc.particle_gibbs import first_paths, move_blocks, sweep
+from invdyn.inference.methods.particle_gibbs import particle_gibbs
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
 
