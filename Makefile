@@ -46,5 +46,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,robots,video,tracks,cluster,checkpoint]'
+	$(PIP) -e '.[dev,robots,fast,video,tracks,cameras,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

@@ -93,7 +93,7 @@ def rms(error: np.ndarray) -> list[float]:
 def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) -> ArmModel:
     """The body under torques (T, K) with effects of a diagnosis.json, but for those of the camera and hidden hinges.
 
-    Bristles are bent all the way, as while a joint slides.
+    BristleFriction are bent all the way, as while a joint slides.
     """
     still = np.zeros((len(times), 2))
     rows = Recording(times, np.zeros((len(times), 0, 2)), (), angles=still, torques=u, joint_names=body.joint_names)

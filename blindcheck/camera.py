@@ -23,23 +23,6 @@ import numpy as np
 from invdyn.blindcheck.nonideal_mechanisms import swung
 from invdyn.blindcheck.simulator import Trajectory
 
-OBSERVATIONS = (
-    "keypoint_offset",
-    "soft_tissue",
-    "camera_scale",
-    "camera_roll",
-    "camera_yaw",
-    "lens_distortion",
-    "clock_rate",
-    "camera_latency",
-    "rolling_shutter",
-    "timestamp_jitter",
-    "outliers",
-    "label_swap",
-    "varying_noise",
-)
-"""Every observation effect of the catalogue by its name there."""
-
 Effect = tuple[str, int | None, Mapping[str, float]]
 """Name, the keypoint's number (0 is the first tip) where it has one, and parameters."""
 

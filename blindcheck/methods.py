@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from invdyn.blindcheck.answer_schema import unreadable
-from invdyn.blindcheck.commitment import run_apart
+from invdyn.blindcheck.confined import Confined
 
 
 class Ours(AbstractContextManager):
@@ -70,10 +70,10 @@ def _ended(process: subprocess.Popen[str]) -> int:
 
 
 class Theirs(AbstractContextManager):
-    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
+    """Another method: a process a case; words may hold {recording}, {body}, {out}, {held_out} and {case}, a folder."""
 
-    def __init__(self, command: str):
-        self._words = shlex.split(command)
+    def __init__(self, command: str, confined: Confined):
+        self._words, self._confined = shlex.split(command), confined
 
     def __exit__(self, *_: object) -> None:
         return None
@@ -81,16 +81,21 @@ class Theirs(AbstractContextManager):
     def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
         """Diagnose one case; returns what went wrong, if anything did."""
         case, out = case.resolve(), out.resolve()
-        places: dict[str, Path | str] = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
+        places: dict[str, Path | str] = {
+            "case": case,
+            "recording": case / "recording.csv",
+            "body": case / "body.toml",
+            "out": out,
+        }
         places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
         words = self._words
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
-        finished = run_apart(words, case)
+        finished = self._confined.run(words, case, out)
         told = out / "diagnosis.json"
         if finished.returncode or not told.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
         try:
             return unreadable(json.loads(told.read_text(encoding="utf-8")))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return f"diagnosis.json: expected JSON in UTF-8: {error}"

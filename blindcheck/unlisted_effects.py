@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effect_sizes import Scene
-from invdyn.blindcheck.mechanisms import applied, set_joint, set_part
+from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
 from invdyn.blindcheck.motion import between, pendulum_frequency
+from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import Segment, World
 
 

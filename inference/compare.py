@@ -34,6 +34,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from invdyn.inference.execution.memory import check_memory
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.held_out import log_score
@@ -132,8 +133,8 @@ def compare(
         binding: further options of :func:`.initialise.arm_problem`: torque, integrator, family, learn_lengths …
 
     Raises:
-        InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``, or
-            a recording that does not fit the body.
+        InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``,
+            more filters than memory holds, or a recording that does not fit the body.
     """
     methods = tuple(dict.fromkeys(methods))
     if unknown := [method for method in methods if method not in METHODS]:
@@ -145,6 +146,7 @@ def compare(
     if isolate and executor is not None:
         raise InputError("expected isolated methods or workers, got both: memory is measured in one process")
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
+    check_memory(recording.num_frames, body.num_joints, options, methods)
     bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
     whole = bind(recording, truth=truth, report=_stage(progress, "fit"))
     head, future, missing = _split(whole, recording, bind, held_out, _stage(progress, "fit without the tail"))

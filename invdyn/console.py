@@ -16,6 +16,7 @@ from tqdm import tqdm
 from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
+LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
 UsageError: Any = typer.BadParameter.__base__
 
@@ -57,7 +58,12 @@ def _input_errors() -> tuple[type[Exception], ...]:
 
 
 def _say(kind: str, message: object) -> None:
-    typer.echo(f"{kind}: {' '.join(str(message).split())}", err=True)
+    """One line that a terminal can show, whatever a file's name or content has put into it; its middle may go."""
+    line = " ".join(str(message).split())
+    line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
+    if len(line) > LONGEST:
+        line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
+    typer.echo(f"{kind}: {line}", err=True)
 
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
@@ -66,7 +72,10 @@ def _show_warning(message: object, category: type[Warning], *_: object) -> None:
 
 
 class ProgressBar:
-    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches."""
+    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches.
+
+    What follows a semicolon in `what` changes while the bar stays: "refine; payload".
+    """
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None
@@ -81,18 +90,20 @@ class ProgressBar:
 
     def __call__(self, done: int, total: int, what: str) -> None:
         """Show that `done` of `total` steps of `what` are done."""
-        if self._bar is None or self._what != what:
+        stage, _, detail = what.partition("; ")
+        if self._bar is None or self._what != stage:
             self.__exit__()
-            self._bar, self._what = tqdm(total=total, desc=what, file=sys.stderr, disable=None), what
+            self._bar, self._what = tqdm(total=total, desc=stage, file=sys.stderr, disable=None), stage
         self._bar.total = total
+        self._bar.set_postfix_str(detail)
         self._bar.update(done - self._bar.n)
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
     """Raise OSError or InputError unless each output can be written and has a path of its own."""
-    from invdyn.recordings import InputError, check_writable
+    from invdyn.recordings import InputError, check_writable, resolved
 
-    read = {path.resolve() for path in inputs}
+    read = {resolved(path) for path in inputs}
     taken: set[Path] = set()
     for path in outputs:
         if path is None:

@@ -29,6 +29,7 @@ FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
 MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
 ARMS = 30  # posterior draws shown as faint arms
+PLANE = ("x", "y")
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
@@ -115,8 +116,13 @@ def film_frames(
 
 
 def arm_points(idata: az.InferenceData) -> np.ndarray:
-    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence."""
+    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence.
+
+    Raises InputError for a motion that is not in the plane.
+    """
     tips = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
+    if tips.shape[-1] != len(PLANE):
+        raise InputError(f"a film shows a motion in the plane, this one has {tips.shape[-1]} coordinates: leave it out")
     constants = idata["constant_data"]
     base = constants["base"].values if "base" in constants else np.zeros(2)
     return np.concatenate([np.broadcast_to(base, (*tips.shape[:2], 1, 2)), tips], axis=2)

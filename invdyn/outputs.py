@@ -82,20 +82,17 @@ class ComparisonOutputs:
         check_folder(self.folder, self.paths.values(), inputs)
 
     def write(self, comparison: Comparison) -> None:
-        """Write all of it, each file whole or not at all; posteriors first, as they took longest."""
+        """Write all of it, each file whole or not at all, where any method succeeded; posteriors first."""
         for method, idata in comparison.posteriors.items():
             save_posterior(idata, self.paths[method])
         write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
         write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
-        if comparison.posteriors:
-            save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
+        save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
 
     def listing(self, comparison: Comparison) -> str:
         """What lies where: an empty line, then one each."""
         missing = set(self.methods) - set(comparison.posteriors)
         kinds = {kind: path for kind, path in self.paths.items() if kind not in missing}
-        if not comparison.posteriors:
-            del kinds["figure"]
         width = max(map(len, kinds))
         return "".join(f"\n{kind:<{width}} {path}" for kind, path in kinds.items())
 

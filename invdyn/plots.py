@@ -45,6 +45,7 @@ STYLE: dict[Any, Any] = {
     "ytick.color": "#555555",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "text.parse_math": False,  # a joint may be called $\\frac
     "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -71,7 +72,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
             axes.set_ylabel(posterior["position"].attrs["units"])
-            for space, color in enumerate((BLUE, VERMILION)):
+            for space, color in zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False):
                 draw_bands(axes, time, tips[:, :, row, space], color)
                 if "position" in observed:
                     draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)

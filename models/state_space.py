@@ -90,10 +90,14 @@ class StateSpaceModel(ABC):
 
         Raises KeyError, naming the known ones, for a parameter that the model does not have.
         """
-        self.check_names(values)
         other = copy.copy(self)
-        other.parameters = {**self.parameters, **values}
+        other.parameters = self._replaced(values)
         return other
+
+    def _replaced(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """All parameters, with other values for some; raises KeyError as :meth:`replace` says."""
+        self.check_names(values)
+        return {**self.parameters, **values}
 
     def check_names(self, names: Iterable[str]) -> None:
         """Raise KeyError, naming the known ones, for a parameter that the model does not have."""

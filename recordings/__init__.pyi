@@ -16,13 +16,16 @@ from .opensim import read_sto as read_sto
 from .opensim import read_trc as read_trc
 from .opensim import write_moments as write_moments
 from .opensim import write_sto as write_sto
+from .pace import bridged as bridged
+from .paths import check_readable as check_readable
+from .paths import resolved as resolved
+from .plausible import check_plausible as check_plausible
 from .recording import Recording as Recording
 from .tables import read_table as read_table
 from .tables import write_table as write_table
 from .truth import Truth as Truth
 from .truth import read_truth as read_truth
 from .truth import write_truth as write_truth
-from .units import check_plausible as check_plausible
 from .units import in_body_lengths as in_body_lengths
 from .units import median_link_lengths as median_link_lengths
 from .units import parse_units as parse_units

@@ -111,7 +111,7 @@ def by_effect(
         scored = None if lesser is None else attempt(scores, there.setting, lesser, rows)
         return None if scored is None else closed(nothing, everything, rows, time, seed, besides=scored)
 
-    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers)
+    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers, setting.budget)
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 

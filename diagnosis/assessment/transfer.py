@@ -80,7 +80,7 @@ def turned(there: Refined) -> list[Refined]:
     None where it is all the same to them, as it is to gravity and friction.
     """
     model, path, found = there.model, there.path, list[Refined]()
-    if model.emission_model.num_encoders:
+    if model.observation.encoders:
         return found
     rows, joints = torch.arange(len(path)), model.body.num_joints
     after = model.transition_mean(path, rows)

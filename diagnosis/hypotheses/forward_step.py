@@ -78,7 +78,7 @@ def extend(setting: Setting, found: Search, base: Refined, width: int) -> list[S
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
         driven = _sought(setting, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(setting, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers):
+        for causes in side_by_side([*driven, *late], found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
     return screened
@@ -96,7 +96,7 @@ def screened_with(setting: Setting, found: Search, base: Refined, alone: bool) -
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if alone and not few and found.aside is not None:
         parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers)
+        screened, other = side_by_side(parts, found.workers, setting.budget)
         return screened, _aside(screened, other)
     screened = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
     return screened, screened

@@ -26,14 +26,6 @@ from invdyn.models.effects.link_flexibility import LinkFlexibility
 from invdyn.models.effects.payload import Payload
 from invdyn.models.effects.soft_tissue import SoftTissue
 
-TWINS = (
-    ("actuator_delay", "camera_latency", ("delay", "latency")),
-    ("camera_latency", "actuator_delay", ("latency", "delay")),
-    ("gravity_tilt", "camera_roll", ("angle", "angle")),
-    ("camera_roll", "gravity_tilt", ("angle", "angle")),
-)
-"""Effects that stand in for one another exactly: names, and parameters of the same value."""
-
 ALIKE = 1.0
 """Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
 
@@ -92,7 +84,10 @@ def _is(setting: Setting, effect: Effect, name: str) -> bool:
 def _twins(setting: Setting, cause: Refined, mine: Effect) -> dict[str, dict[str, float]]:
     """Parameters with which other effects, by name, are the exact equivalents of one of a cause's."""
     known = cause.values
-    twins = {other: {its: known[f"{mine.key}.{name}"]} for one, other, (name, its) in TWINS if _is(setting, mine, one)}
+    twins = {}
+    if _is(setting, mine, mine.name):
+        for other, same in mine.twins.items():
+            twins[other] = {its: known[f"{mine.key}.{own}"] for own, its in same.items()}
     body = setting.model.scale.body
     swings = setting.regime == "passive" and setting.model.body.num_joints == 1 and bool(body.gravity.any())
     if swings and mine.name in period.NAMES:

@@ -157,7 +157,7 @@ def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
     with torch.no_grad():
         emission = model.emission(path, rows)
         loc = getattr(emission, "base_dist", emission).loc
-    return loc[..., : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy()
+    return model.observation.points(loc).numpy()
 
 
 def replay_rms(replayed: np.ndarray, smooth: np.ndarray) -> float:

@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
-from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.cause import Refined, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
@@ -37,6 +37,8 @@ from invdyn.models.effects.base import Effect
 ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+REFUSED = 2
+"""Steps more that a round takes in the middle, of those that gain nothing and what is worked out along the last."""
 SHORTER = 25
 """Steps, ever shorter ones, where none of those was a gain."""
 
@@ -64,12 +66,14 @@ def refine(
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
-    after the first of ``rounds``, or ``enough`` after the second, is left as it is. Parameters of effects that are
+    after the first of ``rounds``, or ``enough`` after the second, is left as it is; so is one at which the budget ends,
+    and :class:`.Spent` is raised where it ends before. Parameters of effects that are
     searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
     key, ``noise_sd`` their standard deviations.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
+    setting.budget.ask(key_of(effects) or "no effect")
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
@@ -89,9 +93,11 @@ def refine(
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
+        setting.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
             path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
+            setting.budget.spend(SHORTER, here, len(path))
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
@@ -127,6 +133,8 @@ def refine(
         """
         nonlocal best, worth, most_seen, step
         for done in range(most):
+            if best is not None and setting.budget.over:
+                break
             try:
                 with diverging():
                     cause, target, promised = once(point, path, stiffness * size, fresh and not done)
@@ -159,7 +167,7 @@ def refine(
     assert best is not None  # a first step that fails raises
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
-        if patient and not best.complete and best.log_evidence >= enough:
+        if patient and not best.complete and best.log_evidence >= enough and not setting.budget.over:
             size = float(levels[best.by_size.argmax()])
             firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)

@@ -99,7 +99,7 @@ def refine_promising(
             for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        for causes in side_by_side(parts if first else [*parts, *besides], found.workers):
+        for causes in side_by_side(parts if first else [*parts, *besides], found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
 
@@ -112,7 +112,8 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - HOPELESS}
-    for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
+    parts = [partial(_refined, setting, base, each, limits) for each in clear]
+    for causes in side_by_side(parts, found.workers, setting.budget):
         for cause in causes:
             found.add(cause)
 
@@ -127,7 +128,7 @@ def refine_every(setting: Setting, found: Search, base: Refined, screened: Seque
     for first in range(0, len(left), PAIR):
         limits = {"enough": found.top - HOPELESS}
         parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]
-        for causes in side_by_side(parts, found.workers):
+        for causes in side_by_side(parts, found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
         if found.explained:
@@ -153,7 +154,7 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
         ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
         return causes + [form for c in ideal if (form := softer(setting, c, each.effect)) is not None]
 
-    for causes in side_by_side([partial(refined, each) for each in barred], found.workers):
+    for causes in side_by_side([partial(refined, each) for each in barred], found.workers, setting.budget):
         for cause in causes:
             found.add(cause)
 

@@ -6,7 +6,6 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,12 +14,13 @@ import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
+from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
-from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, products, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
@@ -33,8 +33,10 @@ SHORT, SURELY = 11, 10.0
 """Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
 beyond it, in twice the nats."""
 
-BLOCK = 200
-"""Columns that are whitened together."""
+COLUMN = 0.6
+"""Passes (:mod:`..budget`) that a column takes."""
+BLOCK, LONG = 200, 1500
+"""Columns that are whitened together, fewer of them along more rows: memory is what holds both."""
 HINGED, BEGUN = 10, 20
 """It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
 
@@ -89,9 +91,10 @@ def blocks(
     pieces: list[Columns] = []
     first: list[int] = []
     count = 0
+    room = BLOCK if len(path) < LONG else BLOCK * LONG // len(path)
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, plain, times)
-        if count and count + columns.g.shape[-1] > BLOCK:
+        if count and count + columns.g.shape[-1] > room:
             yield found, pieces, first
             found, pieces, first, count = [], [], [], 0
         found += mine
@@ -222,11 +225,11 @@ def screen(
     leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
     those where it would explain most if none are given.
     """
+    setting.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
-    quick = copy(model)
     # What an effect adds is small: half of the sub-steps tell it as well.
-    quick.substeps = (model.substeps + 1) // 2
+    quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened: list[Screened] = []
@@ -237,7 +240,8 @@ def screen(
     for found, pieces, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
-        whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
+        setting.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
+        whitened = products(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
@@ -278,7 +282,9 @@ def screen_in_halves(
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
     halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
-    one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
+    one, *rest = side_by_side(
+        [partial(screen, setting, model, path, half, *given) for half in halves], workers, setting.budget
+    )
     return sorted([*one, *(s for other in rest for s in added(other))], key=lambda s: -s.log_evidence)
 
 

@@ -102,7 +102,9 @@ def spread(
 
 def inside(checkpoint: Checkpoint | None, name: str) -> Checkpoint | None:
     """The same run's checkpoint ``name`` in the folder of another; None where there is none."""
-    return None if checkpoint is None else Checkpoint(checkpoint.folder / name, checkpoint.fingerprint)
+    if checkpoint is None:
+        return None
+    return Checkpoint(checkpoint.folder / name, checkpoint.fingerprint, f"{checkpoint.place}/{name}".lstrip("/"))
 
 
 Arrived = Callable[[int, Tensors], None]

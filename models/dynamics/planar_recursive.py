@@ -8,7 +8,7 @@ recording's axes. For a link of absolute angle φ, with α = φ̈, ω = φ̇ and
     ⊥ turns a vector by +90°, so a force f at r has the moment r⊥·f
 
 Gravity enters as an acceleration −g of the base. Inside, the batch comes last: scalars (batch), vectors
-(2, batch), matrices (2, 2, batch). Interface, shapes and units: `planar.py`.
+(2, batch), matrices (2, 2, batch). Interface, shapes and units: `interface.py`.
 """
 
 from itertools import accumulate
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_symbolic import Dynamics
+from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.shapes import common
 
 
@@ -31,7 +31,7 @@ class _Link(NamedTuple):
     l_turned: Tensor  # l⊥
 
 
-class RecursiveDynamics(Dynamics):
+class RecursiveDynamics(PlanarDynamics):
     """A planar chain of any number of joints; interface, shapes and units as in `Dynamics`.
 
     Raises `ValueError` unless `num_joints` is a whole number ≥ 1.

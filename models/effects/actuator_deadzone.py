@@ -15,6 +15,10 @@ class ActuatorDeadzone(Effect):
     Told apart from a gain by small commands.
     """
 
+    phrase = "an actuator dead zone"
+    meaning = "commands too small to turn into torque"
+    shown_by = "small commands"
+
     needs_command, order = True, -4
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -1,5 +1,8 @@
 """Motors that act late: u(t − T)."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
@@ -14,6 +17,11 @@ class ActuatorDelay(Actuator):
 
     With all joints alike, cannot be told from a late camera without a common clock.
     """
+
+    phrase = "actuator delay"
+    meaning = "torques that come later than commanded"
+    shown_by = "a common clock of camera and motors, such as a light that the command switches"
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_latency": {"delay": "latency"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Dead time T, s."""

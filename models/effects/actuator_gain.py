@@ -18,6 +18,10 @@ class ActuatorGain(Actuator):
     recording. As ``gear`` in MuJoCo.
     """
 
+    phrase = "an actuator gain"
+    meaning = "torques larger or smaller than commanded, by one factor"
+    shown_by = "a known weight at the tip, or a passive swing"
+
     order = -1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -16,6 +16,10 @@ class ActuatorLag(Actuator):
     Told apart from a delay above the angular frequency 1/T. ``dyntype="filter"`` in MuJoCo.
     """
 
+    phrase = "actuator lag"
+    meaning = "torques that follow the command sluggishly"
+    shown_by = "a command that sweeps to high frequencies"
+
     order = -3
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

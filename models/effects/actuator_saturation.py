@@ -18,6 +18,10 @@ class ActuatorSaturation(Effect):
     Told apart from a gain by commands of several amplitudes. As ``forcerange`` in MuJoCo.
     """
 
+    phrase = "actuator saturation"
+    meaning = "torques that stop growing at a limit"
+    shown_by = "a ladder of amplitudes"
+
     needs_command, order = True, -2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -15,6 +15,10 @@ class Armature(Effect):
     Told apart from a payload by statics, from stiffness by the frequency. As ``armature`` in MuJoCo.
     """
 
+    phrase = "rotor inertia"
+    meaning = "inertia of the motor that resists the joint's acceleration"
+    shown_by = "fast motion about a posture that needs no holding torque"
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Inertia I_a as seen behind the gear, kg·m²."""
         return (Parameter("inertia", "kg·m²", HalfNormal(0.4 * scale.inertia[self.place[0]])),)

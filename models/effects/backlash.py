@@ -32,7 +32,8 @@ from torch import Tensor
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import Dynamics, dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -54,6 +55,10 @@ class Backlash(HiddenHinge):
 
     Told apart from Coulomb friction by slow reversals of the load.
     """
+
+    phrase = "backlash"
+    meaning = "play between motor and joint"
+    shown_by = "slow reversals of the load"
 
     forgets = True
 
@@ -96,7 +101,7 @@ class Backlash(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        arm, dt = _Mechanics(self, row, dynamics_for(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
+        arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
         j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         none, tight = half <= 0, None

@@ -20,7 +20,7 @@ import torch
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Hidden
@@ -35,7 +35,7 @@ Moving = Callable[[Tensor, Tensor, float, Tensor], tuple[Tensor, Tensor]]
 """(q, q̇, fraction of the step, s) → θ̈ (..., K) and ṡ (..., 1)."""
 
 
-class Bristles(Hidden):
+class BristleFriction(Hidden):
     """A dry friction, ``of``, whose levels are as they are, and one hidden state s.
 
     Args:
@@ -64,7 +64,7 @@ class Bristles(Hidden):
         """Beyond a friction that creeps."""
         return 2
 
-    def bound(self, body: Body) -> Self:
+    def bound(self, body: BodyBase) -> Self:
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
 

@@ -6,13 +6,16 @@ the motors', are ahead:
     u'(t) = u(t − δ),     encoders show θ(t + δ)
 """
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class CameraLatency(Effect):
@@ -20,6 +23,11 @@ class CameraLatency(Effect):
 
     Without encoders it cannot be told from motors that act late, and without commands either from nothing at all.
     """
+
+    phrase = "camera latency"
+    meaning = "positions that are stamped later than they were"
+    shown_by = "a common clock of camera and motors, such as a light that the command switches"
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"actuator_delay": {"latency": "delay"}}
 
     side, site = "observation", "arm"
 

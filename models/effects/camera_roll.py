@@ -1,5 +1,8 @@
 """A camera that is not level: the picture turned about the frame's origin."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from pyro.distributions import StudentT
 from torch import Tensor
 
@@ -14,6 +17,11 @@ class CameraRoll(Optics):
     With the base at the origin it cannot be told from tilted gravity, unless a plumb line or the base's own orientation
     is seen.
     """
+
+    phrase = "camera roll"
+    meaning = "a picture turned about the line of sight"
+    shown_by = "a plumb line in view of the camera"
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"gravity_tilt": {"angle": "angle"}}
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""

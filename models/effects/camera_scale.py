@@ -14,6 +14,10 @@ class CameraScale(Optics):
     Cannot be told from longer links unless the base is off the origin or gravity's strength is known.
     """
 
+    phrase = "a camera scale error"
+    meaning = "positions larger or smaller by one factor"
+    shown_by = "an object of known size in view"
+
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Factor s, a pure number."""
         return (Parameter("scale", "1", LogNormal(0.0, 0.07), 1.0),)

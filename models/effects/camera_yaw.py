@@ -17,6 +17,10 @@ class CameraYaw(Optics):
     What is farther away looks smaller: that asymmetry tells it apart from a scale.
     """
 
+    phrase = "camera yaw"
+    meaning = "a plane of motion that is seen obliquely"
+    shown_by = "a grid of known size in the plane of motion"
+
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle ψ, rad: few cameras stand far from square; distance D of the camera from the origin, m."""
         distance = LogNormal(math.log(3.5 * scale.reach), 0.4)

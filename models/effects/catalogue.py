@@ -1,81 +1,29 @@
-"""Every effect by its canonical name: dynamics first, then what only the camera sees."""
+"""Every effect by its canonical name: dynamics first, then what only the camera sees, each in order of the alphabet.
 
-from invdyn.models.effects.actuator_deadzone import ActuatorDeadzone
-from invdyn.models.effects.actuator_delay import ActuatorDelay
-from invdyn.models.effects.actuator_gain import ActuatorGain
-from invdyn.models.effects.actuator_lag import ActuatorLag
-from invdyn.models.effects.actuator_saturation import ActuatorSaturation
-from invdyn.models.effects.armature import Armature
-from invdyn.models.effects.backlash import Backlash
+The catalogue is gathered from the files beside this one: ``viscous_friction.py`` with the class ``ViscousFriction``
+is the effect "viscous_friction". Abstract classes, and files whose classes have other names, are what effects share.
+"""
+
+import inspect
+import pkgutil
+from importlib import import_module
+from pathlib import Path
+
 from invdyn.models.effects.base import Effect, effect_name
-from invdyn.models.effects.base_motion import BaseMotion
-from invdyn.models.effects.camera_latency import CameraLatency
-from invdyn.models.effects.camera_roll import CameraRoll
-from invdyn.models.effects.camera_scale import CameraScale
-from invdyn.models.effects.camera_yaw import CameraYaw
-from invdyn.models.effects.clock_rate import ClockRate
-from invdyn.models.effects.coulomb_friction import CoulombFriction
-from invdyn.models.effects.drifting_friction import DriftingFriction
-from invdyn.models.effects.external_push import ExternalPush
-from invdyn.models.effects.gravity_tilt import GravityTilt
-from invdyn.models.effects.inertial_error import InertialError
-from invdyn.models.effects.joint_coupling import JointCoupling
-from invdyn.models.effects.joint_limit import JointLimit
-from invdyn.models.effects.joint_stiffness import JointStiffness
-from invdyn.models.effects.keypoint_offset import KeypointOffset
-from invdyn.models.effects.label_swap import LabelSwap
-from invdyn.models.effects.lens_distortion import LensDistortion
-from invdyn.models.effects.link_flexibility import LinkFlexibility
-from invdyn.models.effects.load_friction import LoadFriction
-from invdyn.models.effects.outliers import Outliers
-from invdyn.models.effects.payload import Payload
-from invdyn.models.effects.quadratic_drag import QuadraticDrag
-from invdyn.models.effects.rolling_shutter import RollingShutter
-from invdyn.models.effects.soft_tissue import SoftTissue
-from invdyn.models.effects.stribeck_friction import StribeckFriction
-from invdyn.models.effects.timestamp_jitter import TimestampJitter
-from invdyn.models.effects.torque_ripple import TorqueRipple
-from invdyn.models.effects.varying_noise import VaryingNoise
-from invdyn.models.effects.viscous_friction import ViscousFriction
 
-EFFECTS: dict[str, type[Effect]] = {
-    effect_name(kind): kind
-    for kind in (
-        ViscousFriction,
-        CoulombFriction,
-        StribeckFriction,
-        LoadFriction,
-        QuadraticDrag,
-        JointStiffness,
-        JointCoupling,
-        JointLimit,
-        Payload,
-        InertialError,
-        GravityTilt,
-        Armature,
-        ActuatorGain,
-        ActuatorDelay,
-        ActuatorLag,
-        ActuatorSaturation,
-        ActuatorDeadzone,
-        Backlash,
-        TorqueRipple,
-        ExternalPush,
-        BaseMotion,
-        LinkFlexibility,
-        DriftingFriction,
-        KeypointOffset,
-        SoftTissue,
-        CameraScale,
-        CameraRoll,
-        CameraYaw,
-        LensDistortion,
-        ClockRate,
-        CameraLatency,
-        RollingShutter,
-        TimestampJitter,
-        Outliers,
-        LabelSwap,
-        VaryingNoise,
-    )
-}
+
+def gathered(folder: Path, package: str) -> dict[str, type[Effect]]:
+    """Effects, by name, of the modules in a folder that are named as their effect is."""
+    found = {}
+    for module in pkgutil.iter_modules([str(folder)]):
+        if module.name == "catalogue":
+            continue
+        for kind in vars(import_module(f"{package}.{module.name}")).values():
+            if not isinstance(kind, type) or not issubclass(kind, Effect) or inspect.isabstract(kind):
+                continue
+            if effect_name(kind) == module.name:
+                found[module.name] = kind
+    return dict(sorted(found.items(), key=lambda entry: (entry[1].side, entry[0])))
+
+
+EFFECTS: dict[str, type[Effect]] = gathered(Path(__file__).parent, __package__)

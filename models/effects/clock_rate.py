@@ -1,5 +1,6 @@
 """Frames taken at another rate than stated."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pyro.distributions import LogNormal
@@ -17,6 +18,13 @@ class ClockRate(Effect):
     another strength of gravity. ``ClockRate("frames")`` is a camera with a clock of its own, while commands keep true
     time; both agree at the first row. Encoders go by the camera's clock then.
     """
+
+    phrase = "a clock-rate error"
+    meaning = "frames that are further apart in time, or less far, than stated"
+    shown_by = "a clock in view of the camera"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "frames": "of the camera alone, while commands keep true time",
+    }
 
     side, site, order = "observation", "arm", 1
     forms: ClassVar[tuple[str, ...]] = ("frames",)

@@ -4,19 +4,20 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.base import Effect, Values
-from invdyn.models.effects.bristles import Bristles
+from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.view import View
 
 PREFIX = "effect."
 PARTS = 8
@@ -60,6 +61,7 @@ class Composition:
         self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
         self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
+        self.seen = self.has_points or self.has_angles or self.has_noise or self.has_mistakes
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
         if len(movers) > 1:
@@ -67,7 +69,7 @@ class Composition:
             raise NotTogether(f"expected at most one effect whose hidden states move the arm, got {both}")
         mover = movers[0] if movers else None
         self.hinge = mover if isinstance(mover, HiddenHinge) else None
-        self.bristles = mover if isinstance(mover, Bristles) else None
+        self.bristles = mover if isinstance(mover, BristleFriction) else None
         self.followers = sorted((each for each in hidden if isinstance(each, Follower)), key=lambda each: each.key)
         self.hidden: tuple[Hidden, ...] = (*movers, *self.followers)
 
@@ -81,8 +83,8 @@ class Composition:
         for effect in self.effects:
             yield effect, own_values(effect, parameters)
 
-    def body(self, parameters: Mapping[str, Tensor], body: BodyParameters) -> BodyParameters:
-        """The links as all effects leave them."""
+    def body(self, parameters: Mapping[str, Tensor], body: Any) -> Any:
+        """The body's numbers as all effects leave them."""
         for effect, p in self._each(parameters):
             body = effect.body(p, body)
         return body
@@ -175,7 +177,7 @@ class Composition:
         return view.q
 
     def noise(self, parameters: Mapping[str, Tensor], view: View, sd: Tensor) -> Tensor:
-        """Standard deviations of the tips' coordinates, (..., K, 2) m."""
+        """Standard deviations of the tips' coordinates, (..., S, d) m."""
         for effect, p in self._each(parameters):
             sd = effect.noise(p, view, sd)
         return sd
@@ -185,16 +187,20 @@ class Composition:
         sizes = [effect.states for effect in self.hidden]
         return dict(zip((effect.key for effect in self.hidden), hidden.split(sizes, -1), strict=True))
 
-    def tips(self, parameters: Mapping[str, Tensor], q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
-        """The K tips, or what is seen as them, in hidden states (..., H): (..., K, 2) m."""
+    def sites(
+        self, parameters: Mapping[str, Tensor], dynamics: Dynamics, q: Tensor, hidden: Tensor, body: Any
+    ) -> Tensor:
+        """The S sites, or what is seen as them, in hidden states (..., H): (..., S, d) m."""
+        if not self.hidden:
+            return dynamics.keypoints(q, body)
         own, hinge = self.shares(hidden), self.hinge
         if hinge is None:
-            tips = dynamics_for(q.shape[-1]).keypoints(q, body)
+            points = dynamics.keypoints(q, body)
         else:
-            tips = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
+            points = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
         for follower in self.followers:
-            tips = follower.shown(tips, own[follower.key])
-        return tips
+            points = follower.shown(points, own[follower.key])
+        return points
 
     def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap | Shift]:
         """What the tracker gets wrong now and then."""

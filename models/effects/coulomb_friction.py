@@ -17,6 +17,10 @@ class CoulombFriction(Rubbing):
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
     """
 
+    phrase = "Coulomb friction"
+    meaning = "a torque of one size against the motion, whatever the speed"
+    shown_by = "slow reversals at several amplitudes"
+
     steady: ClassVar[bool] = True
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:

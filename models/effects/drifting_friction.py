@@ -14,6 +14,10 @@ class DriftingFriction(Effect):
     Told apart from plain viscous friction by repeating a clip.
     """
 
+    phrase = "drifting friction"
+    meaning = "friction that changes during the recording"
+    shown_by = "the first motion again at the end"
+
     dated = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import Dynamics, dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column
@@ -72,6 +73,8 @@ class Hidden(Effect):
 class Follower(Hidden):
     """Base of what follows the arm's motion and has no part in it."""
 
+    planar = True
+
     @abstractmethod
     def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt: Tensor) -> Tensor:
         """States (..., H) a row of ``dt`` s later, between what the K tips do at its two ends."""
@@ -84,6 +87,7 @@ class Follower(Hidden):
 class HiddenHinge(Hidden):
     """Base of the effects with a hidden hinge, of states ψ, rad, and ψ̇, rad/s."""
 
+    planar = True
     states = 2
 
     @abstractmethod
@@ -127,7 +131,7 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = dynamics_for(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
         return self._tracked(points)
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:

@@ -18,6 +18,11 @@ class InertialError(Effect):
     Known but for a common factor when no torque and no weight is.
     """
 
+    phrase = "an inertial error"
+    meaning = "a link whose mass, centre of mass or inertia is not as stated"
+    shown_by = "two postures held still, then fast motion"
+
+    planar = True
     site = "link"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

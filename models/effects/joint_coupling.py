@@ -21,6 +21,10 @@ class JointCoupling(Effect):
     As a fixed ``tendon`` in MuJoCo.
     """
 
+    phrase = "joint coupling"
+    meaning = "a spring between two joints"
+    shown_by = "moving one joint while the other is held"
+
     site = "pair"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -44,6 +44,13 @@ class JointLimit(Effect):
     so that a steady torque τ presses it in by R τ / k. MuJoCo has, unless told otherwise, R = .05 to .11.
     """
 
+    phrase = "a joint limit"
+    meaning = "a stop that the joint runs into"
+    shown_by = "repeated slow sweeps into the end of the range"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "softness": "softer than a spring, it gives way to whatever presses the joint into it",
+    }
+
     located = ("angle",)
 
     def __init__(self, joint: str, side: str = "upper"):

@@ -22,6 +22,10 @@ class JointStiffness(Effect):
     MuJoCo.
     """
 
+    phrase = "joint stiffness"
+    meaning = "a spring that pulls the joint to a rest angle"
+    shown_by = "holding still in several postures"
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and torque at angle zero T₀, N·m, for rest angles anywhere on a circle."""
         torque = scale.torque[self.place[0]]

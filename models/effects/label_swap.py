@@ -6,11 +6,11 @@ from typing import Self
 
 from pyro.distributions import Beta
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Swap
+from invdyn.models.observation.view import View
 
 
 class LabelSwap(Effect):
@@ -19,10 +19,14 @@ class LabelSwap(Effect):
     Told apart from outliers by its symmetry.
     """
 
+    phrase = "swapped labels"
+    meaning = "two keypoints that are exchanged in some frames"
+    shown_by = "the same motion with markers that differ"
+
     side, site = "observation", "keypoints"
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """Every pair of tracked keypoints."""
         return [cls(*pair) for pair in combinations(keypoints, 2)]
 

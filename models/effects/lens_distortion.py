@@ -14,6 +14,10 @@ class LensDistortion(Optics):
     Told apart from a scale by its growth with the third power of the radius.
     """
 
+    phrase = "lens distortion"
+    meaning = "positions bent outwards or inwards towards the picture's edge"
+    shown_by = "a grid of known size that fills the picture"
+
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Coefficient k₁, m⁻²."""
         return (Parameter("k1", "m⁻²", Normal(0.0, 0.08 / scale.reach**2)),)

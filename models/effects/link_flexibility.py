@@ -19,7 +19,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -38,6 +38,13 @@ class LinkFlexibility(HiddenHinge):
 
     Told apart from a delay by driving it past its resonance.
     """
+
+    phrase = "link flexibility"
+    meaning = "a link that bends and swings"
+    shown_by = "a command that sweeps past the link's resonance"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "position": "softer than in its middle alone, at this share of its length",
+    }
 
     site = "link"
     softens: ClassVar[bool] = True
@@ -98,7 +105,7 @@ class LinkFlexibility(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        links, whole = self.chain(p, row.body), dynamics_for(q.shape[-1] + 1)
+        links, whole = self.chain(p, row.body), planar_dynamics(q.shape[-1] + 1)
         stiff = torch.isinf(p["stiffness"])
 
         def held(q: Tensor, qd: Tensor, s: float) -> Tensor:

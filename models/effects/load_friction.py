@@ -20,6 +20,14 @@ class LoadFriction(Rubbing):
     gravity alone exerts, as servo models have it, is its softer form: only a share s of h counts.
     """
 
+    phrase = "load-dependent friction"
+    meaning = "friction that grows with the torque that the joint carries"
+    shown_by = "the same motion under a changed load"
+    form_words: ClassVar[Mapping[str, str]] = {
+        **Rubbing.form_words,
+        "coriolis_share": "loaded by this share of the Coriolis and centrifugal torques",
+    }
+
     longest: ClassVar[float] = ABRUPT / 2
     """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""
     scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}

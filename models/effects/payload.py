@@ -13,6 +13,11 @@ class Payload(Effect):
     Told apart from an error of the last link's inertial parameters by two postures and two speeds.
     """
 
+    phrase = "a payload"
+    meaning = "a mass at the tip that the simulation does not carry"
+    shown_by = "two postures and two speeds"
+
+    planar = True
     site = "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -14,6 +14,10 @@ class QuadraticDrag(Effect):
     Told apart from viscous friction by large amplitudes. As ``density`` in MuJoCo.
     """
 
+    phrase = "quadratic drag"
+    meaning = "a torque against the motion that grows with the square of speed"
+    shown_by = "fast, large motion beside slow motion"
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Drag c, N·m·s²/rad²."""
         j = self.place[0]

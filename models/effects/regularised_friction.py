@@ -24,7 +24,7 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values
-from invdyn.models.effects.bristles import Bristles
+from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
 
@@ -39,10 +39,14 @@ class Rubbing(Effect):
 
     longest: ClassVar[float] = ABRUPT
     softens: ClassVar[bool] = True
+    form_words: ClassVar[Mapping[str, str]] = {
+        "settling": "softer than the ideal law, it takes a moment to bring the joint to rest and lets it creep",
+        "bristle_stiffness": "softer than the ideal law, it springs back by a little before it slips",
+    }
 
-    def softened(self) -> Self | Bristles | None:  # type: ignore[override]  # its softest form is a class of its own
+    def softened(self) -> Self | BristleFriction | None:  # type: ignore[override]  # its softest form is a class of its own
         """The ideal law's is soft, and that one's has bristles."""
-        return Bristles(self.ideal()) if self.soft else super().softened()
+        return BristleFriction(self.ideal()) if self.soft else super().softened()
 
     def ideal(self) -> Self:
         """The ideal form."""

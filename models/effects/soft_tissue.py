@@ -16,9 +16,9 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.hidden import Follower, Motion
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 STIFFEST = 1e-8
 """s², least κ that is none at all: a frequency of 1.6 kHz."""
@@ -34,6 +34,15 @@ class SoftTissue(Effect):
     motion and by other postures.
     """
 
+    phrase = "soft-tissue motion"
+    meaning = "a marker that shifts on the skin"
+    shown_by = "fast and slow motion through the same postures"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
+        "sliding": "that slides as the joint turns",
+    }
+
+    planar = True
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)
     softens: ClassVar[bool] = True
@@ -68,7 +77,7 @@ class SoftTissue(Effect):
         """The tip moved."""
         k = self.place[0]
         if self.form is None:
-            return view.moved(k, -p["kappa"] * view.tip_acceleration[..., k, :])
+            return view.moved(k, -p["kappa"] * view.site_acceleration[..., k, :])
         joint = min(k + 1, view.q.shape[-1] - 1)
         angle = view.q[..., joint : joint + 1]
         along, across = (p[way] + p[f"{way}_per_rad"] * angle for way in ("along", "across"))

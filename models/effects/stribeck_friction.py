@@ -19,6 +19,10 @@ class StribeckFriction(Rubbing):
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.
     """
 
+    phrase = "Stribeck friction"
+    meaning = "friction that is largest at low speed and falls once the joint moves"
+    shown_by = "very slow reversals"
+
     contains: ClassVar = {"coulomb_friction": {"coulomb": "torque", "static": "torque"}}
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -24,7 +24,14 @@ class TorqueRipple(Effect):
     softer form has the second harmonic, a₂ sin 2Nθ + b₂ cos 2Nθ, too.
     """
 
+    phrase = "torque ripple"
+    meaning = "a torque that repeats with the joint's angle"
+    shown_by = "a slow sweep through the whole range"
+
     softens: ClassVar[bool] = True
+    form_words: ClassVar[Mapping[str, str]] = {
+        "second_amplitude": "no pure sine, it has a second wave of twice as many periods",
+    }
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Parts a and b, N·m, and periods N a turn, which the motor's build makes whole; a₂ and b₂."""

@@ -1,13 +1,14 @@
 """Detections that get worse with motion blur, σ (1 + slope |ṗ|), or as the tracker says, σ (1 + slope (1 − c))."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class VaryingNoise(Effect):
@@ -15,6 +16,13 @@ class VaryingNoise(Effect):
 
     Only the variance changes: told apart from process noise by frames at rest.
     """
+
+    phrase = "varying noise"
+    meaning = "positions that are less certain in some frames than in others"
+    shown_by = "the same postures held still"
+    form_words: ClassVar[Mapping[str, str]] = {
+        "confidence": "as the tracker’s confidence falls",
+    }
 
     side, site = "observation", "arm"
     forms: ClassVar[tuple[str, ...]] = ("confidence",)
@@ -37,5 +45,5 @@ class VaryingNoise(Effect):
         if self.form:
             return sd if view.doubt is None else sd * (1 + p["slope"].unsqueeze(-1) * view.doubt.unsqueeze(-1))
         # a floor on the root keeps the gradient at rest finite
-        speed = (view.tip_velocity.square().sum(-1, keepdim=True) + 1e-12 * view.body.length.sum() ** 2).sqrt()
+        speed = (view.velocity.square().sum(-1, keepdim=True) + 1e-12 * view.dynamics.reach(view.body) ** 2).sqrt()
         return sd * (1 + p["slope"].unsqueeze(-1) * speed)

@@ -17,6 +17,10 @@ class ViscousFriction(Effect):
     Told apart from Coulomb friction by motion at several amplitudes. As ``damping`` in MuJoCo.
     """
 
+    phrase = "viscous friction"
+    meaning = "a torque against the motion that grows with speed"
+    shown_by = "the same motion at several amplitudes"
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""
         j = self.place[0]

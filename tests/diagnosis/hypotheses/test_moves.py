@@ -9,7 +9,7 @@ import torch
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.moves import ALIKE, TWINS, refine_kin
+from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
 from invdyn.diagnosis.hypotheses.pool import Search, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
@@ -18,14 +18,14 @@ from invdyn.simulate import random_arm
 
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
-@pytest.mark.parametrize(("name", "twin", "parameter"), [TWINS[0], TWINS[1]])
-def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name, twin, parameter, body):
+@pytest.mark.parametrize(("name", "parameter"), [("actuator_delay", "delay"), ("camera_latency", "latency")])
+def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name, parameter, body):
     """On one joint the motors' delay is that of its motor."""
     bound = setting(recording_of(body=body), body)
     path, stray = data_path(bound)
     none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
     one = next(e for e in candidates if e.name == name)
-    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter[0]}",), mean=np.array([0.03]))
+    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter}",), mean=np.array([0.03]))
     started = []
     monkeypatch.setattr(
         sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)

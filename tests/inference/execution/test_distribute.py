@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from dataclasses import replace
 from multiprocessing import get_context
@@ -60,9 +59,9 @@ def pool():
     context.set_forkserver_preload(["invdyn.inference", "parts"])
 
     def pool(workers):
-        executor = ProcessPoolExecutor(workers, context)
         # All workers before any work: Python's pool waits for ever for one that it starts while another dies.
-        wait([executor.submit(time.sleep, 0.2) for _ in range(workers)])
+        executor = ProcessPoolExecutor(workers, context, context.Barrier(workers).wait)
+        wait([executor.submit(os.getpid) for _ in range(workers)])
         return executor
 
     return pool

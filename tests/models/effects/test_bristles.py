@@ -7,7 +7,7 @@ from rod import F64, INERTIA, rod, rolled
 from scipy.integrate import solve_ivp
 
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, LoadFriction, StribeckFriction, ViscousFriction
-from invdyn.models.effects.bristles import Bristles
+from invdyn.models.effects.bristles import BristleFriction
 
 STRIBECK = {"coulomb": 0.3, "static": 0.6, "velocity": 1.0}
 ROWS, STEP = 301, 0.01
@@ -23,7 +23,7 @@ def pushed():
 def test_a_rod_turns_around_on_its_bristles(stiffness, having):
     model = rod(rows=ROWS, step=STEP, command=pushed())
     values = {**STRIBECK, "bristle_stiffness": stiffness, "bristle_damping": 1.0}
-    q, qd = rolled(having(model, Bristles(StribeckFriction("hinge")), **values), [0.0], [0.0])
+    q, qd = rolled(having(model, BristleFriction(StribeckFriction("hinge")), **values), [0.0], [0.0])
 
     def rate(_, x, push):
         bent = x[1] - stiffness * abs(x[1]) / (0.3 + 0.3 * np.exp(-(x[1] ** 2))) * x[2]
@@ -62,7 +62,7 @@ def test_it_is_lugre_in_mujoco(having):
         for _ in range(round(STEP / 1e-4)):
             mujoco.mj_step(model, data)
     values = {**STRIBECK, "bristle_stiffness": 200.0, "bristle_damping": 1.0}
-    rubbed = having(rod(rows=ROWS, step=STEP, command=pushed()), Bristles(StribeckFriction("hinge")), **values)
+    rubbed = having(rod(rows=ROWS, step=STEP, command=pushed()), BristleFriction(StribeckFriction("hinge")), **values)
     q, _ = rolled(rubbed, [0.0], [0.0])
     ideal, _ = rolled(
         having(rod(rows=ROWS, step=STEP, command=pushed()), StribeckFriction("hinge"), **STRIBECK), [0.0], [0.0]
@@ -78,14 +78,16 @@ def test_stiff_bristles_are_the_ideal_law(having):
     for stiffness in (400.0, 4000.0):
         values = {"torque": 0.4, "bristle_stiffness": stiffness, "bristle_damping": 0.1 * stiffness**0.5}
         errors.append(
-            np.abs(rolled(having(model, Bristles(CoulombFriction("hinge")), **values), [0.0], [3.0])[0] - ideal).max()
+            np.abs(
+                rolled(having(model, BristleFriction(CoulombFriction("hinge")), **values), [0.0], [3.0])[0] - ideal
+            ).max()
         )
     assert errors[1] < 0.2 * errors[0] < 0.2 * 0.02
 
 
 def test_a_joint_that_slides_bends_them_all_the_way(having):
     model = having(
-        rod(), Bristles(LoadFriction("hinge")), coefficient=0.2, bristle_stiffness=100.0, bristle_damping=0.5
+        rod(), BristleFriction(LoadFriction("hinge")), coefficient=0.2, bristle_stiffness=100.0, bristle_damping=0.5
     )
     bristles = model.effects.bristles
     p = {"bristle_stiffness": torch.tensor([100.0], dtype=F64), "bristle_damping": torch.tensor([0.5], dtype=F64)}
@@ -103,7 +105,7 @@ def test_a_joint_that_slides_bends_them_all_the_way(having):
 def test_acceleration_knows_how_far_they_are_bent(arm, having, states):
     """As far as the joint is slowed down in a moment."""
     values = {"torque": 1.0, "bristle_stiffness": 200.0, "bristle_damping": 0.5}
-    model = having(arm(2, step=1e-5), Bristles(CoulombFriction("joint1")), **values)
+    model = having(arm(2, step=1e-5), BristleFriction(CoulombFriction("joint1")), **values)
     x = states(model, 6)
     x[:, 2] = torch.linspace(-0.004, 0.004, 6, dtype=F64)
     body = model.body_parameters()
@@ -118,7 +120,7 @@ def test_acceleration_knows_how_far_they_are_bent(arm, having, states):
 def test_it_stands_under_the_frictions_own_name(arm):
     soft = CoulombFriction("joint1").softened()
     bristles = soft.softened()
-    assert isinstance(bristles, Bristles)
+    assert isinstance(bristles, BristleFriction)
     assert (bristles.key, bristles.softened(), bristles.softness) == (soft.key, None, 2)
     model = arm(2)
     names = [p.name for p in bristles.bound(model.body).parameters(model.scale)]
