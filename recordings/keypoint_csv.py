@@ -122,9 +122,9 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
             known = ["time", *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
             column = f"{stem}_{suffix}" if stem else suffix
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
-            near = whole[0] if whole else nearest(column, known)
+            near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
-                f"unknown column {column!r}; the closest known is {nearest!r} "
+                f"unknown column {column!r}; the closest known is {near_one!r} "
                 f"(known are time and <name>_{', _'.join(SUFFIXES)})"
             )
     return found

@@ -65,8 +65,6 @@ def verdict(diagnosis: Diagnosis) -> str:
         return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
     if answer == "outside":
         return _beyond(diagnosis)
-    if answer == "unclear":
-        return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
     cause = best(diagnosis)
     if answer == "unclear" or cause is None:
         return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
