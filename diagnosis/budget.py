@@ -63,6 +63,10 @@ class Budget:
         """Begin now, in this process."""
         self.begun, self.process = self.clock(), os.getpid()
 
+    def __getstate__(self) -> dict:
+        """Without clock and listener, which are this process's: a copy elsewhere tells nobody and has the usual clock."""
+        return self.__dict__ | {"told": None, "clock": time.monotonic}
+
     @property
     def over(self) -> bool:
         """Whether the share for now is spent."""
