@@ -64,7 +64,7 @@ class Budget:
         self.begun, self.process = self.clock(), os.getpid()
 
     def __getstate__(self) -> dict:
-        """Without clock and listener, which are this process's: a copy elsewhere tells nobody and has the usual clock."""
+        """Without clock and listener: a copy in another process has the usual clock and tells nobody."""
         return self.__dict__ | {"told": None, "clock": time.monotonic}
 
     @property
