@@ -13,10 +13,11 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.recordings import InputError, Recording, Truth
@@ -162,7 +163,7 @@ def prepare(
 
 
 def _fitted(
-    problem: Problem, free: Sequence[Free], report, checkpoint: Checkpoint | None
+    problem: Problem, free: Sequence[Free], report: Report | None, checkpoint: Checkpoint | None
 ) -> tuple[ArmModel, Tensor, bool]:
     """Model, mode, and whether it converged: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:

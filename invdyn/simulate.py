@@ -1,6 +1,7 @@
 """Recordings with known truth: an arm driven by random torques, filmed with noise."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,9 +10,10 @@ from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenb
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
+MOST_FRAMES = 1_000_000  # nine hours of film
 GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
 
-PAPER = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
+PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
     "torque": OrnsteinUhlenbeck("printed", decay=6.0),
     "integrator": "euler",
     "settings": {
@@ -70,16 +72,21 @@ def random_arm(
         seed: of the command.
 
     Raises:
-        InputError: values that are no positive numbers, or a duration that holds fewer than two frames.
+        InputError: values that are no positive numbers or beyond what is real, or a duration that holds fewer than
+            two frames or more than a million.
     """
-    for name, value in {
-        "duration": duration,
-        "fps": fps,
-        "noise": noise,
-        "torque_scale": torque_scale,
+    for name, (value, largest) in {
+        "duration": (duration, 1e6),
+        "fps": (fps, 1e6),
+        "noise": (noise, 1e3),
+        "torque_scale": (torque_scale, 1e6),
     }.items():
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError(f"{name} must be a number from 0 up, got {value:g}")
+        if value is not None and not 0 <= value <= largest:
+            raise InputError(f"{name} must be a number from 0 to {largest:g}, got {value:g}")
+    if duration * fps > MOST_FRAMES:
+        raise InputError(
+            f"{duration:g} s at {fps:g} frames a second are {duration * fps:.3g} frames; at most {MOST_FRAMES} are made"
+        )
     num_frames = round(duration * fps)
     if num_frames < 2:
         raise InputError(f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed")

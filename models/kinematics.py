@@ -16,6 +16,7 @@ of this enters the likelihood.
 Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s).
 """
 
+from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -58,7 +59,7 @@ def smooth_angles(
     time: np.ndarray,
     measured: np.ndarray,
     sd: np.ndarray,
-    agility=AGILITY,
+    agility: Sequence[float] | np.ndarray = AGILITY,
     wrap: bool | np.ndarray = True,
     gate: float = np.inf,
 ) -> np.ndarray:
@@ -149,7 +150,7 @@ def _(
 
 def _whirls(angles: np.ndarray) -> np.ndarray:
     """Whether angles (C, T, K) turn by more than half a turn from one row to the next, (C, 1, K)."""
-    return (np.abs(np.diff(angles, axis=1)) > np.pi).any(axis=1, keepdims=True)
+    return np.any(np.abs(np.diff(angles, axis=1)) > np.pi, axis=1, keepdims=True)
 
 
 def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:

@@ -39,6 +39,7 @@ class Search:
         relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.moves`).
         stray: whether some detections are far from it.
         most: effects at once, at most.
+        missed: candidates that the budget had nothing left for.
     """
 
     candidates: list[Effect]
@@ -50,6 +51,7 @@ class Search:
     workers: int = 1
     relatives: dict[str, float] = field(default_factory=dict)
     most: int = MOST
+    missed: int = 0
 
     @property
     def top(self) -> float:

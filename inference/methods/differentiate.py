@@ -21,8 +21,9 @@ import torch
 from scipy.signal import butter, filtfilt
 from torch import Tensor
 
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
-from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import Body, BodyParameters, Observation
@@ -80,7 +81,8 @@ def derivatives(
     q = np.stack([_low_passed(_onto(grid, time, a), f, interval) for a, f in zip(angle.T, cutoffs, strict=True)], -1)
     qd = np.gradient(q, interval, axis=0)
     qdd = np.gradient(qd, interval, axis=0)
-    return tuple(np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    q, qd, qdd = (np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    return q, qd, qdd
 
 
 def winter_cutoff(time: np.ndarray, angle: np.ndarray, count: int = 60) -> np.ndarray:
@@ -121,7 +123,8 @@ def inverse_dynamics(
     dynamics: Dynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, body: BodyParameters
 ) -> np.ndarray:
     """Net joint torques (T, K), N·m."""
-    return dynamics.inverse(*(torch.as_tensor(x.copy()) for x in (q, qd, qdd)), body).numpy()
+    angles, velocities, accelerations = (torch.as_tensor(x.copy()) for x in (q, qd, qdd))
+    return dynamics.inverse(angles, velocities, accelerations, body).numpy()
 
 
 @torch.no_grad()

@@ -12,6 +12,7 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -114,7 +115,7 @@ def arm_problem(
             raise InputError(f"expected a chain in the plane to learn lengths of, got '{body.name}': give its lengths")
         body = body.with_values(length=observed_lengths(recording, body))
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
-    options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
         model = ArmModel(body, recording.time, observation, substeps=substeps or 1, **options)
     except (KeyError, ValueError) as error:
@@ -202,7 +203,25 @@ def _start_values(
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
             least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
             values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
+            if keypoints.confidence is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
     return values
+
+
+def confidence_drop(off: np.ndarray, drop: np.ndarray, least: float = 0.1, most: float = 8.0) -> np.ndarray:
+    """Start of δ of each keypoint, (P,): by how much its doubtful rows' misfits are larger, in logarithms per drop.
+
+    From misfits (T, P, d) and drops (T, P) of the confidence. Where lost points begin as good ones, the mode runs
+    through them, and the search for parameters ends there.
+    """
+    start = np.full(drop.shape[1], least)
+    for p, (size, d) in enumerate(zip(np.linalg.norm(off, axis=-1).T, drop.T, strict=True)):
+        low = np.isfinite(size) & (d > 0.5)
+        high = np.isfinite(size) & (d <= 0.5)
+        if low.any() and high.any() and np.median(size[high]) > 0:
+            ratio = np.median(size[low]) / np.median(size[high])
+            start[p] = np.clip(np.log(max(ratio, 1.0)) / (np.median(d[low]) - np.median(d[high])), least, most)
+    return start
 
 
 def jitter(columns: np.ndarray) -> np.ndarray:

@@ -11,6 +11,8 @@ With D(θ), c(θ), h(θ, θ̇) of the body's equation of motion D θ̈ + h + c =
     power             τ θ̇     [chain, draw, time, joint]           W
 """
 
+from typing import Any
+
 import arviz as az
 import numpy as np
 import torch
@@ -56,7 +58,7 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         "potential_energy": (frame, dynamics.potential_energy(q, body), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),
     }
-    coords = {name: posterior[name] for name in joint}
+    coords: dict[str, Any] = {name: posterior[name] for name in joint}
     coords["joint_2"] = posterior["joint"].values
     return xr.Dataset(
         {name: (dims, np.asarray(v), {"units": u}) for name, (dims, v, u) in values.items()}, coords=coords

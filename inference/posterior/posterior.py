@@ -22,6 +22,7 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -35,11 +36,10 @@ from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.layout import check_layout, check_size
 from invdyn.models.bodies.protocol import axes
-from invdyn.recordings import InputError, atomic_path
-from invdyn.recordings.errors import first_line
-
-GROUPS = ("posterior", "sample_stats", "constant_data")
+from invdyn.recordings import InputError, atomic_path, check_readable, resolved
+from invdyn.recordings.errors import about, first_line
 
 
 def to_inference_data(
@@ -128,7 +128,7 @@ def to_inference_data(
             out["time"].attrs["units"] = "s"
         return out
 
-    groups = {
+    groups: dict[str, Any] = {
         "posterior": dataset(posterior),
         "posterior_predictive": dataset(predictive, seen),
         "sample_stats": dataset(stats),
@@ -199,7 +199,7 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
     """
     body = [str(name) for name, each in parts[0]["constant_data"].data_vars.items() if "link" in each.dims]
     varies = any(not part["constant_data"][body].equals(parts[0]["constant_data"][body]) for part in parts)
-    groups = {}
+    groups: dict[str, Any] = {}
     for group in ("posterior", "posterior_predictive", "sample_stats"):
         pieces = []
         for part in parts:
@@ -248,16 +248,20 @@ def save_posterior(idata: az.InferenceData, path: str | Path) -> None:
 def load_posterior(path: str | Path) -> az.InferenceData:
     """Read what :func:`save_posterior` wrote.
 
-    Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours.
+    Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours, with which of its
+    variables is not as :mod:`.posterior_layout` has it.
     """
-    if not Path(path).exists():
+    if not resolved(path).exists():
         raise FileNotFoundError(2, "no such posterior", str(path))
+    check_readable(path)
     try:
         idata = az.from_netcdf(str(path), engine="h5netcdf")
+        check_size(idata, path)
         idata.load()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # a broken file fails anywhere inside HDF5, xarray or ArviZ
         raise InputError(f"{path} is damaged or not netCDF: {first_line(error)}") from error
-    missing = [group for group in GROUPS if group not in idata.groups()]
-    if missing or "torque" not in idata["posterior"]:
-        raise InputError(f"{path} is no posterior of invdyn: it lacks {', '.join(missing) or 'torques'}")
+    with about(path):
+        check_layout(idata)
     return idata

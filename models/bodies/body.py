@@ -23,10 +23,13 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_mjcf, body_toml, body_urdf
+from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
+    KNOWN,
     QUANTITIES,
+    SMALLEST,
+    UNKNOWN,
     BodyError,
     Learned,
     Scalar,
@@ -38,9 +41,11 @@ from invdyn.models.bodies.scalars import (
     prior,
     vector,
 )
+from invdyn.models.bodies.whole_file import read_whole
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
+MAX_LINKS = 1000  # more is a slip, or a file made to keep a machine busy
 FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
@@ -94,8 +99,11 @@ class Link:
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
             )
-        if inertia + mass * com**2 == 0:
-            raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
+        about_joint = inertia + mass * com * com
+        if not math.isfinite(about_joint):
+            raise BodyError(f"{where}: its moment about the joint is too large for a number; are the units SI?")
+        if about_joint < SMALLEST["inertia"]:
+            raise BodyError(f"{where}: com and inertia are both 0, or nearly so: nothing would resist a torque")
 
     def nominal(self, quantity: str) -> float:
         """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
@@ -104,7 +112,7 @@ class Link:
             return nominal(value)
         if quantity == "com":
             return self.nominal("length") / 2
-        return self.nominal("mass") * self.nominal("length") ** 2 / 12
+        return self.nominal("mass") * self.nominal("length") * self.nominal("length") / 12
 
 
 @dataclass(frozen=True)
@@ -131,6 +139,8 @@ class Body(BodyBase):
         object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
+        if len(self.links) > MAX_LINKS:
+            raise BodyError(f"{where}: expected at most {MAX_LINKS} links, got {len(self.links)}")
         for key in ("name", "joint", "tip"):
             names = [getattr(link, key) for link in self.links]
             for name in names:
@@ -142,8 +152,11 @@ class Body(BodyBase):
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
         check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
-        if any(sd < 0 for sd in sds.values()):
-            raise BodyError(f"{where}: expected relative standard deviations ≥ 0 as uncertainty, got {sds}")
+        if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
+            raise BodyError(
+                f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
+                f"as uncertainty, got {sds}"
+            )
         object.__setattr__(self, "uncertainty", sds)
 
     @property
@@ -326,14 +339,20 @@ class Body(BodyBase):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a body file of any kind: MJCF (.xml, .mjcf), URDF (.urdf), else TOML. Raises as they do."""
-        readers = {".xml": cls.from_mjcf, ".mjcf": cls.from_mjcf, ".urdf": cls.from_urdf}
-        return readers.get(Path(path).suffix.lower(), cls.from_toml)(path)
+        """Read a body file of any kind: MJCF (<mujoco>) or URDF (<robot>), whatever its name, else TOML.
+
+        Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
+        """
+        content = read_whole(path, body_xml.MOST)
+        if not body_xml.is_xml(content):
+            return cls._from_tables(body_toml.parse(content, str(path)), path)
+        root = body_xml.parse(content, str(path))
+        return cls._from_tables((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls._from_tables({"name": Path(path).stem, **body_toml.read(path)}, path)
+        return cls._from_tables(body_toml.read(path), path)
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Self:
@@ -345,7 +364,7 @@ class Body(BodyBase):
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
-        """Read a planar chain of revolute joints from URDF (extra `robots`); warns and raises as `from_mjcf`."""
+        """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
         return cls._from_tables(body_urdf.read(path), path)
 
     @classmethod

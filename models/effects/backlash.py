@@ -142,8 +142,8 @@ class Backlash(HiddenHinge):
             qd_free, rate_free = self.gathered(torch.where(struck, rates - back * answer * speed, rates))
 
             gap = torch.where(pushes, psi, torch.where(struck, stop, gap).clamp(-half, half))
-            after = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
-            after = (*after, gap, torch.where(pushes, 0.0, rate_free))
+            joints = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
+            after = (*joints, gap, torch.where(pushes, 0.0, rate_free))
             q, qd, psi, rate = (torch.where(going, *each) for each in zip(after, (q, qd, psi, rate), strict=True))
             early = taken + release * contact * parts * part
             taken = torch.where(loosened | hit, early, torch.where(going, begun + 1, taken))
@@ -152,7 +152,8 @@ class Backlash(HiddenHinge):
         loose = (join(psi, rate), q, qd)
         if tight is None:
             return loose
-        return tuple(torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))
+        state, q, qd = (torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))
+        return state, q, qd
 
 
 @dataclass(frozen=True)
@@ -183,8 +184,9 @@ class _Mechanics:
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""
         still = torch.zeros_like(psi)
-        motion = [self.hinge.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
-        needed = self.whole.inverse(*motion, self.links) - self.row.pull(*motion[:2], s)
+        spread = self.hinge.spread
+        angles, rates = spread(q, psi), spread(qd, still)
+        needed = self.whole.inverse(angles, rates, spread(qdd, still), self.links) - self.row.pull(angles, rates, s)
         return needed[..., self.hinge.place[0] + 1, None]
 
     def impact(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:

@@ -219,13 +219,18 @@ class Effect(ABC):
         """
         if cls.planar and not isinstance(body, Body):
             return []
-        places = {
+        places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
             "pair": list(pairwise(body.joint_names)),
             "keypoint": [(name,) for name in keypoints],
             "link": [(name,) for name in body.link_names],
-        }.get(cls.site, [(name,) for name in body.joint_names])
-        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
+        }
+        joints: list[tuple[str, ...]] = [(name,) for name in body.joint_names]
+        return [
+            cls(*place, *form)
+            for form in ((), *((word,) for word in cls.forms))
+            for place in places.get(cls.site, joints)
+        ]
 
     @abstractmethod
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

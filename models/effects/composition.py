@@ -24,17 +24,23 @@ PARTS = 8
 """Of a row, each with a line of its own, where a lagging command is changed further."""
 
 
+class NotTogether(ValueError):
+    """Effects that no model has at once."""
+
+
 class Composition:
     """Bound effects and the parameters that a model has for them.
 
     Args:
         effects: in any order; hooks run by :attr:`Effect.order`.
+
+    Raises NotTogether for an effect twice at a place, and for two whose hidden states move the arm.
     """
 
     def __init__(self, effects: tuple[Effect, ...] = ()):
         keys = [effect.key for effect in effects]
         if twice := {key for key in keys if keys.count(key) > 1}:
-            raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
+            raise NotTogether(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
         self.yields = any(effect.yields for effect in effects)
@@ -59,8 +65,8 @@ class Composition:
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
         if len(movers) > 1:
-            keys = " and ".join(effect.key for effect in movers)
-            raise ValueError(f"expected at most one effect whose hidden states move the arm, got {keys}")
+            both = " and ".join(effect.key for effect in movers)
+            raise NotTogether(f"expected at most one effect whose hidden states move the arm, got {both}")
         mover = movers[0] if movers else None
         self.hinge = mover if isinstance(mover, HiddenHinge) else None
         self.bristles = mover if isinstance(mover, BristleFriction) else None
@@ -92,9 +98,8 @@ class Composition:
 
     def late(self, parameters: Mapping[str, Tensor], elapsed: Tensor, joints: int) -> Tensor:
         """Largest share of what motors were told before a recording that still acts after ``elapsed`` (..., 1) s."""
-        shares = [effect.late(p, elapsed, joints) for effect, p in self._each(parameters)]
-        shares = [share for share in shares if share is not None]
-        return reduce(torch.maximum, shares)
+        shares = (effect.late(p, elapsed, joints) for effect, p in self._each(parameters))
+        return reduce(torch.maximum, [share for share in shares if share is not None])
 
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Sum of the generalised forces, (..., K) N·m; softer stops take what all other forces press into them."""
@@ -107,8 +112,8 @@ class Composition:
 
     def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Of these forces those on points of the links."""
-        forces = [effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls]
-        return sum(forces, start=torch.zeros_like(now.q))
+        forces = (effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls)
+        return sum((force for force in forces if force is not None), start=torch.zeros_like(now.q))
 
     def friction(
         self,
@@ -141,15 +146,15 @@ class Composition:
             times = effect.settling(p)
             if times is not None:
                 joint = effect.place[0]
-                pairs = zip(settling.get(joint, times), times, strict=True)
-                settling[joint] = tuple(torch.maximum(one, other) for one, other in pairs)
+                rest, creep = settling.get(joint, times)
+                settling[joint] = torch.maximum(rest, times[0]), torch.maximum(creep, times[1])
         changing = held and self.has_changing_friction
         return dry_friction(levels(now), now, torque, own, levels_at if changing else None, settling, held)
 
     def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
         """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""
-        own = [effect.inertia(p, joints) for effect, p in self._each(parameters)]
-        own = [inertia for inertia in own if inertia is not None]
+        each = (effect.inertia(p, joints) for effect, p in self._each(parameters))
+        own = [inertia for inertia in each if inertia is not None]
         return sum(own[1:], start=own[0]) if own else None
 
     def interval(self, parameters: Mapping[str, Tensor], dt: Tensor) -> Tensor:

@@ -76,7 +76,7 @@ class Follower(Hidden):
     planar = True
 
     @abstractmethod
-    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt: Tensor) -> Tensor:
         """States (..., H) a row of ``dt`` s later, between what the K tips do at its two ends."""
 
     @abstractmethod
@@ -113,7 +113,7 @@ class HiddenHinge(Hidden):
     def on_joints(self, values: Tensor) -> Tensor: ...
 
     @overload
-    def on_joints(self, values: None) -> None: ...
+    def on_joints(self, values: Tensor | None) -> Tensor | None: ...
 
     def on_joints(self, values: Tensor | None) -> Tensor | None:
         """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
@@ -159,7 +159,7 @@ def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:
     return join(values[..., :k], inner, outer, values[..., k + 1 :])
 
 
-def substeps_for(dt, frequency: float, n: int) -> int:
+def substeps_for(dt: Tensor | float, frequency: float, n: int) -> int:
     """Sub-steps in which Runge–Kutta of order 4 follows an oscillation of ``frequency`` Hz: a radian each at most."""
     longest = dt.max().item() if isinstance(dt, Tensor) else dt
     return max(n, math.ceil(longest * 2 * math.pi * frequency))

@@ -36,4 +36,5 @@ class LabelSwap(Effect):
 
     def mistake(self, p: Values, view: View) -> Swap:
         """The pair, exchanged with probability ρ."""
-        return Swap(*self.place, p["rate"])
+        one, other = self.place
+        return Swap(one, other, p["rate"])

@@ -101,7 +101,7 @@ class Wobble(SoftTissue, Follower):
         fast = far * scale.speed[self.place[0]] / 0.1**0.5
         return far, far, fast, fast
 
-    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt: Tensor) -> Tensor:
         """See :meth:`Follower.follow`; damping ratios are below one."""
         k = self.place[0]
         (p0, v0), (p1, v1) = ((x[..., k, :], v[..., k, :]) for x, v in (before, after))
@@ -112,7 +112,7 @@ class Wobble(SoftTissue, Follower):
         omega = kappa.rsqrt()
         rate, turning = ratio * omega, omega * (1 - ratio**2).sqrt()
 
-        def steady(t) -> Tensor:
+        def steady(t: Tensor | float) -> Tensor:
             return kappa * (2 * rate * kappa * b - a - b * t)
 
         x, v = (state - rest for state, rest in zip(hidden.chunk(2, -1), (steady(0.0), -kappa * b), strict=True))

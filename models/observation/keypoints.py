@@ -2,8 +2,10 @@
 
     y_p ~ F(r_p(θ), σ_p s(c)),     σ_p = "emission.keypoint_scale" (P,), length unit
 
-with s(c) of the tracker's confidence (:mod:`.confidence`), γ = "emission.confidence_slope" (P,). Coordinates stand
-keypoint by keypoint. Shapes: P keypoints, S sites, d dimensions, those of the body.
+with s(c) of the tracker's confidence (:mod:`.confidence`), γ = "emission.confidence_slope" and
+δ = "emission.confidence_drop" (P,). Coordinates stand keypoint by keypoint.
+
+Shapes: P keypoints, S sites, d dimensions, those of the body.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,7 +82,8 @@ class Keypoints(NoisySensor):
         """Noise of a fiftieth of the reach."""
         parameters = {"emission.keypoint_scale": torch.full((len(self.chosen),), 0.02 * reach).double()}
         if self.sureness is not None:
-            parameters["emission.confidence_slope"] = torch.full((len(self.chosen),), USUAL_SLOPE).double()
+            for name in ("emission.confidence_slope", "emission.confidence_drop"):
+                parameters[name] = torch.full((len(self.chosen),), USUAL_SLOPE).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
@@ -91,7 +94,8 @@ class Keypoints(NoisySensor):
         """The sites as they are seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
         if self.sureness is not None:
-            scale = self.sureness.widened(scale, parameters["emission.confidence_slope"], t)
+            slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
+            scale = self.sureness.widened(scale, slope, drop, t)
         sd = scale.repeat_interleave(self.coordinates, -1)
         if view.noise is not None:
             every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]

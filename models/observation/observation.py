@@ -71,7 +71,9 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        return [] if self.keypoints is None or self.keypoints.sureness is None else [self.keypoints.sureness.doubt]
+        if self.keypoints is None or self.keypoints.sureness is None:
+            return []
+        return [self.keypoints.sureness.doubt, self.keypoints.sureness.drop]
 
     # -- rows ----------------------------------------------------------------------------------
     @property

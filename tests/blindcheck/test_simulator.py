@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.blindcheck.mechanisms import MECHANISMS
+from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.motion import LEAD, play, random_body, random_plan, replay
 from invdyn.blindcheck.simulator import World
 from invdyn.models.dynamics.integrators import rk4

@@ -14,6 +14,7 @@ from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.square_root import forward_mean
 from invdyn.models import Encoders, Keypoints, LinearGaussian, Matern32, Observation, StateSpaceModel
+from invdyn.models.divergence import Diverged
 
 F64 = torch.float64
 
@@ -182,7 +183,7 @@ def test_student_t_shrugs_off_stray_detections():
 def test_a_start_without_density_is_refused():
     model = oracles.random_chain().model(5)
     y = torch.zeros(5, 2, dtype=F64)
-    with pytest.raises(ValueError, match="no finite density"):
+    with pytest.raises(Diverged, match="no finite density"):
         gauss_newton(model, y, start=torch.full((5, 3), torch.inf, dtype=F64))
 
 

@@ -42,9 +42,9 @@ def test_density_of_a_row(family):
     assert found.item() == pytest.approx(expected, rel=1e-9)
 
 
-def confident(confidence):
+def confident(confidence, slope=(1.5, 0.5), drop=(0.0, 0.0)):
     emission = Observation(Keypoints([0, 1], confidence=np.asarray(confidence))).bound(BODY)
-    p = parameters(emission, keypoint_scale=[0.01, 0.02], confidence_slope=[1.5, 0.5])
+    p = parameters(emission, keypoint_scale=[0.01, 0.02], confidence_slope=slope, confidence_drop=drop)
     rows = torch.arange(len(confidence))
     law = emission.predict(seen(TIPS.expand(len(rows), 3, 2), ANGLES.expand(len(rows), 3)), rows, p)
     return law.base_dist.scale.numpy()
@@ -68,8 +68,18 @@ def test_noise_falls_with_confidence():
 
 
 @pytest.mark.parametrize("change", [lambda c: c**3, lambda c: 100 * c - 7, lambda c: np.log(c)])
-def test_only_the_order_of_confidences_matters(change):
+def test_only_the_order_of_confidences_matters_to_the_slope(change):
     assert np.array_equal(confident(change(CONFIDENCE)), confident(CONFIDENCE))
+
+
+def test_the_drop_spans_from_sure_points_to_lost_ones_on_any_scale():
+    """δ (c⁺ − c) / (c⁺ − c⁻): .9, .5, .99 and .1 lie .09, .49, 0 and .89 of .89 below the greatest."""
+    scale = confident(CONFIDENCE, slope=(0.0, 0.0), drop=(6.0, 2.0))
+    np.testing.assert_allclose(scale[:, 0], 0.01 * np.exp(6.0 * np.array([0.09, 0.49, 0.0, 0.89]) / 0.89))
+    np.testing.assert_allclose(scale[:, 2], 0.02 * np.exp(2.0 * np.array([1.0, 0.0, 0.0, 5 / 6])))
+    np.testing.assert_allclose(confident(80 + 30 * CONFIDENCE, slope=(0.0, 0.0), drop=(6.0, 2.0)), scale)
+    constant = np.stack([np.full(4, 0.7), CONFIDENCE[:, 1]], axis=1)
+    assert (confident(constant, slope=(0.0, 0.0), drop=(6.0, 2.0))[:, 0] == 0.01).all()
 
 
 def test_a_missing_confidence_is_the_lowest():
