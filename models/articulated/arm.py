@@ -24,7 +24,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -167,7 +167,7 @@ class ArmModel(StateSpaceModel):
         return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
 
     @property
-    def unconstrained(self) -> frozenset[str]:
+    def unconstrained(self) -> frozenset[str]:  # type: ignore[override]  # its body and effects say
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
@@ -212,7 +212,7 @@ class ArmModel(StateSpaceModel):
         return self.chain.late(t)
 
     # -- the same body under other circumstances -------------------------------------------------
-    def _with(self, **parts: object) -> "ArmModel":
+    def _with(self, **parts: Any) -> Self:
         """The model with other parts, and what follows from them made anew."""
         other = copy.copy(self)
         for name in DERIVED:
@@ -220,20 +220,24 @@ class ArmModel(StateSpaceModel):
         other.__dict__.update(parts)
         return other
 
-    def replace(self, **values: Tensor) -> "ArmModel":
+    def replace(self, **values: Tensor) -> Self:
         """Other parameter values; see :meth:`StateSpaceModel.replace`."""
         parameters = self._replaced(values)
         device = next(iter(parameters.values())).device
         if device == self.time.device:
             return self._with(parameters=parameters)
         # A row must not wait for the host: what it needs besides parameters is where they are.
-        parts = {"timeline": self.timeline, "observation": self.observation, "drive": self.drive}
-        return self._with(parameters=parameters, **{name: part.to(device) for name, part in parts.items()})
+        return self._with(
+            parameters=parameters,
+            timeline=self.timeline.to(device),
+            observation=self.observation.to(device),
+            drive=self.drive.to(device),
+        )
 
-    def sampled(self) -> "ArmModel":
+    def sampled(self) -> Self:
         """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
         drawn = {f"body.{name}": value for name, value in self.body.drawn(self.mechanics.given).items()}
-        return super(ArmModel, self.replace(**drawn)).sampled()
+        return self.replace(**drawn)._sampled()
 
     def with_effects(self, *effects: Effect) -> "ArmModel":
         """The model of a body that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
@@ -307,7 +311,7 @@ class ArmModel(StateSpaceModel):
         return super().initial_paths(observations) if paths is None else paths
 
     @property
-    def driven(self) -> slice | None:
+    def driven(self) -> slice | None:  # type: ignore[override]  # its effects say
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None
@@ -315,7 +319,7 @@ class ArmModel(StateSpaceModel):
     def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""
         angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
-        slack = {"noise.angle": angle, "noise.velocity": velocity}
+        slack: dict[str, float | list[float]] = {"noise.angle": angle, "noise.velocity": velocity}
         for each in self.effects.hidden:
             rates = each.states // 2
             slack[f"noise.hidden.{each.key}"] = [0.1 * angle] * (each.states - rates) + [0.1 * velocity] * rates

@@ -31,7 +31,8 @@ class StateLayout:
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
-        return torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
+        z, angle, velocity = torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
+        return z, angle, velocity
 
     def at_rest(self, angle: Tensor, velocity: Tensor) -> Tensor:
         """The state (..., D) in which the torque process and all hidden states are zero."""

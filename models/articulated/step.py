@@ -23,9 +23,10 @@ from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.hidden import Row, tip_motion
+from invdyn.models.effects.hidden import HiddenHinge, Motion, Row, tip_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,33 +69,34 @@ class Mechanics:
     def under(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> Tensor:
         """θ̈ (..., K) where a row begins; no hidden hinge moves."""
         torque, own, now = self.smooth(drive, q, qd, 0.0)
-        if self.effects.bristles:
+        if bristles := self.effects.bristles:
             now = self.now(drive, q, qd, 0.0)
-            bent = self.effects.shares(hidden)[self.effects.bristles.key]
-            torque = torque + self._bending(bent, now)[0]
+            bent = self.effects.shares(hidden)[bristles.key]
+            torque = torque + self._bending(bristles, bent, now)[0]
         torque, own = self.with_friction(torque, own, now)
         return self.dynamics.forward(q, qd, torque, drive.body, own)
 
     def _moved(self, drive: RowDrive, bent: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The hidden states, if there are any, that have a part in it, q and q̇ one row later."""
         if self.effects.hinge:
-            return self._hinged(drive, bent, q, qd)
+            return self._hinged(self.effects.hinge, drive, bent, q, qd)
         if self.effects.bristles:
-            return self._bristling(drive, bent, q, qd)
+            return self._bristling(self.effects.bristles, drive, bent, q, qd)
         return bent, *self._integrated(drive, q, qd)
 
     def _followed(self, drive: RowDrive, own: dict[str, Tensor], *ends: tuple[Tensor, Tensor, Tensor]) -> list[Tensor]:
         """What follows the body, one row later, between ``ends`` (hidden states that move it, q, q̇) of the row."""
         if not self.effects.followers:
             return []
-        hinge, motions = self.effects.hinge, []
-        for bent, q, qd in ends:
-            if hinge:
-                motions.append(hinge.tip_motion(own_values(hinge, self.parameters), q, qd, bent, drive.body))
-            else:
-                motions.append(tip_motion(q, qd, drive.body))
+        before, after = (self._tip_motion(drive, *end) for end in ends)
         following = ((each, own_values(each, self.parameters)) for each in self.effects.followers)
-        return [each.follow(p, own[each.key], *motions, drive.dt) for each, p in following]
+        return [each.follow(p, own[each.key], before, after, drive.dt) for each, p in following]
+
+    def _tip_motion(self, drive: RowDrive, bent: Tensor, q: Tensor, qd: Tensor) -> Motion:
+        """What the tips do in a state."""
+        if hinge := self.effects.hinge:
+            return hinge.tip_motion(own_values(hinge, self.parameters), q, qd, bent, drive.body)
+        return tip_motion(q, qd, drive.body)
 
     def _integrated(self, drive: RowDrive, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
         """The body one row later; dry friction is held within sub-steps."""
@@ -107,9 +109,11 @@ class Mechanics:
         self, drive: RowDrive, q: Tensor, qd: Tensor, begun: float, share: float, steps: int
     ) -> tuple[Tensor, Tensor]:
         """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
-        held, off, first = 0.0, None, None
+        held: Tensor | float = 0.0
+        off = first = None
         if self.effects.has_friction:
             torque, own, now = self.smooth(drive, q, qd, begun)
+            assert now is not None  # effects ask for it
             held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
@@ -121,9 +125,11 @@ class Mechanics:
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * drive.dt, steps)
         return (q if off is None else q + off), qd
 
-    def _hinged(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _hinged(
+        self, hinge: HiddenHinge, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """A hidden hinge's angle and rate, q and q̇ one row later."""
-        p, hinge = own_values(self.effects.hinge, self.parameters), self.effects.hinge
+        p = own_values(hinge, self.parameters)
         links, whole = hinge.chain(p, drive.body), planar_dynamics(self.body.num_joints + 1)
 
         def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
@@ -140,17 +146,19 @@ class Mechanics:
         row = Row(drive.body, self.dynamics, net, pull, drive.dt, drive.parts)
         return hinge.step(p, row, hidden, q, qd)
 
-    def _bristling(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _bristling(
+        self, bristles: BristleFriction, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """How far bristles are bent, q and q̇ one row later."""
 
         def moving(q: Tensor, qd: Tensor, s: float, bent: Tensor) -> tuple[Tensor, Tensor]:
             torque, own, _ = self.smooth(drive, q, qd, s)
             now = self.now(drive, q, qd, s)
-            friction, rate = self._bending(bent, now)
+            friction, rate = self._bending(bristles, bent, now)
             torque, own = self.with_friction(torque + friction, own, now)
             return self.dynamics.forward(q, qd, torque, drive.body, own), rate
 
-        return self.effects.bristles.step(moving, hidden, q, qd, drive.dt, drive.parts)
+        return bristles.step(moving, hidden, q, qd, drive.dt, drive.parts)
 
     def smooth(
         self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor
@@ -176,12 +184,13 @@ class Mechanics:
     def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
         if self.effects.has_friction:
+            assert now is not None  # effects ask for it
             torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
         return torque, own
 
-    def _bending(self, bent: Tensor, now: Situation) -> tuple[Tensor, Tensor]:
+    def _bending(self, bristles: BristleFriction, bent: Tensor, now: Situation) -> tuple[Tensor, Tensor]:
         """Friction through bristles that are ``bent`` (..., 1), (..., K) N·m, and how fast they bend, rad/s."""
-        bristles, p = self.effects.bristles, own_values(self.effects.bristles, self.parameters)
+        p = own_values(bristles, self.parameters)
         j = bristles.place[0]
         friction, rate = bristles.bending(p, bent, now.qd[..., j : j + 1], bristles.level(p, now), now.step)
         return now.at(j, friction), rate

@@ -48,7 +48,7 @@ class Timeline:
         """The same on ``device``; itself where it is there."""
         if self.time.device == device:
             return self
-        return Timeline(*(None if each is None else each.to(device) for each in vars(self).values()))
+        return replace(self, **{name: each.to(device) for name, each in vars(self).items() if each is not None})
 
     def known_from(self, begin: Tensor) -> Self:
         """The grid where commands are known from the time ``begin``, s."""

@@ -52,7 +52,7 @@ class Transition:
             root = torch.hypot(root, late)
         sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
         moved = self.layout.gaussian(self.mean(state, t), root, sds)
-        if self.timeline.anew is None:
+        if self.timeline.anew is None or self.timeline.middle is None:
             return moved
         # As the first row is, within about half a turn of some angles.
         middle = self.timeline.middle[t]

@@ -137,7 +137,7 @@ class Dynamics(ABC):
 
 
 @cache
-def _jvp() -> Callable[..., tuple[Tensor, Tensor]]:
+def _jvp() -> Callable[..., Any]:
     """Torch's derivative along a direction, by forward mode."""
     with warnings.catch_warnings():
         # At first use torch imports what it deprecates itself.

@@ -10,7 +10,7 @@ Shapes: P keypoints, S sites, d dimensions, those of the body.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import torch
@@ -25,6 +25,9 @@ from invdyn.models.observation.view import View
 
 LEAST, MOST = 1e-5, 0.3
 """Of the reach: noise that a recording's jitter is believed to show."""
+
+
+S = TypeVar("S", Stray, Shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +64,29 @@ class Keypoints(NoisySensor):
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""
-        return self if self.confidence is None else replace(self, confidence=self.confidence.to(device))
+        return self if (own := self.told) is None else replace(self, confidence=own.to(device))
+
+    @property
+    def told(self) -> Confidence | None:
+        """The tracker's confidence, if it is known."""
+        return self.confidence if isinstance(self.confidence, Confidence) else None
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The sites by number, (P,); once bound."""
+        return tuple(site for site in self.sites if isinstance(site, int))
+
+    @property
+    def space(self) -> int:
+        """d; ValueError before they are bound."""
+        if self.coordinates is None:
+            raise ValueError("expected keypoints that are bound to a body, whose coordinates are then known")
+        return self.coordinates
 
     @property
     def shape(self) -> tuple[int, int]:
         """(P, d)."""
-        return len(self.sites), self.coordinates
+        return len(self.sites), self.space
 
     @property
     def coords(self) -> dict[str, Sequence[str]]:
@@ -88,32 +108,32 @@ class Keypoints(NoisySensor):
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The sites as they are seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
-        if self.confidence is not None:
+        if (own := self.told) is not None:
             slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
-            scale = self.confidence.widened(scale, slope, drop, t)
-        sd = scale.repeat_interleave(self.coordinates, -1)
+            scale = own.widened(scale, slope, drop, t)
+        sd = scale.repeat_interleave(self.space, -1)
         if view.noise is not None:
-            every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]
-            for site, own in zip(self.sites, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
-                every[site] = own
+            every = [sd.new_ones(*sd.shape[:-1], self.space)] * view.points.shape[-2]
+            for site, width in zip(self.places, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
+                every[site] = width
             sd = self.tracked(view.noise(torch.stack(every, -2))).flatten(-2)
         return self.tracked(view.points).flatten(-2), sd
 
     def tracked(self, values: Tensor) -> Tensor:
         """Of all sites' values (..., S, d) those of the keypoints, (..., P, d)."""
         # Entry by entry: a list of indices would be sent to the device in each row.
-        return torch.stack([values[..., site, :] for site in self.sites], -2)
+        return torch.stack([values[..., site, :] for site in self.places], -2)
 
     def doubted(self, t: int | Tensor, like: Tensor, count: int) -> Tensor | None:
         """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or not said.
 
         None where no confidence is known.
         """
-        if self.confidence is None:
+        if (told := self.told) is None:
             return None
-        doubt = self.confidence.itself[t].to(like)
+        doubt = told.itself[t].to(like)
         every = [doubt.new_zeros(doubt.shape[:-1])] * count
-        for site, own in zip(self.sites, doubt.unbind(-1), strict=True):
+        for site, own in zip(self.places, doubt.unbind(-1), strict=True):
             every[site] = own
         return torch.stack(every, -1)
 
@@ -128,7 +148,8 @@ class Keypoints(NoisySensor):
         shift = next((self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
         return MistakenRows(loc, scale, self.shape, strays, swaps, shift)
 
-    def _of_keypoints(self, mistake: Stray | Shift) -> Stray | Shift:
+    def _of_keypoints(self, mistake: S) -> S:
         """The tracked ones of all sites' widths."""
-        sizes = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
-        return replace(mistake, **{name: self.tracked(value) for name, value in sizes.items()})
+        widths = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
+        sizes: dict[str, Any] = {name: self.tracked(value) for name, value in widths.items()}
+        return replace(mistake, **sizes)

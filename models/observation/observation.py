@@ -10,8 +10,9 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 import copy
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Self
+from typing import Any, Self, TypeVar
 
+import numpy as np
 import torch
 from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from torch import Tensor
@@ -27,6 +28,9 @@ from invdyn.models.shapes import join
 FAMILIES = ("gaussian", "student_t")
 DEGREES = 4.0
 """Of freedom of Student-t noise, to begin with."""
+
+
+Rows = TypeVar("Rows", Tensor, np.ndarray)
 
 
 class Observation:
@@ -71,9 +75,8 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        if self.keypoints is None or self.keypoints.confidence is None:
-            return []
-        return [self.keypoints.confidence.doubt, self.keypoints.confidence.drop]
+        told = None if self.keypoints is None else self.keypoints.told
+        return [] if told is None else [told.doubt, told.drop]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
@@ -94,7 +97,7 @@ class Observation:
     @property
     def tracked(self) -> tuple[int, ...]:
         """Sites that keypoints show, (P,)."""
-        return () if self.keypoints is None else self.keypoints.sites
+        return () if self.keypoints is None else self.keypoints.places
 
     @property
     def tracked_names(self) -> tuple[str, ...]:
@@ -107,11 +110,11 @@ class Observation:
         begun = sum(map(size, before))
         return slice(begun, begun + size(sensor))
 
-    def of(self, sensor: Sensor, rows):
+    def of(self, sensor: Sensor, rows: Rows) -> Rows:
         """A sensor's part of rows (..., O), tensor or array, in its own shape."""
         return rows[..., self.part(sensor)].reshape(*rows.shape[:-1], *sensor.shape)
 
-    def points(self, rows):
+    def points(self, rows: Rows) -> Rows:
         """Keypoints (..., P, d) of rows (..., O), tensor or array; none of no keypoints."""
         if self.keypoints is None:
             return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
@@ -149,7 +152,7 @@ class Observation:
         first = run[0]
         if not isinstance(first, NoisySensor):
             return first.predict(view, t, parameters)
-        found = [each.location_scale(view, t, parameters) for each in run]
+        found = [each.location_scale(view, t, parameters) for each in run if isinstance(each, NoisySensor)]
         loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
         if view.mistakes and isinstance(first, Keypoints):
             if self.family != "gaussian":
@@ -173,6 +176,6 @@ class _UncheckedStudentT(StudentT):
         self._chi2 = Chi2(self.df, validate_args=False)
         torch.distributions.Distribution.__init__(self, self.df.shape, validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> Any:
         """See :class:`torch.distributions.Distribution`."""
         return super().expand(batch_shape, self._get_checked_instance(_UncheckedStudentT, _instance))

@@ -28,9 +28,9 @@ from invdyn.models.observation.view import View
 class Sensor(Protocol):
     """A part of an observation row; see the top of the file."""
 
-    name: str
+    name: ClassVar[str]
     """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
-    unit: str
+    unit: ClassVar[str]
     """"length" for the recording's unit of length, else the unit itself, such as "rad"."""
 
     def bound(self, body: ArticulatedBody) -> Self:

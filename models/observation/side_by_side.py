@@ -6,6 +6,8 @@ Shapes: rows (..., O), O the sum of the parts'; batches broadcast.
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from typing import Any
 
 import torch
 from pyro.distributions import Distribution
@@ -29,12 +31,12 @@ class SideBySide(RowDistribution):
         self.sizes = [part.event_shape[-1] for part in parts]
         super().__init__(batch, torch.Size([sum(self.sizes)]), validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> Any:
         """See :class:`torch.distributions.Distribution`."""
         return SideBySide([part.expand(torch.Size(batch_shape)) for part in self.parts])
 
     @property
-    def loc(self) -> Tensor:
+    def loc(self) -> Tensor:  # type: ignore[override]  # made of its parts
         """The parts' middles, (..., O)."""
         return join(*(getattr(part, "base_dist", part).loc for part in self.parts))
 
@@ -51,7 +53,8 @@ class SideBySide(RowDistribution):
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the entries that are not NaN."""
         pieces = value.split(self.sizes, -1)
-        return sum(_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
+        each = (_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
+        return reduce(torch.add, each)
 
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of the parts, W as a vector where all of them are, else block by block."""
@@ -59,7 +62,7 @@ class SideBySide(RowDistribution):
         found = [gaussian_rows(part, piece) for part, piece in zip(self.parts, pieces, strict=True)]
         target = join(*(explained(part, piece) for part, piece in zip(self.parts, pieces, strict=True)))
         whitening = [each for each, _ in found]
-        constant = sum(each for _, each in found)
+        constant = reduce(torch.add, [each for _, each in found])
         rank = max(len(self.batch_shape), value.ndim - 1) + 1
         flat = [each.ndim == rank for each in whitening]
         if all(flat):
@@ -73,7 +76,7 @@ class SideBySide(RowDistribution):
         return whole, target, constant
 
     @torch.no_grad()
-    def sample(self, sample_shape=()) -> Tensor:
+    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Draw rows (sample_shape, ..., O)."""
         return torch.cat([part.sample(torch.Size(sample_shape)) for part in self.parts], -1)
 

@@ -45,6 +45,10 @@ class TorqueProcess(ABC):
     def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
         """Square root of the covariance of z_0, in the form of :meth:`noise`."""
 
+    def unsettled(self, dt: Tensor, parameters: Parameters) -> Tensor:
+        """Of a process that is ``underway``, sd (..., K), N·m: see :meth:`.OrnsteinUhlenbeck.unsettled`."""
+        raise NotImplementedError(f"{type(self).__name__} has no motion before a recording begins")
+
     def path(self, torque: Tensor, time: Tensor) -> Tensor:
         """A plausible z path (T, Z) whose torques are ``torque`` (T, K): a start for linearisation."""
         z = torque.new_zeros(len(torque), self.size(torque.shape[-1]))

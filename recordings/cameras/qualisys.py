@@ -37,8 +37,8 @@ def read_qualisys(path: str | Path) -> Calibration:
         if root.tag != "calibration" or not found:
             raise InputError(f"expected a Qualisys calibration with cameras, got <{root.tag}> without")
         residuals = [float(each.get("avg-residual", "nan")) for each in found]
-        error = float(np.mean(residuals)) if np.isfinite(residuals).all() else None
-        return Calibration(tuple(_camera(each) for each in found), metric=True, error=error)
+        pixels = float(np.mean(residuals)) if np.isfinite(residuals).all() else None
+        return Calibration(tuple(_camera(each) for each in found), metric=True, error=pixels)
 
 
 def _camera(element: ElementTree.Element) -> Camera:
@@ -68,7 +68,7 @@ def _camera(element: ElementTree.Element) -> Camera:
     return Camera(
         name=name,
         matrix=matrix,
-        distortion=[k1, k2, p1, p2, k3],
+        distortion=np.array([k1, k2, p1, p2, k3]),
         rotation=rotation,
         translation=-rotation @ values(pose, "x", "y", "z") / 1000,
         size=(int(right - left) + 1, int(bottom - top) + 1),
