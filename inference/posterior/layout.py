@@ -111,7 +111,7 @@ def _check_names(what: str, data: xr.Dataset) -> None:
 def _check_attribute(name: str, value: Any) -> None:
     if name in TEXTS and not _printable(value):
         raise InputError(f"attribute {name}: expected a text, got {value!r:.60}")
-    if name in NUMBERS and (not isinstance(value, float | int | np.integer | np.floating) or abs(value) > LARGEST):
+    if name in NUMBERS and (not isinstance(value, float | int | np.integer | np.floating) or np.abs(value) > LARGEST):
         raise InputError(f"attribute {name}: expected a number, got {value!r:.60}")
 
 
