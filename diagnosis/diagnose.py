@@ -144,6 +144,7 @@ def diagnose(
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
+    there = replace(there, setting=replace(there.setting, budget=allowed))  # not a copy that came from another process
     left = there.leaves
     if left:
         weighed = in_part_only(weighed)

@@ -53,8 +53,8 @@ class Camera:
         self._check_matrix()
         self._check_rotation()
         if self.size is not None:
-            size = tuple(int(side) for side in self.size)
-            if len(size) != 2 or min(size) <= 0:
+            size = tuple(self._numbers("size", (2,)).astype(int).tolist())
+            if min(size) <= 0:
                 raise InputError(
                     f"camera {self.name!r}: expected size as width and height in px, got {list(self.size)}"
                 )

@@ -58,12 +58,12 @@ def _find(tree: dict[str, Any], keys: Sequence[str]) -> Any:
 
 def _size(tree: dict[str, Any]) -> tuple[int, int] | None:
     if "image_width" in tree and "image_height" in tree:
-        return int(tree["image_width"]), int(tree["image_height"])
+        return tree["image_width"], tree["image_height"]  # `Camera` checks them
     size = _find(tree, ("image_size", "imageSize", "Image_Size"))
     if size is None or np.size(size) != 2:
         return None
     width, height = np.ravel(size)
-    return int(width), int(height)
+    return width, height
 
 
 def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
@@ -85,7 +85,7 @@ def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
         rotation=rotation_matrix(path.stem, rotation),
         translation=np.ravel(translation),
         size=_size(tree),
-        fisheye=bool(tree.get("fisheye_model", 0)),
+        fisheye=tree.get("fisheye_model", 0) == 1,
     )
 
 

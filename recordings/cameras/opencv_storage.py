@@ -53,7 +53,7 @@ def _matrix(key: str, value: Any) -> Any:
         try:
             rows, cols = int(value["rows"]), int(value["cols"])
             return np.array(value["data"], dtype=np.float64).reshape(rows, cols)
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(f"{key!r} is no matrix: expected rows, cols and as many data") from None
     if isinstance(value, list):
         try:

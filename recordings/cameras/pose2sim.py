@@ -7,6 +7,8 @@ Layout: Pose2Sim, calibration.py, `toml_write`. Its file is known by `fisheye` i
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import about
 from .camera import Calibration
 from .camera_tables import calibration_of, camera_tables, read_toml
@@ -15,7 +17,9 @@ from .camera_tables import calibration_of, camera_tables, read_toml
 def is_pose2sim(tables: dict[str, Any]) -> bool:
     """Whether tables of cameras are in this program's layout."""
     found = camera_tables(tables).values()
-    return bool(found) and all(table.get("fisheye") is False and len(table["distortions"]) == 4 for table in found)
+    return bool(found) and all(
+        table.get("fisheye") is False and np.size(table.get("distortions", ())) == 4 for table in found
+    )
 
 
 def read_pose2sim(path: str | Path) -> Calibration:

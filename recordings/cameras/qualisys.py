@@ -36,9 +36,7 @@ def read_qualisys(path: str | Path) -> Calibration:
         found = [each for each in root.iterfind("cameras/camera") if each.get("active", "1") != "0"]
         if root.tag != "calibration" or not found:
             raise InputError(f"expected a Qualisys calibration with cameras, got <{root.tag}> without")
-        residuals = [float(each.get("avg-residual", "nan")) for each in found]
-        pixels = float(np.mean(residuals)) if np.isfinite(residuals).all() else None
-        return Calibration(tuple(_camera(each) for each in found), metric=True, error=pixels)
+        return Calibration(tuple(_camera(each) for each in found), metric=True)
 
 
 def _camera(element: ElementTree.Element) -> Camera:

@@ -99,12 +99,16 @@ def test_seconds_end_it_by_the_clock():
     assert next(ticks) < 10**4
 
 
-def test_a_stopped_diagnosis_is_told(monkeypatch):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_stopped_diagnosis_is_told(monkeypatch, workers):
+    """Whatever listens stays in this process: it may be nothing that can be sent to another."""
     tried = []
+
+    def told(done, total, what):
+        tried.append((done, what))
+
     monkeypatch.setattr(ROOM, "PASSES", 1.0)
-    found = diagnose(
-        rubbing(), PENDULUM, without=LEFT_OUT, progress=lambda done, total, what: tried.append((done, what))
-    )
+    found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told)
     assert found.to_json()["search"] == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at}
     assert found.not_looked_at > 0
     (line,) = [sentence for sentence in details(found) if "budget" in sentence]

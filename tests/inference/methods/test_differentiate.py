@@ -18,6 +18,7 @@ ARM = Body(
     "arm",
     [Link("l0", "shoulder", "elbow", length=0.35, mass=1.5), Link("l1", "elbow", "wrist", length=0.3, mass=1.0)],
 )
+SEEN = Observation(Keypoints([0, 1])).bound(ARM)
 PARAMETERS, DYNAMICS = ARM.parameters(), planar_dynamics(2)
 
 
