@@ -123,8 +123,8 @@ def run_apart(command: Sequence[str], folder: str | pathlib.Path, **identity: An
     extra_groups and env of `subprocess.run`. Returns the finished process, whatever its exit code. Raises OSError when
     it cannot be started.
     """
-    own = {"stdin": subprocess.DEVNULL, "capture_output": True, "text": True, "errors": "replace", "close_fds": True}
-    return subprocess.run(command, cwd=folder, **own, **identity)
+    told: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace"}
+    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, close_fds=True, **told, **identity)
 
 
 def digest(folder: str | pathlib.Path) -> str:

@@ -88,6 +88,7 @@ class Confined:
     def _identity(self) -> dict[str, Any]:
         import pwd
 
+        assert self.user is not None
         known = pwd.getpwnam(self.user)
         own = {"HOME": known.pw_dir, "USER": known.pw_name, "LOGNAME": known.pw_name}
         groups = os.getgrouplist(known.pw_name, known.pw_gid)

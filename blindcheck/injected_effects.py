@@ -32,7 +32,7 @@ def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float) -> Pre
     place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
     if name in OUTSIDE:
         return Present(name, place, {}, int(rng.integers(2**31)))
-    size = EFFECTS[name].size(rng, s, place, strength)
+    size = EFFECTS[name].size(rng, s, place or 0, strength)
     return Present(name, place, {key: float(value) for key, value in size.items()})
 
 

@@ -94,7 +94,8 @@ def diagnose(
 
     def trying(what: str) -> None:
         done, name = stage
-        progress(done, 5, f"{name}; {what}")
+        if progress is not None:
+            progress(done, 5, f"{name}; {what}")
 
     if isinstance(without, str):
         raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")

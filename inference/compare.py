@@ -34,9 +34,9 @@ import numpy as np
 import pandas as pd
 import torch
 
-from invdyn.inference.execution.memory import check_memory
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.held_out import log_score
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import Problem

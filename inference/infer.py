@@ -6,9 +6,9 @@ from pathlib import Path
 
 import arviz as az
 
-from invdyn.inference.execution.memory import check_memory
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.task import prepare
 from invdyn.models import Body, TorqueProcess

@@ -32,8 +32,8 @@ def calibrate(
 
     sources: dict[str, Path] = {}
     for film in films:
-        name, equals, path = film.partition("=")
-        path = Path(path if equals else film)
+        name, equals, place = film.partition("=")
+        path = Path(place if equals else film)
         name = name if equals else path.stem
         if name in sources:
             raise InputError(f"camera {name!r} has two films: write CAMERA=FILM, each with its own name")
@@ -156,7 +156,7 @@ def triangulate(
     typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
 
 
-def _share_known(points: object) -> float:
+def _share_known(points: Any) -> float:
     import numpy as np
 
     return float(np.isfinite(points).all(-1).mean())

@@ -60,7 +60,7 @@ SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "co
 def comparison_text(comparison: Comparison) -> str:
     """Tables of a comparison for a terminal: torques against the truth, if known; evidence and cost; what failed."""
     table, blocks = comparison.table, []
-    joints = [name.removesuffix("_rmse") for name in table if name.endswith("_rmse")]
+    joints = [name.removesuffix("_rmse") for name in map(str, table) if name.endswith("_rmse")]
     if joints:
         scores = {
             (joint, method): {title: row[f"{joint}_{name}"] for name, title in SCORES.items()}

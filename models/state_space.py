@@ -127,6 +127,9 @@ class StateSpaceModel(ABC):
 
     def sampled(self) -> Self:
         """Draw priors and look up learned parameters, as Pyro sites; return the model that has them."""
+        return self._sampled()
+
+    def _sampled(self) -> Self:
         drawn = {name: pyro.sample(name, prior) for name, prior in self.priors.items()}
         for name in self.learned:
             # A copy: Pyro would otherwise optimise the model's own tensor in place.

@@ -53,6 +53,8 @@ def _read_deeplabcut(path: Path, fps: float | None, individual: str | None) -> R
 
 def _read_sleap(path: Path, fps: float | None, individual: str | None) -> Recording:
     if path.suffix.lower() == ".csv":
+        if fps is None:
+            raise InputError("a SLEAP file does not say its frame rate: pass --fps, frames a second")
         return read_sleap_csv(path, fps, individual)
     return read_with_movement(path, "sleap", fps, individual)
 

@@ -15,6 +15,7 @@ neither rest nor a few lost points count. g = 9.81 m/s², whatever gravity does 
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -114,7 +115,7 @@ def bridged(recording: Recording, length: float) -> Recording:
     share = part / (np.append(more, 0)[source] + 1)
     filled = time[source] + share * np.append(step, 0.0)[source]
 
-    def rows(values: np.ndarray | None, held: bool = False) -> np.ndarray | None:
+    def rows(values: Any, held: bool = False) -> Any:
         if values is None:
             return None
         values = values[source]

@@ -5,6 +5,8 @@ link flexibility   the link cut at half its length, a sprung hinge between the h
 drifting friction  dof_damping rewritten every step
 """
 
+from typing import Any
+
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
@@ -45,7 +47,7 @@ def _external_push(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict
 def external_push(world: World, keypoint: int, force_x: float, force_y: float, start: float, stop: float) -> None:
     """A constant force at a tip during an interval, as `xfrc_applied` at the centre of mass and a torque about it."""
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         body = 1 + next(s for s, segment in enumerate(world.segments) if segment.tip == keypoint)
         # the share of this step that lies within the interval
         step = model.opt.timestep
@@ -78,7 +80,7 @@ def base_motion(world: World, amplitude_x: float, amplitude_y: float, frequency:
     amplitude, omega = np.array([amplitude_x, amplitude_y]), 2 * np.pi * frequency
     world.base_shift = lambda t: np.sin(omega * t + phase)[:, None] * amplitude
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         middle = t + model.opt.timestep / 2
         model.opt.gravity[:2] = world.gravity[:2] + omega**2 * amplitude * np.sin(omega * middle + phase)
 
@@ -123,7 +125,7 @@ def drifting_friction(world: World, joint: int, damping: float, slope: float) ->
     """−(b₀ + slope t) θ̇, never below 0."""
     set_joint(world, joint, damping=damping)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         model.dof_damping[world.hinge(joint)] = max(damping + slope * t, 0.0)
 
     world.on_step(act)

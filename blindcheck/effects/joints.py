@@ -8,6 +8,8 @@ Where MuJoCo has the effect, its own part plays it; else a force is applied at e
     stiffness, coupling          springs of joints, of a fixed tendon
 """
 
+from typing import Any
+
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
@@ -69,11 +71,11 @@ def stribeck_friction(
     bristle_damping: float | None = None,
 ) -> None:
     """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇; through bristles, where they have a stiffness."""
-    if bristle_stiffness is not None:
+    if bristle_stiffness is not None and bristle_damping is not None:
         return bristles(world, joint, coulomb, static, velocity, bristle_stiffness, bristle_damping)
     set_joint(world, joint, frictionloss=static)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         model.dof_frictionloss[h] = coulomb + (static - coulomb) * np.exp(-((data.qvel[h] / velocity) ** 2))
 
@@ -89,7 +91,7 @@ def load_friction(world: World, joint: int, coefficient: float) -> None:
     """−k |τset_motor − τ_external| sgn θ̇, with τ_external what gravity, Coriolis and centrifugal forces exert."""
     set_joint(world, joint, frictionloss=1e-9)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         # qfrc_bias is the load that the motor would have to carry: minus what they exert. One step old: ½ ms
         load = data.qfrc_actuator[h] + data.qfrc_bias[h]
@@ -134,7 +136,7 @@ def joint_coupling(world: World, joint: int, stiffness: float, ratio: float) -> 
     on j, r times the opposite.
     """
 
-    def change(spec):
+    def change(spec: Any) -> None:
         tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[0.0, 0.0])
         set_part(tendon, {"stiffness": stiffness})
         tendon.wrap_joint(world.segments[world.hinge(joint)].hinge, 1.0)
@@ -162,7 +164,7 @@ def _joint_limit(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
 def joint_limit(world: World, joint: int, angle: float, stiffness: float, damping: float, side: float) -> None:
     """A spring-damper past θ_lim (side +1: above it, −1: below) that pushes and never pulls."""
 
-    def torque(t, q, qd):
+    def torque(t: float, q: np.ndarray, qd: np.ndarray) -> float:
         depth = side * (q[joint] - angle)
         return -side * max(0.0, stiffness * depth + damping * side * qd[joint]) if depth > 0 else 0.0
 

@@ -5,6 +5,7 @@ hinge with stops ±width/2
 """
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
     """u(t − T), as a ring buffer of the steps' commands; before the first, the first."""
     ring: deque[float] = deque()
 
-    def change(i, step, u):
+    def change(i: int, step: float, u: np.ndarray) -> np.ndarray:
         if i == 0:
             ring.clear()
         ring.append(u[joint])
@@ -58,7 +59,7 @@ def _actuator_lag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
 def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     """T u̇_f + u_f = u."""
 
-    def change(spec):
+    def change(spec: Any) -> None:
         motor = spec.actuator(world.segments[world.hinge(joint)].hinge)
         # not mjDYN_FILTEREXACT, whose decay over a step is exact without Runge–Kutta: with it, it decays twice, as a
         # time constant longer by half a step

@@ -1,21 +1,24 @@
 """Parts of a `World` that mechanisms set: hinges, motors, applied torques. Joints count from 0 at the base."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from invdyn.blindcheck.simulator import World
 
 
-def set_joint(world: World, joint: int, **attributes) -> None:
+def set_joint(world: World, joint: int, **attributes: Any) -> None:
     """Set attributes of the hinge that a joint's motor drives, as mjSpec calls them."""
     world.on_spec(lambda spec: set_part(spec.joint(world.segments[world.hinge(joint)].hinge), attributes))
 
 
-def set_motor(world: World, joint: int, **attributes) -> None:
+def set_motor(world: World, joint: int, **attributes: Any) -> None:
     """Set attributes of a joint's motor, as mjSpec calls them."""
     world.on_spec(lambda spec: set_part(spec.actuator(world.segments[world.hinge(joint)].hinge), attributes))
 
 
-def set_part(element, attributes: dict) -> None:
+def set_part(element: Any, attributes: dict) -> None:
     """Set attributes of a part of an MjSpec."""
     for name, value in attributes.items():
         if np.ndim(getattr(element, name)) == 1 and np.ndim(value) == 0:  # newer MuJoCos have polynomials here
@@ -23,10 +26,10 @@ def set_part(element, attributes: dict) -> None:
         setattr(element, name, value)
 
 
-def applied(world: World, joint: int, torque) -> None:
+def applied(world: World, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:
     """Apply `torque(t, q, qd)`, N·m, at a joint; q and qd are those of the chain's joints (K,)."""
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         driven = [world.hinge(k) for k in range(world.num_joints)]
         # the force is held over the step, so it is taken at the middle, from the last acceleration
         half = model.opt.timestep / 2

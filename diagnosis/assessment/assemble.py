@@ -154,7 +154,7 @@ def assembled(
             time=model.time.numpy(),
             observed=model.observation.points(bound.observations).numpy(),
             keypoint_names=model.observation.tracked_names,
-            base=np.asarray(body.base, dtype=float),
+            base=np.array(body.base if isinstance(body, Body) else (0.0, 0.0)),
             command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
             angle=q.numpy(),
             velocity=qd.numpy(),

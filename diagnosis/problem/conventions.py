@@ -41,16 +41,15 @@ def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: T
     if observation.encoders is not None:
         angle = observation.of(observation.encoders, observations)
         if isinstance(model.body, Body):  # links of a plane have a direction there
-            _check_keypoints(name, model, observation.points(observations).numpy(), angle.numpy())
+            _check_keypoints(name, model, model.body, observation.points(observations).numpy(), angle.numpy())
     if model.command is not None and bool(model.command.any()) and bool(model.body_parameters().gravity.any()):
-        _check_torques(name, model, angle.numpy())
+        _check_torques(name, model, model.command.numpy(), angle.numpy())
 
 
-def _check_keypoints(name: str, model: ArmModel, points: np.ndarray, angle: np.ndarray) -> None:
+def _check_keypoints(name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray) -> None:
     """Encoders (T, K) against the directions of links that the camera sees, keypoints (T, P, 2)."""
-    body = model.body
     seen = dict(zip(model.observation.tracked, points.swapaxes(0, 1), strict=True))
-    seen[-1] = np.broadcast_to(np.asarray(body.base, dtype=float), (len(points), 2))
+    seen[-1] = np.broadcast_to(np.array(body.base), (len(points), 2))
     reach = float(model.body_parameters().length.sum())
     for k, joint in enumerate(body.joint_names):
         if not {k - 1, k} <= seen.keys() or (k and k - 2 not in seen):
@@ -92,9 +91,9 @@ def _mistakes(joints: int, encoders: bool) -> Iterator[tuple[str, list[int], int
                 yield f"the angles' zero is {math.degrees(turn):+.0f}° off", [k], 1, 1, turn
 
 
-def _check_torques(name: str, model: ArmModel, angle: np.ndarray) -> None:
+def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray) -> None:
     """Torques against what the motion (T, K) asks for under each of the mistakes."""
-    time, command = model.time.numpy(), model.command.numpy()
+    time = model.time.numpy()
     use = np.isfinite(angle).all(1)
     step = max(STEP, float(np.median(np.diff(time[use]))))
     even = np.arange(time[use][0], time[use][-1], step)
@@ -120,7 +119,7 @@ def _check_torques(name: str, model: ArmModel, angle: np.ndarray) -> None:
     if own < MISSED:
         return
     known = _mistakes(len(unit), model.observation.encoders is not None)
-    tried = [(missed(*mistake), words, mistake[0]) for words, *mistake in known]
+    tried = [(missed(at, way, pull, zero), words, at) for words, at, way, pull, zero in known]
     best, words, joints = min(tried, key=lambda each: each[0])
     if best > NEAR * own or best > MISSED:
         return

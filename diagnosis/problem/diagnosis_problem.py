@@ -204,7 +204,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     starts = sorted({int(rows[:start].sum()) for start in begins} - {0, seen})
     usual = _usual(problem.model, problem.observations, starts)
     model = _as_seen(problem, usual, regime)
-    if regime == "commanded":
+    if regime == "commanded" and whole.model.command is not None:
         model = model.driven_by(whole.model.time, whole.model.command)
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
@@ -224,7 +224,7 @@ def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
     """
     body, dynamics = model.scale.body, model.dynamics
-    if not bool(body.gravity.any()):
+    if not bool(body.gravity.any()) or model.command is None:
         return
     rms = (velocity.diff(dim=0) / model.dt[1:].unsqueeze(-1)).square().mean(0).sqrt()
     needed = (typical_torque(dynamics, body) + dynamics.typical_inertia(body) * rms).norm().item()

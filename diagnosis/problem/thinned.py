@@ -6,6 +6,7 @@ beside encoders, keeps up to half of the rows.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ ROWS = 2000
 
 def thinned(recording: Recording, most: int = ROWS) -> Recording:
     """``recording`` with no more than ``most`` rows of observations; itself where it has no more. NaN elsewhere."""
-    streams = {"keypoints": recording.keypoints, "angles": recording.angles}
+    streams: dict[str, Any] = {"keypoints": recording.keypoints, "angles": recording.angles}
     seen = {
         name: np.flatnonzero(np.isfinite(values).reshape(len(values), -1).any(1))
         for name, values in streams.items()
@@ -25,7 +26,8 @@ def thinned(recording: Recording, most: int = ROWS) -> Recording:
     }
     if len(np.unique(np.concatenate(list(seen.values())))) <= most:
         return recording
-    changed, room = {}, most
+    changed: dict[str, Any] = {}
+    room = most
     for place, (name, rows) in enumerate(sorted(seen.items(), key=lambda each: len(each[1]))):
         share = room // (len(seen) - place)
         every = -(-len(rows) // max(share, 1)) or 1

@@ -18,7 +18,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models import ArmModel, ArticulatedBody, Body, Encoders, Keypoints, Observation, TorqueProcess, dynamics_for
+from invdyn.models import (
+    ArmModel,
+    ArticulatedBody,
+    Body,
+    Encoders,
+    Keypoints,
+    Observation,
+    Sensor,
+    TorqueProcess,
+    dynamics_for,
+)
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
@@ -107,7 +117,7 @@ def arm_problem(
         np.isfinite(confidence).any() and np.ptp(confidence[np.isfinite(confidence)]) > 0
     ):
         confidence = None  # a constant confidence says nothing
-    sensors = [Keypoints([site for _, site in sites], confidence)] if sites else []
+    sensors: list[Sensor] = [Keypoints([site for _, site in sites], confidence)] if sites else []
     sensors += [] if angles is None else [Encoders()]
     observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
@@ -176,7 +186,7 @@ def _start_values(
     numbers, dynamics = body.parameters(), dynamics_for(body)
     reach = dynamics.reach(numbers).item()
     rows = observations.numpy()
-    values: dict[str, object] = {}
+    values: dict[str, Any] = {}
     for sensor in observation.sensors:
         values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
     if observation.encoders:
@@ -203,8 +213,8 @@ def _start_values(
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
             least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
             values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
-            if keypoints.confidence is not None:
-                values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
+            if keypoints.told is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, keypoints.told.drop.numpy())
     return values
 
 

@@ -6,6 +6,7 @@ units that can be printed. What else a file holds is its own affair.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -14,14 +15,14 @@ import xarray as xr
 from invdyn.recordings import InputError, check_readable
 
 JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
-NEEDED = {
+NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "posterior": dict.fromkeys(("torque", "angle", "velocity"), ("chain", "draw", *JOINTS))
     | {"position": ("chain", "draw", *TIPS)},
     "sample_stats": {"log_weight": ("chain",)},
     "observed_data": {},
     "constant_data": {},
 }
-OPTIONAL = {
+OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
     "posterior_predictive": {"position": ("chain", "draw", *TIPS), "angle": ("chain", "draw", *JOINTS)},
     "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
     "observed_data": {"position": TIPS, "angle": JOINTS},
@@ -107,10 +108,10 @@ def _check_names(what: str, data: xr.Dataset) -> None:
         raise InputError(f"{what}: expected names, each once, of up to {LONGEST} characters that can be printed")
 
 
-def _check_attribute(name: str, value: object) -> None:
+def _check_attribute(name: str, value: Any) -> None:
     if name in TEXTS and not _printable(value):
         raise InputError(f"attribute {name}: expected a text, got {value!r:.60}")
-    if name in NUMBERS and (not isinstance(value, float | int | np.number) or abs(value) > LARGEST):
+    if name in NUMBERS and (not isinstance(value, float | int | np.integer | np.floating) or np.abs(value) > LARGEST):
         raise InputError(f"attribute {name}: expected a number, got {value!r:.60}")
 
 

@@ -41,21 +41,21 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
     numbers = BodyParameters if body is None else type(body.parameters())
     dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
-    body = numbers(*(constant(part) for part in numbers._fields))
+    own = numbers(*(constant(part) for part in numbers._fields))
     unit = idata.attrs.get("length_unit", "m")
     si = unit == "m"
     torque, energy = ("N·m", "J") if si else (f"kg·({unit})²/s²",) * 2
     values = {
         "inertia_matrix": (
             [*joint, "joint_2"],
-            dynamics.inertia_matrix(q, body),
+            dynamics.inertia_matrix(q, own),
             "kg·m²" if si else f"kg·({unit})²",
         ),
-        "gravity_load": (joint, dynamics.gravity_load(q, body), torque),
-        "coriolis": (joint, dynamics.coriolis(q, qd, body), torque),
-        "acceleration": (joint, dynamics.forward(q, qd, tau, body), "rad/s²"),
-        "kinetic_energy": (frame, dynamics.kinetic_energy(q, qd, body), energy),
-        "potential_energy": (frame, dynamics.potential_energy(q, body), energy),
+        "gravity_load": (joint, dynamics.gravity_load(q, own), torque),
+        "coriolis": (joint, dynamics.coriolis(q, qd, own), torque),
+        "acceleration": (joint, dynamics.forward(q, qd, tau, own), "rad/s²"),
+        "kinetic_energy": (frame, dynamics.kinetic_energy(q, qd, own), energy),
+        "potential_energy": (frame, dynamics.potential_energy(q, own), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),
     }
     coords: dict[str, Any] = {name: posterior[name] for name in joint}

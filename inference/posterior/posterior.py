@@ -93,7 +93,9 @@ def to_inference_data(
         posterior["residual_torque"] = (["chain", "draw", "time", "joint"], residual)
     rows = torch.arange(model.num_steps)
     sampled = model.emission(paths, rows).sample()
-    predictive, observed, seen = {}, {}, {}
+    predictive: dict[str, tuple] = {}
+    observed: dict[str, tuple] = {}
+    seen: dict[str, list[str]] = {}
     for sensor in model.observation.sensors:
         dims = list(sensor.coords)
         predictive[sensor.name] = (["chain", "draw", "time", *dims], model.observation.of(sensor, sampled))
@@ -236,7 +238,9 @@ def summarise(idata: az.InferenceData, seed: int = 0) -> pd.DataFrame:
     data = pooled(idata, seed)[["torque"]].drop_vars(["chain", "draw"]).expand_dims("chain")
     data = data.rename(sample="draw").assign_coords(draw=np.arange(data.sizes["sample"]))
     # The draws are a weighted sample and no Markov chain: mixing diagnostics would mean nothing.
-    return az.summary(az.InferenceData(posterior=data), kind="stats", hdi_prob=0.9)
+    table = az.summary(az.InferenceData(posterior=data), kind="stats", hdi_prob=0.9)
+    assert isinstance(table, pd.DataFrame)  # as its argument fmt says
+    return table
 
 
 def save_posterior(idata: az.InferenceData, path: str | Path) -> None:

@@ -237,7 +237,7 @@ class ArmModel(StateSpaceModel):
     def sampled(self) -> Self:
         """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
         drawn = {f"body.{name}": value for name, value in self.body.drawn(self.mechanics.given).items()}
-        return super(ArmModel, self.replace(**drawn)).sampled()
+        return self.replace(**drawn)._sampled()
 
     def with_effects(self, *effects: Effect) -> Self:
         """The model of a body that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.

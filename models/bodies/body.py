@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import pyro
 import pyro.distributions as dist
@@ -63,7 +63,7 @@ class BodyParameters(NamedTuple):
     gravity: Tensor
     base: Tensor
 
-    def to(self, *args, **kwargs) -> "BodyParameters":
+    def to(self, *args: Any, **kwargs: Any) -> "BodyParameters":
         """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
         return BodyParameters(*(value.to(*args, **kwargs) for value in self))
 
@@ -85,7 +85,7 @@ class Link:
     com: Scalar | None = None
     inertia: Scalar | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for key in ("name", "joint", "tip"):
             check_name(getattr(self, key), f"{key} of a link")
         where = f"link '{self.name}'"
@@ -131,7 +131,7 @@ class Body(BodyBase):
     space: ClassVar[int] = 2
     signed: ClassVar[frozenset[str]] = frozenset({"com", "gravity", "base"})
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_name(self.name, "name of a body")
         where = f"body '{self.name}'"
         object.__setattr__(self, "links", tuple(self.links))
@@ -225,7 +225,7 @@ class Body(BodyBase):
                 found[key] = torch.where(which, own[key], getattr(numbers, key))
         return found
 
-    def described(self, numbers: BodyParameters) -> dict[str, tuple[list[str], Tensor]]:
+    def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
         """Its numbers with their dims: links', and vectors of the plane."""
         dims = {key: ["link"] if key in QUANTITIES else ["space"] for key in numbers._fields}
         return {key: (dims[key], value.detach()) for key, value in numbers._asdict().items()}
@@ -299,13 +299,14 @@ class Body(BodyBase):
         links = []
         for place in range(self.num_joints):
             length, mass, com, inertia = (column(place, key) for key in QUANTITIES)
-            com = length / 2 if com is None else com
-            inertia = mass * length**2 / 12 if inertia is None else inertia
-            links.append((length, mass, com, inertia))
+            assert length is not None  # a link has both
+            assert mass is not None
+            rod = mass * length**2 / 12 if inertia is None else inertia
+            links.append((length, mass, length / 2 if com is None else com, rod))
         # each quantity has only the leading dimensions that it needs itself
-        scalars = [torch.stack(torch.broadcast_tensors(*column), -1) for column in zip(*links, strict=True)]
+        scalars = [torch.stack(torch.broadcast_tensors(*each), -1) for each in zip(*links, strict=True)]
         vectors = [torch.tensor(value, dtype=dtype, device=device) for value in (self.gravity, self.base)]
-        return BodyParameters(*scalars, *vectors)
+        return BodyParameters._make([*scalars, *vectors])
 
     def with_uncertainty(self) -> Self:
         """Return the body with its relative sds made priors around the nominal values, and none left.
@@ -333,8 +334,10 @@ class Body(BodyBase):
         for key, values in given.items():
             if len(values) != self.num_joints:
                 raise BodyError(f"expected {self.num_joints} values of {key}, one for each link, got {len(values)}")
-        columns = [{key: values[place] for key, values in given.items()} for place in range(self.num_joints)]
-        links = [dataclasses.replace(link, **new) for link, new in zip(self.links, columns, strict=True)]
+        links = []
+        for place, link in enumerate(self.links):
+            new: dict[str, Any] = {key: values[place] for key, values in given.items()}
+            links.append(dataclasses.replace(link, **new))
         return dataclasses.replace(self, links=tuple(links))
 
     @classmethod

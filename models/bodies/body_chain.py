@@ -71,7 +71,7 @@ def tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], 
 
 def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str) -> dict:
     groups = _groups(parts, where)
-    hinges = [group[0].hinge for group in groups]
+    hinges = [hinge for group in groups if (hinge := group[0].hinge) is not None]
     axis, signs = _axis(hinges, where)
     u, v, normal = _frame(axis)
     plane = np.stack([u, v])
@@ -180,7 +180,9 @@ def _inertial(
 
 def _tip(group: Sequence[Part], plane: np.ndarray, where: str) -> tuple[str, np.ndarray]:
     """Name and place (2,) of the end of the last link."""
-    name, anchor = group[0].name, group[0].hinge.anchor
+    name, hinge = group[0].name, group[0].hinge
+    assert hinge is not None  # a group begins with one
+    anchor = hinge.anchor
     points = [mark for part in group for mark in part.marks]
     points = points or [(part.name, part.origin) for part in group[1:]]
     points = points or [(f"{name}_tip", end) for part in group for end in part.ends]

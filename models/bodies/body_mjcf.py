@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -52,7 +53,7 @@ def of(root: Element, where: str) -> dict:
     return tables(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, where)
 
 
-def _engine(where: str):
+def _engine(where: str) -> Any:
     """The mujoco package; raises `BodyError` where there is none."""
     try:
         import mujoco
@@ -62,9 +63,9 @@ def _engine(where: str):
 
 
 @contextmanager
-def _own_warnings(mujoco, where: str) -> Iterator[None]:
+def _own_warnings(mujoco: Any, where: str) -> Iterator[None]:
     """MuJoCo's warnings as ours: by itself it writes them to a log in the folder where one happens to be."""
-    before, said = mujoco.get_mju_user_warning(), []
+    before, said = mujoco.get_mju_user_warning(), list[str]()
     mujoco.set_mju_user_warning(said.append)
     try:
         yield
@@ -74,7 +75,7 @@ def _own_warnings(mujoco, where: str) -> Iterator[None]:
         warnings.warn(f"{where}: MuJoCo: {' '.join(str(line).split())}", UserWarning, stacklevel=5)
 
 
-def _hinges(mujoco, model, data, where: str) -> dict[int, Hinge]:
+def _hinges(mujoco: Any, model: Any, data: Any, where: str) -> dict[int, Hinge]:
     """Body → its hinge, in the order of the joints."""
     found: dict[int, Hinge] = {}
     for j in range(model.njnt):
@@ -89,7 +90,7 @@ def _hinges(mujoco, model, data, where: str) -> dict[int, Hinge]:
     return found
 
 
-def _part(mujoco, model, data, body: int, hinge: Hinge | None, sites: Sequence[int]) -> Part:
+def _part(mujoco: Any, model: Any, data: Any, body: int, hinge: Hinge | None, sites: Sequence[int]) -> Part:
     turn = data.ximat[body].reshape(3, 3)  # principal axes are its columns
     name = model.body(body).name or f"link{body}"
     first = int(model.body_geomadr[body])
@@ -107,7 +108,7 @@ def _part(mujoco, model, data, body: int, hinge: Hinge | None, sites: Sequence[i
     )
 
 
-def _ends(mujoco, model, data, geom: int) -> list[np.ndarray]:
+def _ends(mujoco: Any, model: Any, data: Any, geom: int) -> list[np.ndarray]:
     """The two ends of a geom along its longest axis, without a capsule's caps; a sphere's or a mesh's centre."""
     centre, turn, size = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_")

@@ -5,7 +5,8 @@ force is gain(…)·act + bias(…), act = control through its own dynamics, cli
 or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ AT_JOINTS = {
 }
 
 
-def named(mujoco, model, joints: dict[str, int]) -> list[str]:
+def named(mujoco: Any, model: Any, joints: dict[str, int]) -> list[str]:
     """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and its joints by name."""
     found = []
     for attribute, words in AT_JOINTS.items():
@@ -36,11 +37,11 @@ def named(mujoco, model, joints: dict[str, int]) -> list[str]:
     return found + listed("contacts", _touching(mujoco, model))
 
 
-def _of(kind: Callable, numbers) -> list[str]:
+def _of(kind: Callable, numbers: Iterable[int]) -> list[str]:
     return [kind(int(i)).name or f"number {int(i)}" for i in numbers]
 
 
-def _fluid(option) -> list[str]:
+def _fluid(option: Any) -> list[str]:
     found = []
     if option.density or option.viscosity:
         found.append(f"a fluid (density {option.density:g} kg/m³, viscosity {option.viscosity:g} Pa·s)")
@@ -49,7 +50,7 @@ def _fluid(option) -> list[str]:
     return found
 
 
-def _actuators(mujoco, model) -> list[str]:
+def _actuators(mujoco: Any, model: Any) -> list[str]:
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
     affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -76,7 +77,7 @@ def _actuators(mujoco, model) -> list[str]:
     ]
 
 
-def _equality(mujoco, model, e: int) -> str:
+def _equality(mujoco: Any, model: Any, e: int) -> str:
     """Its name, or what it ties to what: of joints, who follows whom (a URDF's mimic)."""
     if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT:
         one, other = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
@@ -84,7 +85,7 @@ def _equality(mujoco, model, e: int) -> str:
     return model.equality(e).name or mujoco.mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
 
 
-def _touching(mujoco, model) -> list[str]:
+def _touching(mujoco: Any, model: Any) -> list[str]:
     """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions."""
     without = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     if model.opt.disableflags & without:
@@ -104,4 +105,4 @@ def _touching(mujoco, model) -> list[str]:
         pair = model.geom_bodyid[one], model.geom_bodyid[other]
         may[pair] = may[pair[::-1]] = 1
     moving = np.flatnonzero(weld != 0)
-    return _of(model.body, [b for b in moving if may[b].any()])
+    return _of(model.body, [int(b) for b in moving if may[b].any()])

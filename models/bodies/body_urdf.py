@@ -45,6 +45,7 @@ def of(robot: Element, where: str) -> dict:
     joints = _named(robot, "joint", where)
     root, below = _tree(links, joints, where)
     parts: list[Part] = []
+    todo: list[tuple[str, int, Hinge | None, tuple[np.ndarray, np.ndarray]]]
     todo = [(root, -1, None, (np.eye(3), np.zeros(3)))]
     for name, parent, hinge, frame in todo:  # parents come before their children
         parts.append(_part(links[name], name, parent, hinge, frame, where))
@@ -70,10 +71,10 @@ def _tree(links: dict, joints: dict, where: str) -> tuple[str, dict[str, list[tu
     below: dict[str, list[tuple[Element, str]]] = {}
     children = set()
     for name, joint in joints.items():
-        ends = [_attribute(joint, tag, "link") for tag in ("parent", "child")]
+        ends = [_attribute(joint, tag, "link") or "" for tag in ("parent", "child")]
         for tag, end in zip(("parent", "child"), ends, strict=True):
             if end not in links:
-                raise BodyError(f"{where}: joint '{name}' has '{end or ''}' as its {tag}, which is no link of the file")
+                raise BodyError(f"{where}: joint '{name}' has '{end}' as its {tag}, which is no link of the file")
         if ends[1] in children:
             raise BodyError(f"{where}: link '{ends[1]}' is the child of two joints; expected a tree")
         children.add(ends[1])

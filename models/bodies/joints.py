@@ -54,7 +54,7 @@ class Joint:
     reference: tuple[tuple[float, ...], ...] = UNTURNED
     driven: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_name(self.name, "name of a joint")
         where = f"joint '{self.name}'"
         if self.type not in COORDINATES:

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
+from typing import Any, TypeAlias
 
 import pyro.distributions as dist
 import torch
@@ -32,7 +33,7 @@ class Learned:
     start: float
 
 
-Scalar = float | dist.Distribution | Learned
+Scalar: TypeAlias = float | dist.Distribution | Learned
 
 
 def nominal(value: Scalar) -> float:
@@ -52,11 +53,11 @@ def prior(mean: float, sd: float) -> dist.Distribution:
             f"expected a sd from {KNOWN:.0e} to {UNKNOWN:g} times the mean {mean:g}, got {sd:g}; "
             "where the number is known, write it alone"
         )
-    mean, sd = torch.tensor(mean, dtype=torch.float64), torch.tensor(sd, dtype=torch.float64)
+    middle, width = torch.tensor(mean, dtype=torch.float64), torch.tensor(sd, dtype=torch.float64)
     if mean <= 0:
-        return dist.Normal(mean, sd)
-    variance = torch.log1p((sd / mean) ** 2)
-    return dist.LogNormal(mean.log() - variance / 2, variance.sqrt())
+        return dist.Normal(middle, width)
+    variance = torch.log1p((width / middle) ** 2)
+    return dist.LogNormal(middle.log() - variance / 2, variance.sqrt())
 
 
 def checked(value: Scalar, quantity: str, where: str) -> Scalar:
@@ -84,9 +85,10 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
 def number(value: object, what: str) -> float:
     """Return a real number within ±`LARGEST` as float. Raises `BodyError`, which begins with `what`."""
     if isinstance(value, Real) and not isinstance(value, bool):
-        if -LARGEST <= value <= LARGEST:
+        real: Any = value  # of any kind, as NumPy's; the abstract class has no comparison with a float
+        if -LARGEST <= real <= LARGEST:
             return float(value)
-        if math.inf > abs(value):  # an integer may be beyond every float, and too long to be shown
+        if math.inf > abs(real):  # an integer may be beyond every float, and too long to be shown
             shown = "a larger one" if isinstance(value, int) else f"{value:g}"
             raise BodyError(f"{what}: expected a number up to {LARGEST:.0e}, got {shown}; is the unit right?")
     raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
@@ -94,9 +96,10 @@ def number(value: object, what: str) -> float:
 
 def vector(values: object, what: str) -> tuple[float, float]:
     """Return (x, y) as floats. Raises `BodyError`, which begins with `what`."""
-    if isinstance(values, str) or not isinstance(values, Iterable) or len(values := tuple(values)) != 2:
-        raise BodyError(f"{what}: expected two numbers [x, y], got {values!r:.60}")
-    return number(values[0], what), number(values[1], what)
+    pair = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
+    if len(pair) != 2:
+        raise BodyError(f"{what}: expected two numbers [x, y], got {pair or values!r:.60}")
+    return number(pair[0], what), number(pair[1], what)
 
 
 def check_name(name: object, what: str) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pyro
@@ -51,7 +51,7 @@ class TreeParameters(NamedTuple):
     sites: Tensor
     gravity: Tensor
 
-    def to(self, *args, **kwargs) -> "TreeParameters":
+    def to(self, *args: Any, **kwargs: Any) -> "TreeParameters":
         """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
         return TreeParameters(*(value.to(*args, **kwargs) for value in self))
 
@@ -76,7 +76,7 @@ class SpatialLink:
     tip: str | None = None
     sites: Mapping[str, Vector] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_name(self.name, "name of a link")
         where = f"link '{self.name}'"
         check_name(self.parent, f"{where}: parent")
@@ -121,7 +121,7 @@ class Tree:
     links: Sequence[SpatialLink]
     gravity: Sequence[float] = (0.0, 0.0, -9.81)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_name(self.name, "name of a body")
         where = f"body '{self.name}'"
         gravity = numbers(self.gravity, 3, f"{where}: gravity in m/s² (in space)")
@@ -142,7 +142,7 @@ class Tree:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self._turning(), strict=True):
             moments = self._inertia(link, nominal(link.mass), None if link.length is None else nominal(link.length))
-            check_inertia(tensor([nominal(x) for x in moments]), turning, f"{where}: link '{link.name}'")
+            check_inertia(tensor(np.array([nominal(x) for x in moments])), turning, f"{where}: link '{link.name}'")
 
     @property
     def num_joints(self) -> int:
@@ -218,7 +218,7 @@ class Tree:
             inertia.append(drawn(self._inertia(link, mass[-1], length), link, "inertia", NAMES))
             position.append(drawn((stretch, 0.0, 0.0) if link.origin is None else link.origin, link, "origin"))
             sites += [drawn((length, 0.0, 0.0) if at is None else at, link, name) for name, at in link.points.items()]
-        like = {"dtype": mass[0].dtype, "device": mass[0].device}
+        like: dict[str, Any] = {"dtype": mass[0].dtype, "device": mass[0].device}
         return TreeParameters(
             mass=_stacked(mass),
             com=_rows(com),
@@ -230,13 +230,13 @@ class Tree:
         )
 
     @staticmethod
-    def _com(link: SpatialLink, length: object) -> tuple:
+    def _com(link: SpatialLink, length: Any) -> Sequence[Any]:
         if link.com is not None:
             return link.com
         return (0.0, 0.0, 0.0) if length is None else (length / 2, 0.0, 0.0)
 
     @staticmethod
-    def _inertia(link: SpatialLink, mass: object, length: object) -> tuple:
+    def _inertia(link: SpatialLink, mass: Any, length: Any) -> Sequence[Any]:
         if link.inertia is not None:
             return link.inertia
         rod = 0.0 if length is None else mass * length**2 / 12

@@ -32,6 +32,7 @@ a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of co
 """
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 from invdyn.models.bodies.body_toml import literal, scalar_from_table, scalar_to_table
@@ -78,7 +79,7 @@ def read(path: str | Path) -> dict:
     return tables | {"links": found}
 
 
-def write(path: str | Path, name: str, gravity: tuple, links: list[dict]) -> None:
+def write(path: str | Path, name: str, gravity: Sequence[float], links: list[dict]) -> None:
     """Write links, dicts as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
     lines = [f"name = {literal(name)}", "dimensions = 3", f"gravity = {literal(gravity)}"]
     for link in links:

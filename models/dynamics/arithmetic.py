@@ -9,6 +9,7 @@ no call but cos and sin, no attribute, and no number that grows without bounds i
 import ast
 import re
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import torch
 
@@ -32,7 +33,7 @@ def function(arguments: Sequence[Sequence[str]], program: dict) -> Callable[...,
         lines.append(f"    {_name(name)} = {checked(text, known)}")
         known.add(name)
     lines.append(f"    return [{', '.join(checked(text, known) for text in program['results'])}]")
-    namespace = {"__builtins__": {}, **FUNCTIONS}
+    namespace: dict[str, Any] = {"__builtins__": {}, **FUNCTIONS}
     exec("\n".join(lines), namespace)  # every word of it is ours, or has passed `checked`
     return namespace["program"]
 
@@ -61,7 +62,7 @@ def _allowed(node: ast.AST, known: Collection[str]) -> bool:
         case ast.Name(id=name, ctx=ast.Load()):
             return name in known or name in FUNCTIONS
         case ast.Constant(value=value):
-            return type(value) in (int, float) and abs(value) <= LARGEST
+            return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
         case ast.operator() | ast.unaryop() | ast.expr_context():
             return True
     return False

@@ -228,8 +228,8 @@ def _right(functions: dict[str, Generated], num_joints: int) -> bool:
     def drawn(*shape: int) -> torch.Tensor:
         return torch.tensor(generator.normal(size=shape))
 
-    sizes = [drawn(4, num_joints).exp() for _ in range(4)]
-    body = BodyParameters(*sizes, 10 * drawn(4, 2), drawn(4, 2))
+    length, mass, com, inertia = (drawn(4, num_joints).exp() for _ in range(4))
+    body = BodyParameters(length, mass, com, inertia, 10 * drawn(4, 2), drawn(4, 2))
     phi, w = 3 * drawn(4, num_joints), 3 * drawn(4, num_joints)
     A = torch.ones(num_joints, num_joints, dtype=torch.float64).tril()
     back = torch.linalg.inv(A)
@@ -249,8 +249,8 @@ def _right(functions: dict[str, Generated], num_joints: int) -> bool:
     given = {"phi": phi, "w": w, **body._asdict()}
     for name, words in ARGUMENTS.items():
         moving, still = ([given[w].unbind(-1) for w in words if (w in MOVING) == moves] for moves in (True, False))
-        found = functions[name].values(*moving, functions[name].numbers(*still))
-        found = torch.stack([torch.as_tensor(x, dtype=torch.float64).expand(4) for x in found], -1)
+        outputs = functions[name].values(*moving, functions[name].numbers(*still))
+        found = torch.stack([torch.as_tensor(x, dtype=torch.float64).expand(4) for x in outputs], -1)
         right = expected[name]
         if found.shape != right.shape or not (found - right).abs().max() <= AGREES * (1 + right.abs().max()):
             return False

@@ -43,7 +43,8 @@ class SymbolicDynamics(PlanarDynamics):
     def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K)."""
         self._check(q=q)
-        M, K, D = self._matrix(self._full_shape("inertia", p, phi=q)), self.num_joints, {}
+        M, K = self._matrix(self._full_shape("inertia", p, phi=q)), self.num_joints
+        D: dict[tuple[int, int], Tensor] = {}
         for i in reversed(range(K)):  # D = Aᵀ M A: sums from (i, j) outwards
             for j, row_sum in zip(reversed(range(i, K)), accumulate(reversed(M[i])), strict=False):
                 D[i, j] = D[j, i] = row_sum + D[i + 1, j] if i + 1 < K else row_sum

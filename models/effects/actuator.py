@@ -6,7 +6,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.scale import Scale
 
@@ -21,7 +21,7 @@ class Actuator(Effect):
         self.where = joint
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """Every joint, and all of them together where there are several."""
         each = [cls(joint) for joint in body.joint_names]
         return [cls(), *each] if len(each) > 1 else each

@@ -20,7 +20,7 @@ import torch
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Hidden
@@ -64,7 +64,7 @@ class BristleFriction(Hidden):
         """Beyond a friction that creeps."""
         return 2
 
-    def bound(self, body: BodyBase) -> Self:
+    def bound(self, body: ArticulatedBody) -> Self:
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
 

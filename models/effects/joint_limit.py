@@ -9,7 +9,7 @@ import torch
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
@@ -59,12 +59,12 @@ class JointLimit(Effect):
         super().__init__(joint)
         self.where, self.sign = (joint, side), SIDES[side]
 
-    def bound(self, body: Body) -> Self:
+    def bound(self, body: ArticulatedBody) -> Self:
         """Look up the joint; see :meth:`Effect.bound`."""
         return self._bound(body, self.where[:1])
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """Both stops of every joint."""
         return [cls(joint, side) for joint in body.joint_names for side in SIDES]
 

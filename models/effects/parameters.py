@@ -1,6 +1,7 @@
 """Parameters that effects bring to a model, and the places that they need to be seen at."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from pyro.distributions import Distribution
@@ -36,7 +37,7 @@ def hidden_scales(
     effects: Sequence[Effect], scale: Scale, dtype: torch.dtype, device: torch.device
 ) -> dict[str, Tensor]:
     """Standard deviations (H,) of hidden states in the first row, and from row to row, by dotted name."""
-    found = {}
+    found: dict[str, Any] = {}
     for effect in (each for each in effects if isinstance(each, Hidden)):
         spread = torch.tensor(effect.hidden_scale(scale), dtype=dtype, device=device)
         found |= {f"initial.hidden.{effect.key}": spread, f"noise.hidden.{effect.key}": 1e-4 * spread}

@@ -28,6 +28,9 @@ LEAST, MOST = 1e-5, 0.3
 """Of the reach: noise that a recording's jitter is believed to show."""
 
 
+S = TypeVar("S", Stray, Shift)
+
+
 @dataclass(frozen=True, eq=False)
 class Keypoints(NoisySensor):
     """Detections of sites.
@@ -71,7 +74,7 @@ class Keypoints(NoisySensor):
     @property
     def shape(self) -> tuple[int, int]:
         """(P, d)."""
-        return len(self.sites), self.coordinates
+        return len(self.sites), self.space
 
     @property
     def coords(self) -> dict[str, Sequence[str]]:
@@ -98,16 +101,16 @@ class Keypoints(NoisySensor):
             scale = self.sureness.widened(scale, slope, drop, t)
         sd = scale.repeat_interleave(self.coordinates, -1)
         if view.noise is not None:
-            every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]
-            for site, own in zip(self.sites, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
-                every[site] = own
+            every = [sd.new_ones(*sd.shape[:-1], self.space)] * view.points.shape[-2]
+            for site, width in zip(self.places, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
+                every[site] = width
             sd = self.tracked(view.noise(torch.stack(every, -2))).flatten(-2)
         return self.tracked(view.points).flatten(-2), sd
 
     def tracked(self, values: Tensor) -> Tensor:
         """Of all sites' values (..., S, d) those of the keypoints, (..., P, d)."""
         # Entry by entry: a list of indices would be sent to the device in each row.
-        return torch.stack([values[..., site, :] for site in self.sites], -2)
+        return torch.stack([values[..., site, :] for site in self.places], -2)
 
     def doubted(self, t: int | Tensor, like: Tensor, count: int) -> Tensor | None:
         """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or not said.
@@ -118,7 +121,7 @@ class Keypoints(NoisySensor):
             return None
         doubt = self.sureness.itself[t].to(like)
         every = [doubt.new_zeros(doubt.shape[:-1])] * count
-        for site, own in zip(self.sites, doubt.unbind(-1), strict=True):
+        for site, own in zip(self.places, doubt.unbind(-1), strict=True):
             every[site] = own
         return torch.stack(every, -1)
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any, Self
 
+import numpy as np
 import torch
 from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from torch import Tensor
@@ -27,6 +28,9 @@ from invdyn.models.shapes import join
 FAMILIES = ("gaussian", "student_t")
 DEGREES = 4.0
 """Of freedom of Student-t noise, to begin with."""
+
+
+Rows = TypeVar("Rows", Tensor, np.ndarray)
 
 
 class Observation:
@@ -94,7 +98,7 @@ class Observation:
     @property
     def tracked(self) -> tuple[int, ...]:
         """Sites that keypoints show, (P,)."""
-        return () if self.keypoints is None else self.keypoints.sites
+        return () if self.keypoints is None else self.keypoints.places
 
     @property
     def tracked_names(self) -> tuple[str, ...]:
@@ -107,11 +111,11 @@ class Observation:
         begun = sum(map(size, before))
         return slice(begun, begun + size(sensor))
 
-    def of(self, sensor: Sensor, rows):
+    def of(self, sensor: Sensor, rows: Rows) -> Rows:
         """A sensor's part of rows (..., O), tensor or array, in its own shape."""
         return rows[..., self.part(sensor)].reshape(*rows.shape[:-1], *sensor.shape)
 
-    def points(self, rows):
+    def points(self, rows: Rows) -> Rows:
         """Keypoints (..., P, d) of rows (..., O), tensor or array; none of no keypoints."""
         if self.keypoints is None:
             return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
@@ -173,6 +177,6 @@ class _UncheckedStudentT(StudentT):
         self._chi2 = Chi2(self.df, validate_args=False)
         torch.distributions.Distribution.__init__(self, self.df.shape, validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> Any:
         """See :class:`torch.distributions.Distribution`."""
         return super().expand(batch_shape, self._get_checked_instance(_UncheckedStudentT, _instance))

@@ -60,9 +60,10 @@ class Board:
         if self.square > 1:
             raise InputError(f"a board whose squares are {self.square:g} m wide? Give metres, such as 0.025")
         if self.kind == "charuco":
-            object.__setattr__(self, "marker", self.square / 2 if self.marker is None else self.marker)
-            if not 0 < self.marker < self.square:
-                raise InputError(f"markers must be smaller than squares, got {self.marker:g} and {self.square:g} m")
+            marker = self.square / 2 if self.marker is None else self.marker
+            object.__setattr__(self, "marker", marker)
+            if not 0 < marker < self.square:
+                raise InputError(f"markers must be smaller than squares, got {marker:g} and {self.square:g} m")
             if not hasattr(opencv().aruco, self.dictionary):
                 raise InputError(f"unknown dictionary of markers {self.dictionary!r}: expected one such as DICT_4X4_50")
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError, about
 from .boards import Board
@@ -34,7 +35,8 @@ def calibrate(
     """
     if not sources:
         raise InputError("expected films of one camera or more, got none")
-    found, lenses = {}, {}
+    found: dict[str, dict[Any, Any]] = {}
+    lenses: dict[str, Any] = {}
     for done, (name, path) in enumerate(sources.items()):
         if progress:
             progress(done, len(sources), "boards")

@@ -60,7 +60,10 @@ def _size(tree: dict[str, Any]) -> tuple[int, int] | None:
     if "image_width" in tree and "image_height" in tree:
         return tree["image_width"], tree["image_height"]  # `Camera` checks them
     size = _find(tree, ("image_size", "imageSize", "Image_Size"))
-    return None if size is None or np.size(size) != 2 else tuple(np.ravel(size))
+    if size is None or np.size(size) != 2:
+        return None
+    width, height = np.ravel(size)
+    return width, height
 
 
 def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:

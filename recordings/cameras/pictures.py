@@ -63,6 +63,7 @@ def _film(path: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
     with tempfile.TemporaryFile() as complaints:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints) as decoder:
             try:
+                assert decoder.stdout is not None
                 yield from _frames(decoder.stdout, every)
             finally:
                 decoder.kill()  # whoever asked may have had enough

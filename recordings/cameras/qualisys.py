@@ -66,7 +66,7 @@ def _camera(element: ElementTree.Element) -> Camera:
     return Camera(
         name=name,
         matrix=matrix,
-        distortion=[k1, k2, p1, p2, k3],
+        distortion=np.array([k1, k2, p1, p2, k3]),
         rotation=rotation,
         translation=-rotation @ values(pose, "x", "y", "z") / 1000,
         size=(int(right - left) + 1, int(bottom - top) + 1),

@@ -46,7 +46,7 @@ def fit_rig(board: Board, lenses: dict[str, Intrinsics], found: dict[str, dict[i
     cameras = {name: _camera(name, lens, (np.eye(3), np.zeros(3))) for name, lens in lenses.items()}
     boards = {name: {at: _board_pose(board, cameras[name], found[name][at]) for at in found[name]} for name in names}
     poses = _tree(names, boards)
-    cameras = [_camera(name, lenses[name], poses[name]) for name in names]
+    placed = [_camera(name, lenses[name], poses[name]) for name in names]
     moments = sorted({at for name in names for at in found[name]}, key=lambda at: -sum(at in found[n] for n in names))
     moments = sorted(moments[:MOST])
     corners = np.full((len(names), len(moments), len(board.corners), 2), np.nan)
@@ -55,8 +55,8 @@ def fit_rig(board: Board, lenses: dict[str, Intrinsics], found: dict[str, dict[i
             if at in found[name]:
                 corners[c, m] = found[name][at]
     starts = [_board_in_scene(at, boards, poses) for at in moments]
-    cameras, error = _refine(board, cameras, starts, corners)
-    return Calibration(tuple(cameras), metric=True, error=error)
+    refined, error = _refine(board, placed, starts, corners)
+    return Calibration(tuple(refined), metric=True, error=error)
 
 
 def _camera(name: str, lens: Intrinsics, pose: Pose) -> Camera:

@@ -124,9 +124,9 @@ def _starts(calibration: Calibration, aim: np.ndarray, trust: np.ndarray) -> lis
     starts = [_nearest(origins, aim, trust)]
     if len(calibration) > 2:
         for pair in combinations(range(len(calibration)), 2):
-            both = (trust[:, pair] > 0).all(1)
+            both = np.all(trust[:, pair] > 0, axis=1, keepdims=True)
             point = _nearest(origins[list(pair)], aim[:, pair], trust[:, pair])
-            starts.append(np.where(both[:, None], point, starts[0]))
+            starts.append(np.where(both, point, starts[0]))
     return starts
 
 

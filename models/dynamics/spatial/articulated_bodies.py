@@ -103,19 +103,19 @@ def _released(
     angular = [row[2] for row in A] if turns else [row[2] for row in B]
     linear = list(B[2]) if turns else [row[2] for row in M]
     inverse = 1.0 / ((angular if turns else linear)[2] + own)
-    k, l = scale(inverse, angular), scale(inverse, linear)
+    k, l = list(scale(inverse, angular)), list(scale(inverse, linear))
     if isinstance(own, float) and own == 0:  # then the body gives no resistance along its axis: exact zeros
         (k if turns else l)[2] = 1.0
     rest = (tau - (moment if turns else force)[2]) * inverse
     if not has_parent:
         return ((k, l), rest), None
-    A = symmetric(lambda i, j, A=A: A[i][j] - angular[i] * k[j])
-    B = [[B[i][j] - (k[i] * linear[j] if turns else angular[i] * l[j]) for j in range(3)] for i in range(3)]
-    M = symmetric(lambda i, j, M=M: M[i][j] - linear[i] * l[j])
+    left_A = symmetric(lambda i, j: A[i][j] - angular[i] * k[j])
+    left_B = [[B[i][j] - (k[i] * linear[j] if turns else angular[i] * l[j]) for j in range(3)] for i in range(3)]
+    left_M = symmetric(lambda i, j: M[i][j] - linear[i] * l[j])
     turning, moving = velocity_product
-    moment = add(moment, apply(A, turning), apply(B, moving), scale(rest, angular))
-    force = add(force, apply(transpose(B), turning), apply(M, moving), scale(rest, linear))
-    return ((k, l), rest), _Body(A, B, M, moment, force)
+    moment = add(moment, apply(left_A, turning), apply(left_B, moving), scale(rest, angular))
+    force = add(force, apply(transpose(left_B), turning), apply(left_M, moving), scale(rest, linear))
+    return ((k, l), rest), _Body(left_A, left_B, left_M, moment, force)
 
 
 def _carried(body: _Body, velocity_product: Pair, turns: bool, qdd: Scalar) -> _Body:
@@ -136,11 +136,12 @@ def _moved(body: _Body, place: PlacedFrame) -> _Body:
     lever = cross_matrix(place.position)
     turned_B = matrix_sum(B, multiply(lever, M))
     lever_B, B_lever = multiply(lever, transpose(B)), multiply(turned_B, transpose(lever))
-    A = symmetric(lambda i, j, A=A: A[i][j] + (lever_B[i][j] + B_lever[i][j]))
-    return _Body(A, turned_B, M, moment, force)
+    whole_A = symmetric(lambda i, j: A[i][j] + (lever_B[i][j] + B_lever[i][j]))
+    return _Body(whole_A, turned_B, M, moment, force)
 
 
 def _joined(one: _Body, other: _Body) -> _Body:
-    A, M = (symmetric(lambda i, j, m=m, n=n: m[i][j] + n[i][j]) for m, n in ((one.A, other.A), (one.M, other.M)))
+    A = symmetric(lambda i, j: one.A[i][j] + other.A[i][j])
+    M = symmetric(lambda i, j: one.M[i][j] + other.M[i][j])
     B = matrix_sum(one.B, other.B)
     return _Body(A, B, M, add(one.moment, other.moment), add(one.force, other.force))

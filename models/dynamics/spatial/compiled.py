@@ -9,7 +9,7 @@ import logging
 import math
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -27,7 +27,7 @@ DTYPES = {torch.float32: np.float32, torch.float64: np.float64}
 _log = logging.getLogger(__name__)
 
 
-def engine():
+def engine() -> Any:
     """The numba package, or None, with one warning."""
     try:
         import numba
@@ -42,7 +42,7 @@ def engine():
 class Compiled:
     """Loops of programs, each compiled at its first use; `seconds` has what that took, by method and dtype."""
 
-    def __init__(self, numba):
+    def __init__(self, numba: Any):
         self._numba = numba
         self._loops: dict[tuple, Any] = {}
         self._bodies: dict[str, tuple] = {}
@@ -62,7 +62,7 @@ class Compiled:
         loop(*given, body, literals, out.numpy())
         return out[..., :N].reshape(-1, *batch).movedim(0, -1)
 
-    def _body(self, method: str, numbers: list[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
+    def _body(self, method: str, numbers: Sequence[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
         """Numbers as an array (count, B, 1), or (count, 1, N) where each particle has its own: True then.
 
         It is kept for as long as the same list of numbers comes.
@@ -80,7 +80,7 @@ class Compiled:
             self._bodies[method] = numbers, batch, found
         return found
 
-    def _loop(self, method: str, traced: Program, sizes: list[int], own: bool, dtype: torch.dtype):
+    def _loop(self, method: str, traced: Program, sizes: list[int], own: bool, dtype: torch.dtype) -> Any:
         key = (id(traced), own, dtype)
         if key not in self._loops:
             began = time.perf_counter()
@@ -97,7 +97,7 @@ class Compiled:
         return self._loops[key][:2]
 
 
-def _loop_source(traced: Program, sizes: Sequence[int], own: bool):
+def _loop_source(traced: Program, sizes: Sequence[int], own: bool) -> Callable:
     """The loop over bodies, blocks of particles, and the lanes of a block; `sizes` are the columns of each word.
 
     A block's columns are copied next to each other first: of columns that lie anywhere, the compiler cannot know that

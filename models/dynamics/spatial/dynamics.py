@@ -156,9 +156,9 @@ class SpatialDynamics(Dynamics):
         shape = len(self.tree.keypoint_names), 3, self.num_joints
         return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
 
-    def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **joint: Tensor | None) -> Tensor:
+    def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **given: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
-        joint = self._with_driven(driven, {name: value for name, value in joint.items() if value is not None})
+        joint = self._with_driven(driven, {name: value for name, value in given.items() if value is not None})
         body = self._body(p)
         traced = self._program(method, body.structure, "own" in joint)
         joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
@@ -295,9 +295,9 @@ TRACED = {
 
 def _constants(name: str, value: Tensor) -> np.ndarray:
     """The nominal numbers that programs may leave out, NaN for all others."""
-    value = value.numpy()
-    known = (value == 0) | ((name == "rotation") & (np.abs(value) == 1))
-    return np.where(known, value, np.nan)
+    array = value.numpy()
+    known = (array == 0) | ((name == "rotation") & (np.abs(array) == 1))
+    return np.where(known, array, np.nan)
 
 
 def _is_differentiated(value: Tensor) -> bool:

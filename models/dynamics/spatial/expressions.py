@@ -12,7 +12,7 @@ section 10.4, on the symbolic simplification of recursions.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Node(NamedTuple):
@@ -26,11 +26,11 @@ class Node(NamedTuple):
 class Graph:
     """The nodes of one program, in an order in which they can be computed."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.nodes: list[Node] = []
         self._places: dict[tuple, Expression] = {}
 
-    def argument(self, name: str, moving: bool) -> "Expression":
+    def argument(self, name: Any, moving: bool) -> "Expression":
         """The argument of that name."""
         return self._node("argument", (name,), moving)
 
@@ -74,7 +74,7 @@ class Expression:
         node = self.graph.nodes[self.place]
         return Expression(self.graph, node.operands[0]) if node.kind == "neg" else None
 
-    def __neg__(self):
+    def __neg__(self) -> "Expression":
         if (inner := self._negated()) is not None:
             return inner
         node = self.graph.nodes[self.place]
@@ -83,7 +83,7 @@ class Expression:
             return self.graph.operation("-", other, one)
         return self.graph.operation("neg", self)
 
-    def __add__(self, other):
+    def __add__(self, other: "Expression | float") -> Any:
         if isinstance(other, float):
             return self if other == 0 else self.graph.operation("+", self, other)
         if (inner := other._negated()) is not None:
@@ -94,7 +94,7 @@ class Expression:
 
     __radd__ = __add__
 
-    def __sub__(self, other):
+    def __sub__(self, other: "Expression | float") -> Any:
         if isinstance(other, float):
             return self + -other
         if other.place == self.place:
@@ -105,10 +105,10 @@ class Expression:
             return -(inner + other)
         return self.graph.operation("-", self, other)
 
-    def __rsub__(self, other: float):
+    def __rsub__(self, other: float) -> Any:
         return -self if other == 0 else self.graph.operation("-", other, self)
 
-    def __mul__(self, other):
+    def __mul__(self, other: "Expression | float") -> Any:
         if isinstance(other, float):
             if other == 0:
                 return 0.0
@@ -124,7 +124,7 @@ class Expression:
 
     __rmul__ = __mul__
 
-    def __rtruediv__(self, other: float):
+    def __rtruediv__(self, other: float) -> Any:
         return self.graph.operation("/", other, self)
 
 

@@ -16,6 +16,7 @@ and minimum parameters of the dynamic models of tree structure robots", IEEE J. 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 from invdyn.models.bodies.inertia import PLACES
@@ -193,14 +194,22 @@ def _rigid(link: int, axes: Matrix, origin: Vector, entry: Entry) -> RigidBody:
     return RigidBody(mass, scale(mass, com), inertia)
 
 
+def _disc(across: Scalar, i: int, j: int) -> Scalar:
+    return across if i == j < 2 else 0.0
+
+
+def _less_disc(inertia: Matrix, across: Scalar, i: int, j: int) -> Scalar:
+    return inertia[i][j] - across if i == j < 2 else inertia[i][j]
+
+
 def _regroup(frames: Sequence[Frame]) -> None:
     """Give to each parent what its children's coordinates cannot move; what the world gets plays no part."""
     for frame in reversed(frames):
         (mass, h, I), place = frame.body, frame.at(0.0, 1.0, 0.0)
         if frame.turns:
             across = I[1][1]
-            given = RigidBody(mass, [0.0, 0.0, h[2]], symmetric(lambda i, j, x=across: x if i == j < 2 else 0.0))
-            rest = symmetric(lambda i, j, I=I, x=across: I[i][j] - x if i == j < 2 else I[i][j])
+            given = RigidBody(mass, [0.0, 0.0, h[2]], symmetric(partial(_disc, across)))
+            rest = symmetric(partial(_less_disc, I, across))
             frame.body = RigidBody(0.0, [h[0], h[1], 0.0], rest)
         else:
             given = RigidBody(inertia=I)

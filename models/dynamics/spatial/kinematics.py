@@ -33,7 +33,7 @@ def sites(frames: Frames, motion: Motion) -> list[Vector]:
 def jacobian(frames: Frames, motion: Motion) -> list[list[Vector]]:
     """Of each site: ∂x/∂q, for each of x, y and z its K entries."""
     world = world_frames(frames, motion)
-    found = []
+    found: list[list[Vector]] = []
     for (at, _), x in zip(frames.sites, sites(frames, motion), strict=True):
         columns: list[Vector] = [ZERO] * frames.num_joints
         for k in frames.ancestors(at):

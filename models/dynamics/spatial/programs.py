@@ -61,8 +61,8 @@ def program(graph: Graph, outputs: Sequence[Scalar]) -> Program:
         operands = [named(x) for x in node.operands]
         return f"-{operands[0]}" if node.kind == "neg" else f" {node.kind} ".join(operands)
 
-    given = {True: [], False: []}
-    lines = {True: [], False: []}
+    given: dict[bool, list[int]] = {True: [], False: []}
+    lines: dict[bool, list[str]] = {True: [], False: []}
     used = {x.place for x in outputs if isinstance(x, Expression)}
     for place, node in nodes.items():
         if node.kind == "argument":

@@ -10,7 +10,7 @@ particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
 import os
 from pathlib import Path
 
-from invdyn.inference.methods.smc import SMCOptions
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.recordings import InputError
 
 PARTICLES = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "vsmc"})
