@@ -112,7 +112,9 @@ def load_recording(
         )
     with about(name):
         check_plausible(recording, lengths, body.base, units)
-        return bridged(recording.select(*frame_range(frames)), sum(lengths))
+        start, stop = frame_range(frames)
+        first = slice(start, stop).indices(recording.num_frames)[0]
+        return bridged(recording.select(start, stop), sum(lengths), first)
 
 
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:

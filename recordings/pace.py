@@ -81,7 +81,7 @@ def froude(places: np.ndarray, time: np.ndarray, length: float) -> float:
     return float(np.quantile(speed, 0.75) ** 2 / (GRAVITY * length))
 
 
-def bridged(recording: Recording, length: float) -> Recording:
+def bridged(recording: Recording, length: float, first: int = 0) -> Recording:
     """Rows without an observation, a frame interval apart, across each step longer than a quarter of a swing.
 
     A step that long is beyond any integrator and any torque that is held over it; empty rows let the bands widen
@@ -90,6 +90,7 @@ def bridged(recording: Recording, length: float) -> Recording:
     Args:
         recording: any.
         length: of the body, m.
+        first: number, from 0, that its first row has in the file.
 
     Raises InputError when it would take more rows than were recorded: what lies before and after such a gap has
     nothing to do with each other.
@@ -100,18 +101,16 @@ def bridged(recording: Recording, length: float) -> Recording:
     if not more.any():
         return recording
     worst = int(step.argmax())
-    where = (
-        f"rows {worst + 1} and {worst + 2} are {step[worst]:.3g} s apart ({time[worst]:g}, then {time[worst + 1]:g} s)"
-    )
+    row = first + worst + 1
+    where = f"rows {row} and {row + 1} are {step[worst]:.3g} s apart ({time[worst]:g} s, then {time[worst + 1]:g} s)"
     if more.sum() > len(time):
         raise InputError(
             f"{where}, too long a gap to say anything across it: use the rows before or after it, "
-            f"--frames :{worst + 1} or {worst + 1}:"
+            f"--frames :{row} or {row}:"
         )
     more = more.astype(int)
     source = np.repeat(np.arange(len(time)), np.append(more + 1, 1))
-    first = np.flatnonzero(np.diff(source, prepend=-1))
-    part = np.arange(len(source)) - first[source]
+    part = np.arange(len(source)) - np.flatnonzero(np.diff(source, prepend=-1))[source]
     share = part / (np.append(more, 0)[source] + 1)
     filled = time[source] + share * np.append(step, 0.0)[source]
 

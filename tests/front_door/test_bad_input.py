@@ -99,6 +99,10 @@ RECORDINGS = {
     "time backwards": (HEADER + "1,1,0,2,0\n0,1,0,2,0\n", "backwards"),
     "pixels as metres": (HEADER + "0,100,0,200,0\n0.03,100,1,200,1\n", "px"),
     "short row": (HEADER + "0,1,0,2,0\n0.03,1\n", "3"),
+    "numbers of frames": (HEADER + "0,1,0,2,0\n1,1,0,2,0\n2,1,0,2,0\n", "--units frames --fps"),
+    "milliseconds": (HEADER + "0,1,0,2,0\n40,1,0,2,0\n80,1,0,2,0\n", "--units ms"),
+    "days between rows": (HEADER + "0,1,0,2,0\n0.04,1,0,2,0\n0.08,1,0,2,0\n90000,1,0,2,0\n", "--frames :3 or 3:"),
+    "another case": (HEADER.replace("wrist", "Wrist") + "0,1,0,2,0\n0.04,1,0,2,0\n", "closest: 'wrist'"),
     "three coordinates": (
         "time,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z\n0,1,0,0,2,0,0\n0.03,1,0,0,2,0,0\n",
         "plane",

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 
@@ -109,7 +110,8 @@ def test_a_tracked_base_is_subtracted(folder, quick_inference, run):
     np.testing.assert_allclose(recording.keypoints[3], [[1, 0], [2, 0]])
 
 
-def test_film_without_scale_is_divided_by_the_bodys_length(folder, quick_inference, run):
+@pytest.mark.parametrize("link", [1.0, 0.5])
+def test_film_without_scale_is_as_long_as_the_body(link, folder, quick_inference, run):
     tracks = [f"{f},100,200,0.9,160,200,0.9,160,{160 + f},0.9\n" for f in range(5)]
     Path("film.csv").write_text(
         "scorer"
@@ -125,10 +127,15 @@ def test_film_without_scale_is_divided_by_the_bodys_length(folder, quick_inferen
     refused = run(*call)
     assert refused.exit_code == 2
     assert "--body-lengths" in refused.stderr
-    assert run(*call, "--body-lengths").exit_code == 0
+    Path("arm.toml").write_text(Path("arm.toml").read_text().replace("length = 1.0", f"length = {link}"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        outcome = run(*call, "--body-lengths")
+    assert outcome.exit_code == 0
+    said = "as long as the body's links together, 2 m" in outcome.stderr
     recording = quick_inference[0]["recording"]
-    assert recording.length_unit == "body length"
-    total = 60 + 38  # px: median lengths of the two links
+    assert (recording.length_unit, said) == (("m", True) if link == 1.0 else ("body length", False))
+    total = (60 + 38) / (2 * link)  # px: median lengths of the two links
     np.testing.assert_allclose(recording.keypoints[2], [[60 / total, 0], [60 / total, 38 / total]])
 
 
