@@ -41,7 +41,7 @@ class Uncertain(StateSpaceModel):
         """Log-parameters (…, P) at u (…, P)."""
         return self.centre + u @ self.root.mT
 
-    def sampled(self) -> StateSpaceModel:
+    def sampled(self) -> StateSpaceModel:  # type: ignore[override]  # the model drawn is of its own class
         """Draw the site; return the model that has the parameters."""
         return self.log_parameters.at(self.phi(pyro.sample(SITE, self.prior)))
 

@@ -167,7 +167,7 @@ class ArmModel(StateSpaceModel):
         return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
 
     @property
-    def unconstrained(self) -> frozenset[str]:  # type: ignore[override]  # it depends on the effects
+    def unconstrained(self) -> frozenset[str]:  # type: ignore[override]  # its body and effects say
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
@@ -212,7 +212,7 @@ class ArmModel(StateSpaceModel):
         return self.chain.late(t)
 
     # -- the same body under other circumstances -------------------------------------------------
-    def _with(self, **parts: object) -> Self:
+    def _with(self, **parts: Any) -> Self:
         """The model with other parts, and what follows from them made anew."""
         other = copy.copy(self)
         for name in DERIVED:
@@ -230,8 +230,8 @@ class ArmModel(StateSpaceModel):
         return self._with(
             parameters=parameters,
             timeline=self.timeline.to(device),
-            drive=self.drive.to(device),
             observation=self.observation.to(device),
+            drive=self.drive.to(device),
         )
 
     def sampled(self) -> Self:
@@ -239,7 +239,7 @@ class ArmModel(StateSpaceModel):
         drawn = {f"body.{name}": value for name, value in self.body.drawn(self.mechanics.given).items()}
         return self.replace(**drawn)._sampled()
 
-    def with_effects(self, *effects: Effect) -> Self:
+    def with_effects(self, *effects: Effect) -> "ArmModel":
         """The model of a body that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
 
         Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,), with priors, so that
@@ -267,11 +267,11 @@ class ArmModel(StateSpaceModel):
         other.state_dim = other.layout.size
         return other
 
-    def in_substeps(self, count: int, abrupt: int | None = None) -> Self:
+    def in_substeps(self, count: int, abrupt: int | None = None) -> "ArmModel":
         """The model in so many integrator steps a row; ``abrupt`` is what a force that jumps takes at least."""
         return self._with(substeps=count, abrupt=self.abrupt if abrupt is None else abrupt)
 
-    def observed_by(self, observation: Observation) -> Self:
+    def observed_by(self, observation: Observation) -> "ArmModel":
         """The model with the same sensors under other noise; they keep their parameters, and new ones begin."""
         own = observation.bound(self.body)
         like = self.parameters["noise.angle"]
@@ -279,7 +279,7 @@ class ArmModel(StateSpaceModel):
         new = {name: value for name, value in begin.items() if name not in self.parameters}
         return self._with(observation=own, parameters={**self.parameters, **new})
 
-    def driven_by(self, time: Tensor, torque: Tensor) -> Self:
+    def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
         """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
 
         ``command`` becomes its mean over each row. It may begin before the first row.
@@ -287,16 +287,16 @@ class ArmModel(StateSpaceModel):
         drive = self.drive.driven_by(time, torque, self.time)
         return self._with(drive=drive, timeline=self.timeline.known_from(time[0]))
 
-    def moving(self, speed: Tensor) -> Self:
+    def moving(self, speed: Tensor) -> "ArmModel":
         """The model of a body whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
         return self._with(experience=replace(self.experience, motion=speed.detach().cpu().double()))
 
-    def turning(self, lowest: Tensor, highest: Tensor) -> Self:
+    def turning(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
         """The model of a body whose joints turn between two angles (K,) rad, where effects are looked for."""
         turned = torch.stack([lowest, highest], -1).detach().cpu().double()
         return self._with(experience=replace(self.experience, range=turned))
 
-    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> Self:
+    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
         """The model of several recordings one after another: at ``rows`` (R,) the body starts anew.
 
         There the state does not follow from the row before, but is drawn as the first one is, with angles within
@@ -311,12 +311,12 @@ class ArmModel(StateSpaceModel):
         return super().initial_paths(observations) if paths is None else paths
 
     @property
-    def driven(self) -> slice | None:  # type: ignore[override]  # it depends on the effects
+    def driven(self) -> slice | None:  # type: ignore[override]  # its effects say
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None
 
-    def relaxed(self, amount: float) -> Self:
+    def relaxed(self, amount: float) -> "ArmModel":
         """Let angles slip by 0.3 rad × ``amount`` a step, and velocities by what that is in one step."""
         angle, velocity = 0.3 * amount, 0.3 * amount / self.dt.median().item()
         slack: dict[str, float | list[float]] = {"noise.angle": angle, "noise.velocity": velocity}

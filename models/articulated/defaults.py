@@ -43,14 +43,12 @@ def shaped(given: Mapping[str, Value], defaults: Mapping[str, Tensor]) -> dict[s
 
     Raises ValueError for another shape.
     """
-    found: dict[str, Any] = {}
-    for name, value in given.items():
-        if name in defaults:
-            value, own = torch.as_tensor(value, dtype=torch.float64), defaults[name]
-            try:
-                value = value.expand_as(own).clone() if value.ndim <= own.ndim else value
-            except RuntimeError:
-                expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-                raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
-        found[name] = value
+    found: dict[str, Any] = dict(given)
+    for name in given.keys() & defaults.keys():
+        value, own = torch.as_tensor(given[name], dtype=torch.float64), defaults[name]
+        try:
+            found[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
+        except RuntimeError:
+            expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
+            raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
     return found

@@ -7,7 +7,6 @@ Shapes: z (..., Z), hidden (..., H), joints (..., K), states (..., D) with D = Z
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from pyro.distributions import Distribution, MultivariateNormal, Normal
@@ -32,8 +31,8 @@ class StateLayout:
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
-        z, q, qd = torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
-        return z, q, qd
+        z, angle, velocity = torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
+        return z, angle, velocity
 
     def at_rest(self, angle: Tensor, velocity: Tensor) -> Tensor:
         """The state (..., D) in which the torque process and all hidden states are zero."""
@@ -50,7 +49,7 @@ class StateLayout:
         tril.diagonal(dim1=-2, dim2=-1)[..., self.torque :] = sds
         return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
 
-    def one_or_other(self, which: Tensor, one: Any, other: Any) -> Distribution:
+    def one_or_other(self, which: Tensor, one: Distribution, other: Distribution) -> Distribution:
         """The law ``one`` where ``which`` (...) says so, else the ``other``, both of :meth:`gaussian`."""
         here = which.unsqueeze(-1)
         if self.diagonal:

@@ -69,9 +69,10 @@ class Mechanics:
     def under(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> Tensor:
         """θ̈ (..., K) where a row begins; no hidden hinge moves."""
         torque, own, now = self.smooth(drive, q, qd, 0.0)
-        if (bristles := self.effects.bristles) is not None:
+        if bristles := self.effects.bristles:
             now = self.now(drive, q, qd, 0.0)
-            torque = torque + self._bending(bristles, self.effects.shares(hidden)[bristles.key], now)[0]
+            bent = self.effects.shares(hidden)[bristles.key]
+            torque = torque + self._bending(bristles, bent, now)[0]
         torque, own = self.with_friction(torque, own, now)
         return self.dynamics.forward(q, qd, torque, drive.body, own)
 
@@ -87,16 +88,15 @@ class Mechanics:
         """What follows the body, one row later, between ``ends`` (hidden states that move it, q, q̇) of the row."""
         if not self.effects.followers:
             return []
-        hinge = self.effects.hinge
-
-        def motion(bent: Tensor, q: Tensor, qd: Tensor) -> Motion:
-            if hinge is None:
-                return tip_motion(q, qd, drive.body)
-            return hinge.tip_motion(own_values(hinge, self.parameters), q, qd, bent, drive.body)
-
-        before, after = (motion(*end) for end in ends)
+        before, after = (self._tip_motion(drive, *end) for end in ends)
         following = ((each, own_values(each, self.parameters)) for each in self.effects.followers)
         return [each.follow(p, own[each.key], before, after, drive.dt) for each, p in following]
+
+    def _tip_motion(self, drive: RowDrive, bent: Tensor, q: Tensor, qd: Tensor) -> Motion:
+        """What the tips do in a state."""
+        if hinge := self.effects.hinge:
+            return hinge.tip_motion(own_values(hinge, self.parameters), q, qd, bent, drive.body)
+        return tip_motion(q, qd, drive.body)
 
     def _integrated(self, drive: RowDrive, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
         """The body one row later; dry friction is held within sub-steps."""
@@ -110,9 +110,10 @@ class Mechanics:
     ) -> tuple[Tensor, Tensor]:
         """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
         held: Tensor | float = 0.0
-        off, first = None, None
-        torque, own, now = self.smooth(drive, q, qd, begun) if self.effects.has_friction else (None, None, None)
-        if torque is not None and now is not None:
+        off = first = None
+        if self.effects.has_friction:
+            torque, own, now = self.smooth(drive, q, qd, begun)
+            assert now is not None  # effects ask for it
             held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
@@ -182,12 +183,14 @@ class Mechanics:
 
     def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
-        if self.effects.has_friction and now is not None:
+        if self.effects.has_friction:
+            assert now is not None  # effects ask for it
             torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
         return torque, own
 
     def _bending(self, bristles: BristleFriction, bent: Tensor, now: Situation) -> tuple[Tensor, Tensor]:
         """Friction through bristles that are ``bent`` (..., 1), (..., K) N·m, and how fast they bend, rad/s."""
-        p, j = own_values(bristles, self.parameters), bristles.place[0]
+        p = own_values(bristles, self.parameters)
+        j = bristles.place[0]
         friction, rate = bristles.bending(p, bent, now.qd[..., j : j + 1], bristles.level(p, now), now.step)
         return now.at(j, friction), rate

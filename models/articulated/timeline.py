@@ -5,7 +5,7 @@ Shapes: T rows; of a row's clocks (..., 1), to stand beside joint quantities.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -48,8 +48,7 @@ class Timeline:
         """The same on ``device``; itself where it is there."""
         if self.time.device == device:
             return self
-        moved: dict[str, Any] = {name: each.to(device) for name, each in vars(self).items() if each is not None}
-        return replace(self, **moved)
+        return replace(self, **{name: each.to(device) for name, each in vars(self).items() if each is not None})
 
     def known_from(self, begin: Tensor) -> Self:
         """The grid where commands are known from the time ``begin``, s."""

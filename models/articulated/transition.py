@@ -52,13 +52,12 @@ class Transition:
             root = torch.hypot(root, late)
         sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
         moved = self.layout.gaussian(self.mean(state, t), root, sds)
-        anew, middle = self.timeline.anew, self.timeline.middle
-        if anew is None or middle is None:
+        if self.timeline.anew is None or self.timeline.middle is None:
             return moved
         # As the first row is, within about half a turn of some angles.
-        here = middle[t]
-        begun = self._begun(here, torch.zeros_like(here), torch.full_like(here, np.pi))
-        return self.layout.one_or_other(anew[t], begun, moved)
+        middle = self.timeline.middle[t]
+        begun = self._begun(middle, torch.zeros_like(middle), torch.full_like(middle, np.pi))
+        return self.layout.one_or_other(self.timeline.anew[t], begun, moved)
 
     def mean(self, state: Tensor, t: Row) -> Tensor:
         """E[x_t | x_{t−1} = state]."""

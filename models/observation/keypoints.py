@@ -23,7 +23,6 @@ from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
-Mistake = TypeVar("Mistake", Stray, Shift)
 LEAST, MOST = 1e-5, 0.3
 """Of the reach: noise that a recording's jitter is believed to show."""
 
@@ -36,40 +35,53 @@ class Keypoints(NoisySensor):
     """Detections of sites.
 
     Args:
-        chosen: which (P,), by place among the body's sites or by name, in the recording's order.
+        sites: which (P,), by place among the body's sites or by name, in the recording's order.
         confidence: (T, P) the tracker's, or None.
-
-    Attributes:
-        sites, names, coordinates: places and names of the chosen sites (P,), and d, known once :meth:`bound`.
-        sureness: what is known of the tracker's confidence, or None.
+        names, coordinates: of the sites and d, known once :meth:`bound`.
     """
 
-    chosen: Sequence[int | str]
-    confidence: np.ndarray | None = None
-    sites: tuple[int, ...] = field(default=())
+    sites: Sequence[int | str]
+    confidence: np.ndarray | Confidence | None = None
     names: tuple[str, ...] = field(default=())
-    coordinates: int = field(default=0)
-    sureness: Confidence | None = field(default=None)
+    coordinates: int | None = field(default=None)
 
     name: ClassVar[str] = "position"
     unit: ClassVar[str] = "length"
 
     def __post_init__(self) -> None:
-        if self.confidence is not None and self.sureness is None:
-            object.__setattr__(self, "sureness", Confidence.of(self.confidence))
+        object.__setattr__(self, "sites", tuple(self.sites))
+        if isinstance(self.confidence, np.ndarray):
+            object.__setattr__(self, "confidence", Confidence.of(self.confidence))
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The keypoints of ``body``; raises ValueError for sites that it does not have."""
         known = body.keypoint_names
-        missing = [s for s in self.chosen if (s not in known if isinstance(s, str) else s not in range(len(known)))]
+        missing = [s for s in self.sites if (s not in known if isinstance(s, str) else s not in range(len(known)))]
         if missing:
             raise ValueError(f"expected keypoints among {', '.join(known)}, got {missing[0]!r}")
-        sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.chosen)
+        sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.sites)
         return replace(self, sites=sites, names=tuple(known[site] for site in sites), coordinates=body.space)
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""
-        return self if self.sureness is None else replace(self, sureness=self.sureness.to(device))
+        return self if (own := self.told) is None else replace(self, confidence=own.to(device))
+
+    @property
+    def told(self) -> Confidence | None:
+        """The tracker's confidence, if it is known."""
+        return self.confidence if isinstance(self.confidence, Confidence) else None
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The sites by number, (P,); once bound."""
+        return tuple(site for site in self.sites if isinstance(site, int))
+
+    @property
+    def space(self) -> int:
+        """d; ValueError before they are bound."""
+        if self.coordinates is None:
+            raise ValueError("expected keypoints that are bound to a body, whose coordinates are then known")
+        return self.coordinates
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -83,10 +95,10 @@ class Keypoints(NoisySensor):
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """Noise of a fiftieth of the reach."""
-        parameters = {"emission.keypoint_scale": torch.full((len(self.chosen),), 0.02 * reach).double()}
-        if self.sureness is not None:
+        parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
+        if self.confidence is not None:
             for name in ("emission.confidence_slope", "emission.confidence_drop"):
-                parameters[name] = torch.full((len(self.chosen),), USUAL_SLOPE).double()
+                parameters[name] = torch.full((len(self.sites),), USUAL_SLOPE).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
@@ -96,10 +108,10 @@ class Keypoints(NoisySensor):
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The sites as they are seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
-        if self.sureness is not None:
+        if (own := self.told) is not None:
             slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
-            scale = self.sureness.widened(scale, slope, drop, t)
-        sd = scale.repeat_interleave(self.coordinates, -1)
+            scale = own.widened(scale, slope, drop, t)
+        sd = scale.repeat_interleave(self.space, -1)
         if view.noise is not None:
             every = [sd.new_ones(*sd.shape[:-1], self.space)] * view.points.shape[-2]
             for site, width in zip(self.places, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
@@ -117,9 +129,9 @@ class Keypoints(NoisySensor):
 
         None where no confidence is known.
         """
-        if self.sureness is None:
+        if (told := self.told) is None:
             return None
-        doubt = self.sureness.itself[t].to(like)
+        doubt = told.itself[t].to(like)
         every = [doubt.new_zeros(doubt.shape[:-1])] * count
         for site, own in zip(self.places, doubt.unbind(-1), strict=True):
             every[site] = own
@@ -133,11 +145,11 @@ class Keypoints(NoisySensor):
             for mistake in mistakes
             if isinstance(mistake, Swap)
         ]
-        shifts = [self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)]
-        return MistakenRows(loc, scale, self.shape, strays, swaps, *shifts[:1])
+        shift = next((self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
+        return MistakenRows(loc, scale, self.shape, strays, swaps, shift)
 
-    def _of_keypoints(self, mistake: Mistake) -> Mistake:
+    def _of_keypoints(self, mistake: S) -> S:
         """The tracked ones of all sites' widths."""
-        sizes = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
-        own: dict[str, Any] = {name: self.tracked(value) for name, value in sizes.items()}
-        return replace(mistake, **own)
+        widths = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
+        sizes: dict[str, Any] = {name: self.tracked(value) for name, value in widths.items()}
+        return replace(mistake, **sizes)

@@ -10,7 +10,7 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 import copy
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import torch
@@ -46,7 +46,7 @@ class Observation:
     def __init__(self, *sensors: Sensor, family: str = "gaussian"):
         if family not in FAMILIES:
             raise ValueError(f"expected a noise family among {', '.join(FAMILIES)}, got {family!r}")
-        if not sensors or any(isinstance(each, Keypoints) and not len(each.chosen) for each in sensors):
+        if not sensors or any(isinstance(each, Keypoints) and not each.sites for each in sensors):
             raise ValueError("expected at least one sensor, and keypoints of at least one site, got none")
         names = [each.name for each in sensors]
         if len(set(names)) < len(names):
@@ -75,9 +75,8 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        if self.keypoints is None or self.keypoints.sureness is None:
-            return []
-        return [self.keypoints.sureness.doubt, self.keypoints.sureness.drop]
+        told = None if self.keypoints is None else self.keypoints.told
+        return [] if told is None else [told.doubt, told.drop]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
@@ -143,7 +142,7 @@ class Observation:
 
         Raises ValueError for mistakes of Student-t noise, which has its own account of stray detections.
         """
-        parts: list[Any] = [self._side_by_side(run, view, t, parameters) for run in self._runs]
+        parts = [self._side_by_side(run, view, t, parameters) for run in self._runs]
         return parts[0] if len(parts) == 1 else SideBySide(parts)
 
     def _side_by_side(

@@ -28,13 +28,10 @@ from invdyn.models.observation.view import View
 class Sensor(Protocol):
     """A part of an observation row; see the top of the file."""
 
-    @property
-    def name(self) -> str:
-        """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
-
-    @property
-    def unit(self) -> str:
-        """Of its entries: "length" for the recording's unit of length, else the unit itself, such as "rad"."""
+    name: ClassVar[str]
+    """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
+    unit: ClassVar[str]
+    """"length" for the recording's unit of length, else the unit itself, such as "rad"."""
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The sensor on a body, whose names and dimensions it then knows.

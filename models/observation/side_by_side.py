@@ -7,10 +7,10 @@ Shapes: rows (..., O), O the sum of the parts'; batches broadcast.
 
 from collections.abc import Sequence
 from functools import reduce
-from operator import add
+from typing import Any
 
 import torch
-from pyro.distributions import TorchDistribution
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob
@@ -25,7 +25,7 @@ class SideBySide(RowDistribution):
         parts: distributions of event shape (n,) each.
     """
 
-    def __init__(self, parts: Sequence[TorchDistribution]):
+    def __init__(self, parts: Sequence[Distribution]):
         batch = torch.Size(common(*(part.batch_shape for part in parts)))
         self.parts = [part.expand(batch) for part in parts]
         self.sizes = [part.event_shape[-1] for part in parts]
@@ -36,7 +36,7 @@ class SideBySide(RowDistribution):
         return SideBySide([part.expand(torch.Size(batch_shape)) for part in self.parts])
 
     @property
-    def loc(self) -> Tensor:  # type: ignore[override]  # made of its parts
+    def loc(self) -> Tensor:
         """The parts' middles, (..., O)."""
         return join(*(getattr(part, "base_dist", part).loc for part in self.parts))
 
@@ -53,7 +53,8 @@ class SideBySide(RowDistribution):
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the entries that are not NaN."""
         pieces = value.split(self.sizes, -1)
-        return reduce(add, (_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True)))
+        each = (_log_prob(part, piece) for part, piece in zip(self.parts, pieces, strict=True))
+        return reduce(torch.add, each)
 
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of the parts, W as a vector where all of them are, else block by block."""
@@ -61,7 +62,7 @@ class SideBySide(RowDistribution):
         found = [gaussian_rows(part, piece) for part, piece in zip(self.parts, pieces, strict=True)]
         target = join(*(explained(part, piece) for part, piece in zip(self.parts, pieces, strict=True)))
         whitening = [each for each, _ in found]
-        constant = reduce(add, (each for _, each in found))
+        constant = reduce(torch.add, [each for _, each in found])
         rank = max(len(self.batch_shape), value.ndim - 1) + 1
         flat = [each.ndim == rank for each in whitening]
         if all(flat):
@@ -80,7 +81,7 @@ class SideBySide(RowDistribution):
         return torch.cat([part.sample(torch.Size(sample_shape)) for part in self.parts], -1)
 
 
-def _log_prob(part: TorchDistribution, value: Tensor) -> Tensor:
+def _log_prob(part: Distribution, value: Tensor) -> Tensor:
     """Log-density (...) of one part over what was seen, without asking the device what that is."""
     if not isinstance(part, torch.distributions.MultivariateNormal):
         return observed_log_prob(part, value, ~torch.isnan(value))

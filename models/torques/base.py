@@ -46,8 +46,8 @@ class TorqueProcess(ABC):
         """Square root of the covariance of z_0, in the form of :meth:`noise`."""
 
     def unsettled(self, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Sd (..., K), N·m, of what is new in a step of ``dt`` s where a recording begins in the middle of a motion."""
-        raise NotImplementedError(f"{type(self).__name__} begins at rest")
+        """Of a process that is ``underway``, sd (..., K), N·m: see :meth:`.OrnsteinUhlenbeck.unsettled`."""
+        raise NotImplementedError(f"{type(self).__name__} has no motion before a recording begins")
 
     def path(self, torque: Tensor, time: Tensor) -> Tensor:
         """A plausible z path (T, Z) whose torques are ``torque`` (T, K): a start for linearisation."""
