@@ -1,13 +1,11 @@
 """Imports go one way, and never in a circle; read from the source, so that lazy imports count too."""
 
-import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from source_imports import FILES, IMPORTS, inner_room, room_of
 
-ROOT = Path(__file__).parents[1]
 ROOMS = {
     "recordings": set(),
     "models": set(),
@@ -16,43 +14,6 @@ ROOMS = {
     "blindcheck": {"recordings", "models", "inference", "diagnosis"},
     "invdyn": {"recordings", "models", "inference", "diagnosis", "blindcheck"},
 }
-
-
-def module_name(path):
-    """invdyn.models.torques.base for models/torques/base.py; the front door's own are invdyn.cli, …"""
-    parts = list(path.relative_to(ROOT).with_suffix("").parts)
-    if parts[-1] == "__init__":
-        parts.pop()
-    return ".".join(parts if parts[0] == "invdyn" else ["invdyn", *parts])
-
-
-FILES = {module_name(path): path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))}
-
-
-def room_of(module):
-    second = [*module.split("."), ""][1]
-    return second if second in ROOMS and second != "invdyn" else "invdyn"
-
-
-def imported(module, tree, names=FILES):
-    """Modules of ours that a syntax tree imports, relative imports resolved; a package and its parts alike."""
-    package = module if names[module].name == "__init__.py" else module.rpartition(".")[0]
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                up = package.split(".")[: len(package.split(".")) - node.level + 1]
-                base = ".".join([*up, base] if base else up)
-            for alias in node.names:
-                whole = f"{base}.{alias.name}"
-                found.add(whole if whole in names else base)
-    return {name for name in found if name in names}
-
-
-IMPORTS = {name: imported(name, ast.parse(path.read_text("utf-8"))) for name, path in FILES.items()}
 
 
 def test_all_rooms_are_found():
@@ -78,16 +39,11 @@ def test_imports_go_one_way(room):
 
 
 STAGES = {
+    "models": ["bodies", "torques", "dynamics", "observation", "effects", "articulated"],
     "inference": ["execution", "smoothing", "filters", "fitting", "variational", "mcmc", "posterior", "methods"],
     "diagnosis": ["problem", "sensitivity", "hypotheses", "assessment", "report"],
 }
 """Rooms of a room, each importing only those before it; a file beside them stands after the last of what it imports."""
-
-
-def inner_room(module):
-    """filters for invdyn.inference.filters.weights; None for a file at the top of its room."""
-    parts = module.split(".")
-    return parts[2] if len(parts) > 3 or (len(parts) == 3 and FILES[module].name == "__init__.py") else None
 
 
 @pytest.mark.parametrize("room", STAGES)

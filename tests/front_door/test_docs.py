@@ -1,5 +1,6 @@
 """What the pages say is what the program does: commands parse, the files shown are read, links lead somewhere."""
 
+import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -77,3 +78,10 @@ def test_relative_links_lead_to_files(page):
 def _body(folder: Path) -> Path:
     (folder / "arm.toml").write_text(blocks(FILES, "toml")[0])
     return folder / "arm.toml"
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_code():
+    spec = importlib.util.spec_from_file_location("architecture_picture", ROOT / "docs" / "architecture_picture.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"

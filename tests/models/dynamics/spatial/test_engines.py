@@ -9,7 +9,7 @@ from trees import MuJoCo, mobile_arm, panda, pinocchio_of, random_state, random_
 
 from invdyn.models.bodies.body import Body, Link
 from invdyn.models.bodies.in_space import parameters_in_space, tree_of
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 
