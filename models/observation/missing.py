@@ -5,6 +5,7 @@ marginalised out of a correlated Gaussian one. It is never filled in.
 """
 
 import math
+from typing import Any
 
 import pyro
 import torch
@@ -118,7 +119,7 @@ def times(whitening: Tensor, rows: Tensor) -> Tensor:
     return whitening @ rows if whitening.ndim == rows.ndim else whitening.unsqueeze(-1) * rows
 
 
-def _correlated_rows(emission, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+def _correlated_rows(emission: Any, observation: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
     size = observation.shape[-1]
     covariance = emission.covariance_matrix
     pair = seen.unsqueeze(-1) & seen.unsqueeze(-2)

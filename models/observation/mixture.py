@@ -21,7 +21,10 @@ Shapes: rows (..., O) = P keypoints' d coordinates, then E other entries, encode
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
+from operator import add
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -66,13 +69,14 @@ class MistakenRows(RowDistribution):
         swaps: Sequence[Swap],
         shift: Shift | None = None,
     ):
-        rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps, *([shift] if shift else []))]
+        mistakes: list[Stray | Swap | Shift] = [*strays, *swaps, *([shift] if shift else [])]
+        rates = [mistake.rate[..., 0] for mistake in mistakes]
         batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
         self.layout, self.strays, self.swaps, self.shift = shape, tuple(strays), tuple(swaps), shift
         super().__init__(batch, loc.shape[-1:], validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "MistakenRows":
         """See :class:`torch.distributions.Distribution`."""
         size = self.loc.shape[-1]
         loc, scale = (value.expand(*batch_shape, size) for value in (self.loc, self.scale))
@@ -132,11 +136,13 @@ class MistakenRows(RowDistribution):
             share = stacked.softmax(0).unsqueeze(-1)
             precision = sum(r / width**2 for r, (_, width) in zip(share, widths, strict=True))
             found.append(_Alternative(weight + timely + stacked.logsumexp(0).sum(-1), order, precision))
-            for which in product(widths, repeat=self.points) if self.shift else ():
+            if (shift := self.shift) is None:
+                continue
+            for which in product(widths, repeat=self.points):
                 width = torch.stack([width[..., p, :] for p, (_, width) in enumerate(which)], -2)
-                chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(self.shift.rate[..., 0]) + weight
-                width = torch.hypot(width, self.shift.beside[..., order, :])
-                density, pull = _shifted(y, loc[..., order, :], width, self.shift.along[..., order, :])
+                chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(shift.rate[..., 0]) + weight
+                width = torch.hypot(width, shift.beside[..., order, :])
+                density, pull = _shifted(y, loc[..., order, :], width, shift.along[..., order, :])
                 found.append(_Alternative(chance + density, order, width**-2, pull))
         return found
 
@@ -153,7 +159,7 @@ class MistakenRows(RowDistribution):
         seen = ~torch.isnan(y)
         filled = torch.where(seen, y, 0.0)
         weight, pulled = torch.zeros_like(self._split(self.loc)[0]), torch.zeros_like(self._split(self.loc)[0])
-        joint = 0.0
+        joint: Any = 0.0
         for each, share in zip(found, shares, strict=True):
             back = sorted(range(self.points), key=each.order.__getitem__)
             own = share[..., None, None] * each.precision * seen
@@ -190,10 +196,10 @@ class MistakenRows(RowDistribution):
         rows = [
             w.exp()[..., None, None] * loc[..., o, :] for o, w in zip(self.orders, self._log_weights(), strict=True)
         ]
-        return torch.cat([sum(rows).flatten(-2), angles], -1)
+        return torch.cat([reduce(add, rows).flatten(-2), angles], -1)
 
     @torch.no_grad()
-    def sample(self, sample_shape=()) -> Tensor:
+    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Draw rows (sample_shape, ..., O)."""
         shape = self._extended_shape(torch.Size(sample_shape))
         row = self.loc + self.scale * torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device)
@@ -205,7 +211,8 @@ class MistakenRows(RowDistribution):
             hit = (torch.rand_like(points[..., :1, :1]) < self.shift.rate.unsqueeze(-1)).to(points)
             points = points + hit * self.shift.along * torch.randn_like(points[..., :1, :1])
             points = points + hit * self.shift.beside * torch.randn_like(points)
-        chance, passed = torch.rand_like(points[..., 0, 0]), 0.0
+        chance = torch.rand_like(points[..., 0, 0])
+        passed: Tensor | float = 0.0
         whole = points
         for order, swap in zip(self.orders[1:], self.swaps, strict=True):
             rate = swap.rate[..., 0]

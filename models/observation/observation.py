@@ -10,8 +10,9 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 import copy
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+import numpy as np
 import torch
 from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from torch import Tensor
@@ -24,6 +25,7 @@ from invdyn.models.observation.side_by_side import SideBySide
 from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
 
+Rows = TypeVar("Rows", Tensor, np.ndarray)
 FAMILIES = ("gaussian", "student_t")
 DEGREES = 4.0
 """Of freedom of Student-t noise, to begin with."""
@@ -107,11 +109,11 @@ class Observation:
         begun = sum(map(size, before))
         return slice(begun, begun + size(sensor))
 
-    def of(self, sensor: Sensor, rows):
+    def of(self, sensor: Sensor, rows: Rows) -> Rows:
         """A sensor's part of rows (..., O), tensor or array, in its own shape."""
         return rows[..., self.part(sensor)].reshape(*rows.shape[:-1], *sensor.shape)
 
-    def points(self, rows):
+    def points(self, rows: Rows) -> Rows:
         """Keypoints (..., P, d) of rows (..., O), tensor or array; none of no keypoints."""
         if self.keypoints is None:
             return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
@@ -173,6 +175,6 @@ class _UncheckedStudentT(StudentT):
         self._chi2 = Chi2(self.df, validate_args=False)
         torch.distributions.Distribution.__init__(self, self.df.shape, validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "_UncheckedStudentT":
         """See :class:`torch.distributions.Distribution`."""
         return super().expand(batch_shape, self._get_checked_instance(_UncheckedStudentT, _instance))

@@ -8,6 +8,7 @@ Shapes: rows (..., O), O the sum of the parts'; batches broadcast.
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
+from typing import Any
 
 import torch
 from pyro.distributions import TorchDistribution
@@ -31,7 +32,7 @@ class SideBySide(RowDistribution):
         self.sizes = [part.event_shape[-1] for part in parts]
         super().__init__(batch, torch.Size([sum(self.sizes)]), validate_args=False)
 
-    def expand(self, batch_shape, _instance=None):
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "SideBySide":
         """See :class:`torch.distributions.Distribution`."""
         return SideBySide([part.expand(torch.Size(batch_shape)) for part in self.parts])
 
@@ -75,7 +76,7 @@ class SideBySide(RowDistribution):
         return whole, target, constant
 
     @torch.no_grad()
-    def sample(self, sample_shape=()) -> Tensor:
+    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Draw rows (sample_shape, ..., O)."""
         return torch.cat([part.sample(torch.Size(sample_shape)) for part in self.parts], -1)
 
