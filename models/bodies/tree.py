@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import pyro
@@ -27,6 +27,7 @@ from torch.distributions import constraints
 from invdyn.models.bodies import tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import UNTURNED, Joint, Motion
+from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.quantities import WORLD, checked_scalar, checked_scalars, ordered
 from invdyn.models.bodies.rotations import about, from_axes, numbers
 from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
@@ -109,7 +110,7 @@ class SpatialLink:
 
 
 @dataclass(frozen=True)
-class Tree:
+class Tree(BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
@@ -120,6 +121,8 @@ class Tree:
     name: str
     links: Sequence[SpatialLink]
     gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    space: ClassVar[int] = 3
+    signed: ClassVar[frozenset[str]] = frozenset({"com", "inertia", "position", "rotation", "sites", "gravity"})
 
     def __post_init__(self) -> None:
         check_name(self.name, "name of a body")
@@ -148,6 +151,11 @@ class Tree:
     def num_joints(self) -> int:
         """Number K of coordinates that torques move."""
         return len(self.joint_names)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the links, parents before children."""
+        return tuple(link.name for link in self.links)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -243,7 +251,7 @@ class Tree:
         return (0.0, rod, rod, 0.0, 0.0, 0.0)
 
     @property
-    def is_uncertain(self) -> bool:
+    def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
         scalars = [
             scalar

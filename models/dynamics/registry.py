@@ -8,6 +8,7 @@ from functools import singledispatch
 
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
@@ -26,6 +27,13 @@ def dynamics_for(body: ArticulatedBody) -> Dynamics:
 @dynamics_for.register
 def _(body: Body) -> PlanarDynamics:
     return planar_dynamics(body.num_joints)
+
+
+@dynamics_for.register
+def _(body: Tree) -> Dynamics:
+    from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
+
+    return SpatialDynamics(body)
 
 
 def planar_dynamics(num_joints: int) -> PlanarDynamics:

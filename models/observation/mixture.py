@@ -135,13 +135,13 @@ class MistakenRows(RowDistribution):
             share = stacked.softmax(0).unsqueeze(-1)
             precision = sum(r / width**2 for r, (_, width) in zip(share, widths, strict=True))
             found.append(_Alternative(weight + timely + stacked.logsumexp(0).sum(-1), order, precision))
-            if self.shift is None:
+            if (shift := self.shift) is None:
                 continue
             for which in product(widths, repeat=self.points):
                 width = torch.stack([width[..., p, :] for p, (_, width) in enumerate(which)], -2)
-                chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(self.shift.rate[..., 0]) + weight
-                width = torch.hypot(width, self.shift.beside[..., order, :])
-                density, pull = _shifted(y, loc[..., order, :], width, self.shift.along[..., order, :])
+                chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(shift.rate[..., 0]) + weight
+                width = torch.hypot(width, shift.beside[..., order, :])
+                density, pull = _shifted(y, loc[..., order, :], width, shift.along[..., order, :])
                 found.append(_Alternative(chance + density, order, width**-2, pull))
         return found
 

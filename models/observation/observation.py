@@ -25,12 +25,10 @@ from invdyn.models.observation.side_by_side import SideBySide
 from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
 
+Rows = TypeVar("Rows", Tensor, np.ndarray)
 FAMILIES = ("gaussian", "student_t")
 DEGREES = 4.0
 """Of freedom of Student-t noise, to begin with."""
-
-
-Rows = TypeVar("Rows", Tensor, np.ndarray)
 
 
 class Observation:

@@ -49,7 +49,7 @@ def test_priors_and_learned_scalars_are_read_back(tmp_path):
     )
     Tree("b", [link]).to_toml(tmp_path / "b.toml")
     read = load(tmp_path / "b.toml")
-    assert read.is_uncertain
+    assert read.has_priors
     assert read.links[0].length == Learned(0.4)
     assert read.links[0].com[1].stddev.item() == pytest.approx(0.02)
     with pytest.raises(BodyError, match="log-normal priors"):
