@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
-	@echo "make lint     check style and format"
+	@echo "make lint     check style, format and types"
 	@echo "make install  everything for development into $(VENV)"
 	@echo "make clean    remove $(VENV) and the demo"
 	@echo "PYTHON=python3.12 chooses another interpreter (3.11 or newer) for $(VENV)."
@@ -28,6 +28,7 @@ test: $(VENV)/.development
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 clean:
 	rm -rf $(VENV) demo
@@ -45,5 +46,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,robots,video,tracks,cluster,checkpoint]'
+	$(PIP) -e '.[dev,robots,fast,video,tracks,cameras,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

@@ -39,7 +39,7 @@ from pyro.infer.smcfilter import SMCFailed
 from scipy.stats import binom, chi2
 
 from invdyn.inference import METHODS, Problem, SMCOptions
-from invdyn.models import ArmModel, Body, Emission, OrnsteinUhlenbeck
+from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck
 from invdyn.simulate import record
 
 ROWS, STEP = 20, 0.05
@@ -136,7 +136,7 @@ def short_arm() -> ArmModel:
     return ArmModel(
         Body.from_toml(files("invdyn.models") / "bodies" / "paper_planar_arm.toml"),
         STEP * np.arange(ROWS),
-        Emission(range(2)),
+        Observation(Keypoints(range(2))),
         torque=OrnsteinUhlenbeck(),
         integrator="euler",
         parameters={

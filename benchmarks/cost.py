@@ -53,7 +53,7 @@ def chain_problem(rows: int, joints: int):
     from planar_paper import paper_problem
 
     from invdyn.inference import Problem
-    from invdyn.models import ArmModel, Body, Emission, Link
+    from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
     from invdyn.simulate import PAPER, record
 
     if joints == 2:
@@ -65,7 +65,7 @@ def chain_problem(rows: int, joints: int):
     model = ArmModel(
         Body("chain", links, gravity=(0.0, -1.0)),
         0.01 * np.arange(rows),
-        Emission(range(joints)),
+        Observation(Keypoints(range(joints))),
         torque=PAPER["torque"],
         integrator=PAPER["integrator"],
         parameters={**PAPER["settings"], "initial.angle_scale": 0.3, "initial.velocity_scale": 0.3},

@@ -25,7 +25,7 @@ from scipy.signal import butter, filtfilt
 
 from invdyn.inference import infer, pooled
 from invdyn.inference.methods.differentiate import derivatives, inverse_dynamics, joint_angles
-from invdyn.models import TORQUE_PROCESSES, Body, Emission
+from invdyn.models import TORQUE_PROCESSES, Body, Keypoints, Observation
 from invdyn.recordings import Recording, Truth, keypoints_from_angles, load, load_truth
 
 FRICTION = {"viscous": (0.001, 0.001), "coulomb": (0.093, 0.078)}  # model_2.0, N·m·s/rad and N·m
@@ -89,7 +89,7 @@ def filter_and_differentiate(case: Case) -> np.ndarray:
     """Torques (C, T, K) for each cut-off, order-4 zero-phase Butterworth."""
     time, body = case.recording.time, case.body.parameters()
     tips = torch.as_tensor(case.recording.keypoints).flatten(-2)
-    angle, _ = joint_angles(time, tips, Emission(range(case.body.num_joints)), body)
+    angle, _ = joint_angles(time, tips, Observation(Keypoints(range(case.body.num_joints))), body)
     return np.stack([inverse_dynamics(*derivatives(time, angle, cutoff), body) for cutoff in CUTOFFS])
 
 

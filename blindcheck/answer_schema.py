@@ -5,6 +5,7 @@ all are scored.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 NUMBER, REAL = (int, float, type(None)), (int, float)
 """Null is what a number is that is not known."""
@@ -26,12 +27,12 @@ KEYS = {
 """Keys that are read; with "?" those that may be missing or null, "*" for any."""
 
 
-def unreadable(found: object, keys: object = KEYS, at: str = "diagnosis.json") -> str | None:
+def unreadable(found: object, keys: Any = KEYS, at: str = "diagnosis.json") -> str | None:
     """What keeps ``found``, parsed JSON, from being judged, and where; None where nothing does."""
     if isinstance(keys, Mapping):
         if not isinstance(found, Mapping):
             return f"{at}: expected an object, got {_shown(found)}"
-        parts = []
+        parts: list[tuple[Any, Any, str]] = []
         for name, inner in keys.items():
             key = name.rstrip("?")
             if name == "*":

@@ -16,29 +16,12 @@ The rate of the clock is no matter of the picture: it scales every time in the t
 Shapes: T frames, P = K + 1 points, the base and the K tips.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from invdyn.blindcheck.nonideal_mechanisms import swung
 from invdyn.blindcheck.simulator import Trajectory
-
-OBSERVATIONS = (
-    "keypoint_offset",
-    "soft_tissue",
-    "camera_scale",
-    "camera_roll",
-    "camera_yaw",
-    "lens_distortion",
-    "clock_rate",
-    "camera_latency",
-    "rolling_shutter",
-    "timestamp_jitter",
-    "outliers",
-    "label_swap",
-    "varying_noise",
-)
-"""Every observation effect of the catalogue by its name there."""
 
 Effect = tuple[str, int | None, Mapping[str, float]]
 """Name, the keypoint's number (0 is the first tip) where it has one, and parameters."""
@@ -72,9 +55,10 @@ def film(
     points = points + sd[..., None] * stream("noise").standard_normal(points.shape)
     if "label_swap" in present:
         place, parameters = present["label_swap"]
+        place = place or 0
         one, other = place + 1, (place if place else 2)  # a tip and its neighbour; the base is never mistaken
         swapped = stream("label_swap").random(len(points)) < parameters["rate"]
-        points[np.ix_(swapped, [one, other])] = points[np.ix_(swapped, [other, one])]
+        points[np.ix_(swapped, np.array([one, other]))] = points[np.ix_(swapped, np.array([other, one]))]
     if "outliers" in present:
         _, parameters = present["outliers"]
         rng = stream("outliers")
@@ -83,7 +67,7 @@ def film(
     return points
 
 
-def capture_times(time: np.ndarray, present: Mapping, stream) -> np.ndarray:
+def capture_times(time: np.ndarray, present: Mapping, stream: Callable[[str], np.random.Generator]) -> np.ndarray:
     """When each frame (T,) was really taken, but for the rolling shutter."""
     when = time
     if "camera_latency" in present:

@@ -17,14 +17,16 @@ import json
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.camera import OBSERVATIONS, film
-from invdyn.blindcheck.effect_sizes import scene
+from invdyn.blindcheck.camera import film
+from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import CATALOGUE, Present, drawn, named, pace, seen_by_camera, world_with
 from invdyn.blindcheck.motion import Plan, frame_times, play, random_body, random_plan
+from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 from invdyn.blindcheck.visibility import visibility
@@ -37,13 +39,9 @@ ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and
 WEAK = 0.25
 USUAL, GROWING, LARGEST = 3, 1.5, 1.5**5  # draws of usual size; factor from then on, each time, and altogether
 
-TWO_JOINTS = {"joint_coupling", "label_swap", "cross_viscosity", "cable"}
-NEEDS_GRAVITY = {"gravity_tilt", "camera_roll"}  # without it, a turned picture is another posture of the same arm
-NEEDS_COMMAND = {
-    *("actuator_gain", "actuator_delay", "actuator_lag", "actuator_saturation", "actuator_deadzone", "backlash"),
-    *("camera_latency", "hot_motor"),
-}
-NEEDS_CLOCK = {"camera_latency", "clock_rate"}  # nothing tells a clock when the torque is unknown
+UNLISTED_NEEDS = {"cross_viscosity": ("two joints",), "cable": ("two joints",), "hot_motor": ("command",)}
+"""What those outside the catalogue need, as `effects.Injected.needs`."""
+
 NOT_TOGETHER = (  # they write the same number of MuJoCo's, undo each other, or tell time by different clocks
     {"viscous_friction", "drifting_friction"},
     {"coulomb_friction", "stribeck_friction", "load_friction"},
@@ -82,8 +80,14 @@ def effects_of(kind: str) -> tuple[str, ...]:
     if kind == "none":
         return ()
     names = tuple(OUTSIDE) if kind == "outside" else CATALOGUE
-    barred = {"passive": NEEDS_COMMAND, "unknown_torque": NEEDS_CLOCK, "two": {"clock_rate"}}.get(kind, set())
-    return tuple(name for name in names if name not in barred)
+    lacks = {"passive": "command", "unknown_torque": "clock"}.get(kind)
+    barred = {"clock_rate"} if kind == "two" else set()
+    return tuple(name for name in names if name not in barred and lacks not in needs(name))
+
+
+def needs(name: str) -> tuple[str, ...]:
+    """What a case with an effect must have."""
+    return EFFECTS[name].needs if name in EFFECTS else UNLISTED_NEEDS.get(name, ())
 
 
 def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -> Case:
@@ -125,14 +129,14 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: Sequence[float]) -> Case | None:
+def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray) -> Case | None:
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
     passive = regime == "passive"
-    two = bool(set(names) & TWO_JOINTS)
+    two = any("two joints" in needs(name) for name in names)
     joints = int(rng.choice([2, 3] if two else [1, 2, 3], p=[0.75, 0.25] if two else [0.15, 0.65, 0.2]))
-    horizontal = not passive and not set(names) & NEEDS_GRAVITY and rng.random() < 0.12
+    horizontal = not passive and not any("gravity" in needs(name) for name in names) and rng.random() < 0.12
     true_body = random_body(rng, joints, horizontal)
     body = _measured(rng, true_body) if rng.random() < 0.12 else true_body
     plan = random_plan(rng, true_body, passive)
@@ -152,7 +156,7 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
     real = play(world, nominal, plan, pace(present))
     if _wild(real) or ("joint_coupling" in names and not _unambiguous(real)):
         return None
-    answer = {
+    answer: dict[str, Any] = {
         "kind": kind,
         "regime": regime,
         "effects": [

@@ -19,10 +19,12 @@ import hashlib
 import json
 import os
 import pathlib
+import re
 import subprocess
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from invdyn.recordings import InputError, atomic_path, write_text
+from invdyn.recordings import InputError, atomic_path, check_readable, write_text
 
 TAG, SIZE = 32, 16384
 """Bytes that tell whether a locked answer was read with its key; and of any answer: its length is to tell nothing."""
@@ -86,6 +88,19 @@ class Locked:
         return hashlib.blake2b(label.encode() + b"\0" + text, key=self._key, digest_size=TAG).digest()
 
 
+def read_commitment(path: str | pathlib.Path) -> str:
+    """The hash that :meth:`Sealed.commit_to` wrote. Raises InputError for another file, OSError for none."""
+    try:
+        found = json.loads(check_readable(path).read_text(encoding="utf-8"))["sha256"]
+        if re.fullmatch("[0-9a-f]{64}", found):
+            return found
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise InputError(
+        f"{path}: expected the hash of sealed answers, as a blind run writes it; give --out another folder"
+    )
+
+
 def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict:
     """Return opened answers after checking them against their hash, and against the one printed before, if given.
 
@@ -94,20 +109,22 @@ def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict
     try:
         opened = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
         stated, nonce, answers = opened["sha256"], bytes.fromhex(opened["nonce"]), opened["answers"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path}: expected opened answers, with sha256, nonce and answers: {error!r}") from error
     if _commitment(nonce, answers) != stated or commitment not in (None, stated):
         raise InputError(f"{path}: these are not the answers that were sealed as {commitment or stated}")
     return answers
 
 
-def run_apart(command: Sequence[str], folder: str | pathlib.Path) -> subprocess.CompletedProcess[str]:
+def run_apart(command: Sequence[str], folder: str | pathlib.Path, **identity: Any) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis as a process of its own inside `folder`, a case's; nothing is inherited but the environment.
 
-    Neither memory nor open files pass to it, and its standard input is empty. Returns the finished process, whatever
-    its exit code. Raises OSError when it cannot be started.
+    Neither memory nor open files pass to it, and its standard input is empty. `identity` is who runs it: user, group,
+    extra_groups and env of `subprocess.run`. Returns the finished process, whatever its exit code. Raises OSError when
+    it cannot be started.
     """
-    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, close_fds=True)
+    own = {"stdin": subprocess.DEVNULL, "capture_output": True, "text": True, "errors": "replace", "close_fds": True}
+    return subprocess.run(command, cwd=folder, **own, **identity)
 
 
 def digest(folder: str | pathlib.Path) -> str:

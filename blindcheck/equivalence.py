@@ -33,6 +33,7 @@ clock and inertial error each changes one or both, and two together what a third
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
+from typing import TypeVar
 
 PLACES = ("joint", "link", "keypoint", "partner", "stop")
 Entry = Mapping[str, object]
@@ -93,7 +94,14 @@ def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
     if one and name in NUMBERS:
         return tuple(sorted(NUMBERS - {name}))
     on_a_circle = one and not any(answer["body"]["base"])
-    twins = ("gravity_tilt", "camera_roll", "actuator_delay", "camera_latency", "camera_scale", "lens_distortion")
+    twins: tuple[str, ...] = (
+        "gravity_tilt",
+        "camera_roll",
+        "actuator_delay",
+        "camera_latency",
+        "camera_scale",
+        "lens_distortion",
+    )
     twins = (*twins, "armature", "inertial_error", "payload", "actuator_gain", "clock_rate")
     at = {"armature": {"joint": joints[0]}}
     equal = [
@@ -123,19 +131,21 @@ def in_group(entry: Entry, key: str) -> bool:
     return not where or not names or where in {".".join(order) for order in permutations(names)}
 
 
-def paired(
-    truth: Sequence[Entry], found: Sequence[Entry], agree: Callable[[Entry, Entry], bool], least: int | None = None
-) -> bool:
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+def paired(truth: Sequence[A], found: Sequence[B], agree: Callable[[A, B], bool], least: int | None = None) -> bool:
     """Whether each true effect has a found one of its own that agrees; with `least`, so many of them at least."""
     if least is None:
         if len(truth) != len(found):
             return False
         least = len(truth)
-    shorter, longer = sorted((truth, found), key=len)
-    return any(
-        sum(agree(a, b) if shorter is truth else agree(b, a) for a, b in zip(shorter, order, strict=True)) >= least
-        for order in permutations(longer, len(shorter))
-    )
+    if len(truth) <= len(found):
+        orders = (zip(truth, order, strict=True) for order in permutations(found, len(truth)))
+    else:
+        orders = (zip(order, found, strict=True) for order in permutations(truth, len(found)))
+    return any(sum(agree(a, b) for a, b in order) >= least for order in orders)
 
 
 def together(entries: Sequence[Entry], group: Sequence[str]) -> bool:

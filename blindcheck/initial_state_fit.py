@@ -10,6 +10,7 @@ Shapes: T frames, K joints, W windows. SI units, radians.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -63,12 +64,13 @@ def unlike_any_start(
     steps = max(1, round(min(2.0, 1 / hz) / interval / 2**DOUBLED))
     while not np.isfinite(misfit(steps, started(steps))).any() and steps > 1:  # whirls at once without the effect
         steps //= 2
-    shift, best = started(steps), None
-    for _ in range(DOUBLED + 1):
-        rest = misfit(steps, shift)
-        if best is not None and not np.isfinite(rest).any():
+    shift = started(steps)
+    best = misfit(steps, shift)
+    for doubled in range(DOUBLED + 1):
+        rest = misfit(steps, shift) if doubled else best
+        if doubled and not np.isfinite(rest).any():
             break
-        best, shift = _fitted(lambda shift, steps=steps: misfit(steps, shift), shift, rest, windows(steps, frames))
+        best, shift = _fitted(partial(misfit, steps), shift, rest, windows(steps, frames))
         steps, shift = 2 * steps, shift[::2]
     return best
 

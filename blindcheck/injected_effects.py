@@ -5,17 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invdyn.blindcheck.camera import OBSERVATIONS, Effect
-from invdyn.blindcheck.effect_sizes import UNITS, Scene, draw
-from invdyn.blindcheck.mechanisms import MECHANISMS
+from invdyn.blindcheck.camera import Effect
+from invdyn.blindcheck.effects import EFFECTS, MECHANISMS, OBSERVATIONS
+from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 from invdyn.models import Body
 
-CATALOGUE = (*MECHANISMS, *OBSERVATIONS)
-OF_LINK = {"inertial_error", "link_flexibility"}
-OF_KEYPOINT = {"external_push", "keypoint_offset", "soft_tissue", "label_swap"}
-OF_WHOLE = {"payload", "gravity_tilt", "base_motion", *OBSERVATIONS} - OF_KEYPOINT
+CATALOGUE = tuple(EFFECTS)
 FIRST = ("payload", "inertial_error")  # change a link as a whole, so before another cuts it
 
 
@@ -32,10 +29,16 @@ class Present:
 def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float) -> Present:
     """Draw where an effect is and how large, for a scene."""
     joints = s.body.num_joints
-    place = None if name in OF_WHOLE else int(rng.integers(name == "joint_coupling", joints))
+    place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
     if name in OUTSIDE:
         return Present(name, place, {}, int(rng.integers(2**31)))
-    return Present(name, place, draw(name, rng, s, place, strength))
+    size = EFFECTS[name].size(rng, s, place, strength)
+    return Present(name, place, {key: float(value) for key, value in size.items()})
+
+
+def site_of(name: str) -> str:
+    """Where an effect acts: "joint", "link", "keypoint" or "arm"; those outside the catalogue act at a joint."""
+    return EFFECTS[name].site if name in EFFECTS else "joint"
 
 
 def world_with(body: Body, present: Sequence[Present], s: Scene) -> World:
@@ -43,7 +46,7 @@ def world_with(body: Body, present: Sequence[Present], s: Scene) -> World:
     world = World(body)
     for each in sorted(present, key=lambda e: e.name not in FIRST):
         if each.name in OUTSIDE:
-            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place))
+            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place or 0))
         elif each.name in MECHANISMS:
             where = () if each.place is None else (each.place,)
             MECHANISMS[each.name](world, *where, **each.parameters)
@@ -62,14 +65,14 @@ def seen_by_camera(present: Sequence[Present]) -> list[Effect]:
 
 def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
     """The answer's entry of one effect, with the names and units of the catalogue."""
-    units = UNITS.get(each.name)
+    units = EFFECTS[each.name].units if each.name in EFFECTS else None
     parameters = {
         name: {"value": value if units else value[0], "unit": units[name] if units else value[1]}
         for name, value in _as_written(each).items()
     }
     entry = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
     if each.place is not None:
-        kind = "link" if each.name in OF_LINK else "keypoint" if each.name in OF_KEYPOINT else "joint"
+        kind = site_of(each.name)
         names = {"link": [link.name for link in body.links], "keypoint": body.keypoint_names, "joint": body.joint_names}
         entry[kind] = names[kind][each.place]
         if each.name == "joint_limit":

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, overload
 
 from invdyn.blindcheck.equivalence import agreeing, alike, in_group, paired, place, same, together
 
@@ -71,7 +72,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     unknown = kind in OUTSIDE_KINDS
     label = OUTSIDE if unknown else label_of(truth)
     only = truth[0] if len(truth) == 1 else None
-    start = {
+    start: dict[str, Any] = {
         "name": name,
         "kind": kind,
         "regime": answer["regime"],
@@ -81,18 +82,18 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     }
     asked = only is not None and not unknown
     if found is None:
-        missed = {"side": False, "side_by_set": False} if asked else {}
-        return Verdict(**start, **missed, **dict.fromkeys(_asked(answer) if asked else (), False))
+        places = ("side", "side_by_set", *_asked(answer)) if asked else ()
+        return Verdict(**start | dict.fromkeys(places, False))
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)
     groups = found.get("ambiguity_set") or []
     best = causes[0] if causes else None
     says_outside = best is None or outside > number(best["probability"], 0.0)
-    entries = [] if says_outside else best["effects"]
+    entries = [] if best is None or says_outside else best["effects"]
     right = says_outside and bool(causes or outside) if unknown else not says_outside and paired(truth, entries, same)
     like = right if unknown or says_outside else alike(truth, entries, answer, groups)
     said = OUTSIDE if says_outside and outside > 0 else label_of(entries) if best is not None else FAILED
-    verdict = {
+    verdict: dict[str, Any] = {
         "answer": said,
         "failed": False,
         "detected": bool(found["gap"]["detected"]),
@@ -101,22 +102,22 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
         "by_set": like,
         "some": paired(truth, entries, lambda a, b: agreeing(a, b, answer, groups), 1) if truth and entries else False,
         "at_work": any(shared(e, causes, lambda a, b: agreeing(a, b, answer, groups)) > 0.5 for e in truth),
-        "probability": outside if says_outside else number(best["probability"], 0.0),
+        "probability": outside if best is None or says_outside else number(best["probability"], 0.0),
         "set_size": None if says_outside or not entries else set_size(entries, groups),
         "outside": outside > 0.5,
-        "hidden": bool(only) and any(in_group(only, key) for key in found.get("not_identifiable") or []),
+        "hidden": only is not None and any(in_group(only, key) for key in found.get("not_identifiable") or []),
         "closed": number((found.get("shrinkage") or {}).get("gap_closed"), None) if truth else None,
         "of_oracle": closed_of(found, oracle) if oracle else None,
-        "covered": covered(only, entries[0]) if asked and right else {},
+        "covered": covered(only, entries[0]) if only is not None and asked and right else {},
     }
     where = found.get("where") or {}
-    if asked:
+    if only is not None and asked:
         verdict["side"] = top(where.get("side")) == only["side"]
         verdict["side_by_set"] = verdict["side"] or like
-        located = {
-            "joint": lambda: top(where.get("joints")) in place(only),
-            "keypoint": lambda: top(where.get("keypoints")) in place(only),
-            "interval": lambda: in_time(only["interval"], where.get("intervals") or []),
+        located: dict[str, Callable[[], bool]] = {
+            "joint": lambda: top(where.get("joints")) in place(truth[0]),
+            "keypoint": lambda: top(where.get("keypoints")) in place(truth[0]),
+            "interval": lambda: in_time(truth[0]["interval"], where.get("intervals") or []),
         }
         verdict |= {name: located[name]() for name in _asked(answer)}
     return Verdict(**start, **verdict)
@@ -181,10 +182,18 @@ def closed_of(found: Mapping, oracle: Mapping) -> float | None:
 def top(shares: Mapping[str, float] | None) -> str | None:
     """Name with the largest share."""
     known = {name: number(share, 0.0) for name, share in (shares or {}).items()}
-    return max(known, key=known.get) if known else None
+    return max(known, key=known.__getitem__) if known else None
 
 
-def number(value: object, otherwise):
+@overload
+def number(value: object, otherwise: float) -> float: ...
+
+
+@overload
+def number(value: object, otherwise: None) -> float | None: ...
+
+
+def number(value: object, otherwise: float | None) -> float | None:
     """A finite float, or something else."""
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else otherwise
 

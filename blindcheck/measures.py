@@ -71,8 +71,10 @@ def mean(name: str, values: Sequence[float], target: str = "", unit: str = "mean
     if not n:
         return Measure(name, None, None, None, 0, target, unit)
     m = float(np.mean(values))
-    half = Z90 * float(np.std(values, ddof=1)) / np.sqrt(n) if n > 1 else float("nan")
-    return Measure(name, m, *((m - half, m + half) if n > 1 else (None, None)), n, target, unit)
+    if n == 1:
+        return Measure(name, m, None, None, n, target, unit)
+    half = Z90 * float(np.std(values, ddof=1)) / np.sqrt(n)
+    return Measure(name, m, m - half, m + half, n, target, unit)
 
 
 def median(name: str, values: Sequence[float], target: str = "", unit: str = "median") -> Measure:

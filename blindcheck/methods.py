@@ -8,16 +8,17 @@ import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
+from typing import IO
 
 from invdyn.blindcheck.answer_schema import unreadable
-from invdyn.blindcheck.commitment import run_apart
+from invdyn.blindcheck.confined import Confined
 
 
 class Ours(AbstractContextManager):
     """Our own method, in a process of its own that goes from case to case; where it dies with one, another comes."""
 
     def __init__(self, threads: int | None = None):
-        self._process: subprocess.Popen | None = None
+        self._process: subprocess.Popen[str] | None = None
         self._environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
 
     def __exit__(self, *_: object) -> None:
@@ -41,29 +42,38 @@ class Ours(AbstractContextManager):
         process, line = self._process, ""
         with suppress(OSError, ValueError):  # it is dead, or was ended because all of the run is
             job = {"case": str(case.resolve()), "out": str(out.resolve()), "without": list(without)}
-            process.stdin.write(json.dumps(job) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
+            inbox, outbox = _pipes(process)
+            inbox.write(json.dumps(job) + "\n")
+            inbox.flush()
+            line = outbox.readline()
         if not line:
             self._process = None
             return f"the diagnosis ended without an answer, exit code {_ended(process)}"
         return json.loads(line).get("error")
 
 
-def _ended(process: subprocess.Popen) -> int:
+def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
+    """What a process of :class:`Ours` reads, and what it writes."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    return process.stdin, process.stdout
+
+
+def _ended(process: subprocess.Popen[str]) -> int:
     """Exit code of a process that ends; its pipes are closed."""
     code = process.wait()
+    inbox, outbox = _pipes(process)
     with suppress(OSError):  # what was still to be written to it
-        process.stdin.close()
-    process.stdout.close()
+        inbox.close()
+    outbox.close()
     return code
 
 
 class Theirs(AbstractContextManager):
-    """Another method: a process a case, in its folder; words may hold {recording}, {body}, {out} and {held_out}."""
+    """Another method: a process a case; words may hold {recording}, {body}, {out}, {held_out} and {case}, a folder."""
 
-    def __init__(self, command: str):
-        self._words = shlex.split(command)
+    def __init__(self, command: str, confined: Confined):
+        self._words, self._confined = shlex.split(command), confined
 
     def __exit__(self, *_: object) -> None:
         return None
@@ -71,16 +81,21 @@ class Theirs(AbstractContextManager):
     def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
         """Diagnose one case; returns what went wrong, if anything did."""
         case, out = case.resolve(), out.resolve()
-        places = {"recording": case / "recording.csv", "body": case / "body.toml", "out": out}
+        places: dict[str, Path | str] = {
+            "case": case,
+            "recording": case / "recording.csv",
+            "body": case / "body.toml",
+            "out": out,
+        }
         places["held_out"] = case / "other.csv" if (case / "other.csv").exists() else ""
         words = self._words
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
-        finished = run_apart(words, case)
+        finished = self._confined.run(words, case, out)
         told = out / "diagnosis.json"
         if finished.returncode or not told.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
         try:
             return unreadable(json.loads(told.read_text(encoding="utf-8")))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return f"diagnosis.json: expected JSON in UTF-8: {error}"

@@ -137,7 +137,7 @@ def play(world: World, nominal: World, plan: Plan, pace: float = 1.0) -> Traject
     q_d, qd_d, qdd_d = plan.desired(time)
     known = nominal.inverse(q_d, qd_d, qdd_d)
 
-    def policy(row, t, q, qd):
+    def policy(row: int, t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         return known[row] + plan.stiffness * (q_d[row] - q) + plan.damping * (qd_d[row] - qd)
 
     return world.run(time, policy, q_d[0], qd_d[0])

@@ -6,6 +6,8 @@
 The first is LuGre: Canudas de Wit, Olsson, Åström & Lischinsky, IEEE TAC 40 (1995), p. 419. N steps; SI units, radians.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
@@ -18,7 +20,7 @@ def bristles(
     """Dry friction through bristles of stiffness σ₀, N·m/rad, and damping σ₁, N·m·s/rad, unbent to begin with."""
     bent = {"z": 0.0, "at": np.inf}
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h, step = world.hinge(joint), model.opt.timestep
         z = 0.0 if t <= bent["at"] else bent["z"]
         speed = data.qvel[h] + step / 2 * data.qacc[h]

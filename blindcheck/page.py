@@ -1,6 +1,6 @@
 """`blind.html`: figures with their targets, the calibration curve and the confusion matrix, on one page by itself."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +135,7 @@ def _confusion(confusion: Mapping[str, Mapping[str, int]]) -> Markup:
     )
 
 
-def _ordered(names) -> list[str]:
+def _ordered(names: Iterable[str]) -> list[str]:
     """By name; several effects after single ones, then what is no effect."""
     return sorted(names, key=lambda name: (LAST.index(name) + 2 if name in LAST else " + " in name, name))
 

@@ -29,7 +29,8 @@ from pathlib import Path
 
 from invdyn.blindcheck.answer_schema import unreadable
 from invdyn.blindcheck.cases import make_case, planned
-from invdyn.blindcheck.commitment import Locked, Sealed, digest
+from invdyn.blindcheck.commitment import Locked, Sealed, digest, read_commitment
+from invdyn.blindcheck.confined import Confined
 from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.methods import Ours, Theirs
 from invdyn.blindcheck.page import write_page
@@ -39,6 +40,8 @@ from invdyn.recordings import InputError, write_text
 Progress = Callable[[int, int, str], None]
 OPENED = ("answers.json", "scores.json", "blind.html")
 """What tells answers."""
+OPEN = Confined()
+FOLDERS = ("cases", "diagnoses", "oracle", ".making", ".locked")
 
 
 def nonce_of(seed: int) -> bytes:
@@ -55,13 +58,20 @@ class BlindRun:
         seed: the cases follow from it.
         workers: processes.
         command: of another method, or None for ours.
+        confined: how that method is kept from the seed and from the other cases.
     """
 
     def __init__(
-        self, folder: str | Path, counts: Mapping[str, int], seed: int, workers: int = 1, command: str | None = None
+        self,
+        folder: str | Path,
+        counts: Mapping[str, int],
+        seed: int,
+        workers: int = 1,
+        command: str | None = None,
+        confined: Confined = OPEN,
     ):
         self.folder, self.counts, self.seed = Path(folder), dict(counts), seed
-        self.workers, self.command = workers, command
+        self.workers, self.command, self.confined = workers, command, confined
         self._sealed: Sealed | None = None
 
     def check(self) -> None:
@@ -83,11 +93,26 @@ class BlindRun:
                 raise InputError(f"--method-command: no program {words[0]!r} that can be run")
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: expected a folder, this is a file")
-        known = {"sealed.json", "cases", "diagnoses", "oracle", ".making", ".locked", *OPENED}
+        known = {"sealed.json", *FOLDERS, *OPENED}
         strange = sorted(p.name for p in self.folder.iterdir() if p.name not in known) if self.folder.exists() else []
         if strange:
             raise InputError(f"{self.folder}: expected an empty folder or an earlier run, has {strange[0]}")
+        for name in FOLDERS:
+            if (self.folder / name).exists() and not (self.folder / name).is_dir():
+                raise InputError(f"{self.folder / name}: expected a folder of an earlier run, this is a file")
+        sealed = self.folder / "sealed.json"
+        if sealed.exists():
+            read_commitment(sealed)
+            if not (self.folder / "cases").exists():
+                raise InputError(f"{sealed}: seals cases that are not there; give --out another folder")
+        new = not self.folder.exists()
         self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self.confined.check(self.folder)
+        except InputError:
+            if new:
+                self.folder.rmdir()
+            raise
 
     def make(self, progress: Progress | None = None) -> str:
         """Make the cases, seal the answers, and return the hash. Raises InputError over a run of another kind."""
@@ -112,7 +137,7 @@ class BlindRun:
             locked.put(name, _label(jobs[name], making / name), answer)
             answers[name] = answer
         self._sealed = Sealed({name: answers[name] for name in jobs}, nonce)
-        if sealed.exists() and json.loads(sealed.read_text(encoding="utf-8"))["sha256"] != self._sealed.commitment:
+        if sealed.exists() and read_commitment(sealed) != self._sealed.commitment:
             raise InputError(f"{self.folder}: sealed.json is of other cases; give --out another folder")
         if not cases.exists():
             making.rename(cases)
@@ -131,7 +156,10 @@ class BlindRun:
 
         `oracle`: diagnose once more with all but the true effects struck from the catalogue.
         """
-        before = digest(self.folder / "diagnoses")
+        if self._sealed is None:
+            raise RuntimeError("there is nothing to score before make()")
+        # read before the answers open: what a method left running could change its own by them
+        before, found = digest(self.folder / "diagnoses"), self._read("diagnoses")
         answers = self._sealed.open_to(self.folder / "answers.json")
         if oracle and self.command is None:
             told = {
@@ -142,9 +170,8 @@ class BlindRun:
             told = {name: rest for name, rest in told.items() if answers[name]["kind"] != "leave_one_out"}
             done = {name for name in told if (self.folder / "oracle" / name / "took.json").exists()}
             self._diagnose("oracle", {n: w for n, w in told.items() if n not in done}, progress, "oracle")
-        found, knowing = self._read("diagnoses"), self._read("oracle")
-        scores = score(answers, found, knowing)
-        took = [json.loads(p.read_text())["seconds"] for p in sorted(self.folder.glob("diagnoses/*/took.json"))]
+        scores = score(answers, found, self._read("oracle"))
+        took = [_seconds(path) for path in sorted(self.folder.glob("diagnoses/*/took.json"))]
         about = {
             "seed": self.seed,
             "cases": self.counts,
@@ -172,7 +199,7 @@ class BlindRun:
         for path in sorted(self.folder.glob(f"{kind}/*/diagnosis.json")):
             try:
                 told = json.loads(path.read_text(encoding="utf-8"))
-            except ValueError:
+            except (ValueError, RecursionError):
                 continue  # the score counts it as failed
             if unreadable(told) is None:
                 found[path.parent.name] = told
@@ -184,7 +211,8 @@ class BlindRun:
 
             def one(name: str, without: Iterable[str]) -> None:
                 if not hasattr(own, "method"):
-                    method = Theirs(self.command) if self.command else Ours(1 if self.workers > 1 else None)
+                    ours = Ours(1 if self.workers > 1 else None)
+                    method = Theirs(self.command, self.confined) if self.command else ours
                     with lock:
                         own.method = methods.enter_context(method)
                 out, start = self.folder / kind / name, time.monotonic()
@@ -206,6 +234,14 @@ class BlindRun:
                 threads.shutdown(wait=False, cancel_futures=True)
                 methods.close()  # ends the processes, so that the threads end too
                 raise
+
+
+def _seconds(path: Path) -> float:
+    """That a diagnosis took. Raises InputError for another file than a run writes."""
+    try:
+        return float(json.loads(path.read_text(encoding="utf-8"))["seconds"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{path}: expected the seconds of a diagnosis; delete it to diagnose the case again") from None
 
 
 def _label(job: Sequence | None, case: Path) -> str:
@@ -232,8 +268,8 @@ def _each(
     # spawned: a fork of a process with torch's threads may hang
     context = multiprocessing.get_context("spawn")
     # whoever interrupts reaches the children too, who would each print a traceback
-    deaf = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, **deaf) as pool:
+    deaf = signal.SIGINT, signal.SIG_IGN
+    with ProcessPoolExecutor(min(workers, len(jobs)), context, signal.signal, deaf) as pool:
         names = {pool.submit(work, *job): name for name, job in jobs.items()}
         try:
             for number, future in enumerate(as_completed(names), 1):

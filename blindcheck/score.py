@@ -94,8 +94,8 @@ def score(
 
 
 def _calibrated(verdicts: Sequence[Verdict]) -> Calibration:
-    told = [v for v in verdicts if v.probability is not None]
-    return calibration([v.probability for v in told], [v.exact for v in told])
+    told = [(v.probability, v.exact) for v in verdicts if v.probability is not None]
+    return calibration([stated for stated, _ in told], [exact for _, exact in told])
 
 
 def _single(verdicts: Sequence[Verdict], targets: Mapping[str, str]) -> list[Measure]:

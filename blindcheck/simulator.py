@@ -14,11 +14,11 @@ Shapes: K joints, S ≥ K segments, N steps, C command rows. SI units, radians; 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from invdyn.models import Body
+from invdyn.models import Body, Link
 
 LONGEST_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
 FASTEST = 300.0  # rad/s; beyond it the run has diverged
@@ -71,14 +71,14 @@ class World:
         self.base = np.array(body.base)
         self.gravity = np.array([*body.gravity, 0.0])
         self.segments = [
-            Segment(f"joint{k}", *(link.nominal(key) for key in ("length", "mass", "com", "inertia")), k, k)
-            for k, link in enumerate(body.links)
+            Segment(f"joint{k}", length, mass, com, inertia, k, k)
+            for k, (length, mass, com, inertia) in enumerate(map(_numbers, body.links))
         ]
         self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
         self._spec_hooks: list[Callable] = []
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
-        self.model = None
+        self.model: Any = None
 
     def on_spec(self, change: Callable) -> None:
         """Register `change(spec)`, called with the MjSpec just before it is compiled."""
@@ -136,8 +136,8 @@ class World:
         self,
         command_time: np.ndarray,
         policy: Policy,
-        q: Sequence[float],
-        qd: Sequence[float],
+        q: Sequence[float] | np.ndarray,
+        qd: Sequence[float] | np.ndarray,
         restart: tuple[Trajectory, float] | None = None,
     ) -> Trajectory:
         """Simulate from the first to the last of the evenly spaced `command_time` (C,).
@@ -163,7 +163,7 @@ class World:
         rows = np.empty((len(command_time), self.num_joints))
         stops = sorted({*range(0, total + 1, per_row), *range(0, total + 1, window)})
         for i, end in zip(stops, [*stops[1:], total], strict=True):
-            if i and i % window == 0:
+            if restart is not None and i and i % window == 0:
                 self._restart(restart[0], time[i])
             qpos[i], qvel[i] = data.qpos, data.qvel
             if i % per_row == 0:
@@ -190,14 +190,16 @@ class World:
         if not self._step_hooks:
             # All at once, without Python between the steps; from where the constraints' solver was.
             physics = self.mujoco.mjtState.mjSTATE_FULLPHYSICS
-            start, warm = np.empty((1, self.mujoco.mj_stateSize(model, physics))), data.qacc_warmstart[None].copy()
+            start: np.ndarray = np.empty((1, self.mujoco.mj_stateSize(model, physics)))
+            warm = data.qacc_warmstart[None].copy()
             self.mujoco.mj_getState(model, data, start[0], physics)
-            states = np.empty((1, count, start.shape[1]))
+            states: np.ndarray = np.empty((1, count, start.shape[1]))
             # Shapes are right, and a command's row has few steps: to have them checked takes a sixth of a case's time.
             self._rollout.rollout(
                 [model], [data], start, ctrl[None], nstep=count, initial_warmstart=warm, state=states, skip_checks=True
             )
-            return np.split(states[0, :, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
+            end = 1 + model.nq
+            return states[0, :, 1:end], states[0, :, end : end + model.nv]
         for s in range(count):
             data.ctrl[:] = ctrl[s]
             data.qfrc_applied[:] = 0.0
@@ -233,7 +235,15 @@ class World:
         self.mujoco.mj_fullM(self.model, self.data, full)
         return full
 
-    def _trajectory(self, time, qpos, qvel, joint_of, command_time, rows) -> Trajectory:
+    def _trajectory(
+        self,
+        time: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        joint_of: np.ndarray,
+        command_time: np.ndarray,
+        rows: np.ndarray,
+    ) -> Trajectory:
         angle = np.cumsum(qpos, axis=1)
         lengths = np.array([segment.length for segment in self.segments])
         steps = lengths[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -246,7 +256,11 @@ class World:
         return Trajectory(time, q, qd, points, angle[:, tips], np.asarray(command_time), rows)
 
 
-def _mujoco():
+def _numbers(link: Link) -> tuple[float, float, float, float]:
+    return link.nominal("length"), link.nominal("mass"), link.nominal("com"), link.nominal("inertia")
+
+
+def _mujoco() -> Any:
     try:
         import mujoco
         import mujoco.rollout

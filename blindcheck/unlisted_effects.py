@@ -4,11 +4,13 @@ Each `install(world, rng, scene, joint)` draws its size, of a tenth to four tent
 (a detent up to eight), puts itself into the world, and returns its parameters as name → (value, unit).
 """
 
+from typing import Any
+
 import numpy as np
 
-from invdyn.blindcheck.effect_sizes import Scene
-from invdyn.blindcheck.mechanisms import applied, set_joint, set_part
+from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
 from invdyn.blindcheck.motion import between, pendulum_frequency
+from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import Segment, World
 
 
@@ -17,7 +19,7 @@ def position_friction(world: World, rng: np.random.Generator, scene: Scene, join
     size, phase = between(rng, 0.15, 0.4) * scene.torque[joint], rng.uniform(0, 2 * np.pi)
     set_joint(world, joint, frictionloss=size)
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         model.dof_frictionloss[h] = 1e-9 + size / 2 * (1 + np.sin(2 * data.qpos[h] + phase))
 
@@ -39,7 +41,7 @@ def detent(world: World, rng: np.random.Generator, scene: Scene, joint: int) -> 
     size = between(rng, 0.3, 0.8) * scene.torque[joint]
     rest, width = float(np.quantile(scene.motion.q[:, joint], rng.uniform(0.3, 0.7))), rng.uniform(0.08, 0.2)
 
-    def torque(t, q, qd):
+    def torque(t: float, q: np.ndarray, qd: np.ndarray) -> float:
         x = (q[joint] - rest) / width
         return -size * x * np.exp(0.5 - x**2 / 2)
 
@@ -89,7 +91,7 @@ def sloshing_payload(world: World, rng: np.random.Generator, scene: Scene, joint
     stiffness = inertia * (2 * np.pi * frequency) ** 2
     world.segments.append(Segment("slosh", length, mass, length, 1e-3 * inertia, None, None, False))
 
-    def change(spec):
+    def change(spec: Any) -> None:
         damping = 0.2 * np.sqrt(stiffness * inertia)
         set_part(spec.joint("slosh"), {"stiffness": stiffness, "damping": damping})
 
@@ -102,7 +104,7 @@ def hot_motor(world: World, rng: np.random.Generator, scene: Scene, joint: int) 
     loss, memory = rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.3) * scene.plan.duration
     usual, heat = float((scene.motion.command[:, joint] ** 2).mean()), [0.0]
 
-    def change(i, step, u):
+    def change(i: int, step: float, u: np.ndarray) -> np.ndarray:
         heat[0] = (0.0 if i == 0 else heat[0]) + step / memory * (u[joint] ** 2 / usual - heat[0])
         return np.where(np.arange(len(u)) == joint, (1 - min(loss * heat[0], 0.9)) * u, u)
 
@@ -115,7 +117,7 @@ def hysteresis(world: World, rng: np.random.Generator, scene: Scene, joint: int)
     size, width = between(rng, 0.15, 0.4) * scene.torque[joint], rng.uniform(0.3, 0.8)
     z = [0.0]
 
-    def act(t, model, data):
+    def act(t: float, model: Any, data: Any) -> None:
         h = world.hinge(joint)
         qd = data.qvel[h]
         z[0] = float(np.clip(z[0] + model.opt.timestep * (qd - abs(qd) * z[0]) / width, -1.0, 1.0))

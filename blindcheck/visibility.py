@@ -12,11 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from invdyn.blindcheck.camera import OBSERVATIONS, film
-from invdyn.blindcheck.effect_sizes import Scene
+from invdyn.blindcheck.camera import film
+from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
 from invdyn.blindcheck.motion import frame_times
+from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import Trajectory
 from invdyn.models import Body
 

@@ -9,21 +9,22 @@ no cause explains (:mod:`.symbolic_regression`), says where it lies (:mod:`.loca
 """
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-
-import numpy as np
-import torch
+from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, by_effect, closed, unseen
+from invdyn.diagnosis.assessment.matters import TOLERANCE
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
+from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import Search
 from invdyn.diagnosis.hypotheses.search import search
@@ -36,6 +37,7 @@ from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.models import Body
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
 
@@ -53,6 +55,8 @@ def diagnose(
     most: int = MOST,
     seed: int = 0,
     workers: int = 1,
+    budget: float | None = None,
+    tolerance: float = TOLERANCE,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
@@ -68,18 +72,29 @@ def diagnose(
         most: effects at once, at most. Many take long, and several imitate what the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
+        budget: s that the search may take, by the clock; what is found then depends on the machine. By default its
+            work is counted (:mod:`.budget`), which does not.
+        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`).
         progress: called with (done, total, what).
 
     Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
-    or when the simulation runs away from the recording whatever torque is added, or ``most`` is not positive, or
+    or when the simulation runs away from the recording whatever torque is added, or ``most`` or ``budget`` is not
+    positive or ``tolerance`` no share, or
     ``without`` has a name that is no effect's. Too few
     rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
     a large torque could be missing and not show (:mod:`.power`).
     """
+    stage = 0, ""
 
-    def report(stage: int, what: str) -> None:
+    def report(done: int, what: str) -> None:
+        nonlocal stage
+        stage = done, what
         if progress is not None:
-            progress(stage, 5, what)
+            progress(done, 5, what)
+
+    def trying(what: str) -> None:
+        done, name = stage
+        progress(done, 5, f"{name}; {what}")
 
     if isinstance(without, str):
         raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")
@@ -88,13 +103,20 @@ def diagnose(
             raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
     if most < 1:
         raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST}")
+    if not 0 <= tolerance < 1:
+        raise InputError(f"expected a tolerance from 0 to 1, a share of a typical torque, got {tolerance:g}")
+    if budget is not None and not budget > 0:
+        raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
     report(0, "bind")
     try:
         bound = setting(recording, body, passive=passive)
     except NotEnoughData as error:
         whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
         return nothing_to_say(whole, body, seed, passive, str(error))
-    other = None if held_out is None else setting(held_out, body, passive=passive)
+    work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
+    allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
+    bound = replace(bound, budget=allowed)
+    other = None if held_out is None else replace(setting(held_out, body, passive=passive), budget=allowed)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "
@@ -107,6 +129,7 @@ def diagnose(
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
     if other is not None:
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
+    allowed.share = 1.0
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
@@ -116,9 +139,11 @@ def diagnose(
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
-    weighed, known = side_by_side([partial(weigh, bound, found, seed), partial(attempt, held, likely)], workers)
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
+    there = replace(there, setting=replace(there.setting, budget=allowed))  # not a copy that came from another process
     left = there.leaves
     if left:
         weighed = in_part_only(weighed)
@@ -138,7 +163,7 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
+    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows, tolerance)
     report(5, "done")
     return result
 
@@ -146,11 +171,12 @@ def diagnose(
 def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
     """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
-        path, stray = data_path(bound)
-        bound = finely_stepped(bound.shaped(path), path)
-        found = search(bound, path, stray, without, workers, most)
-        return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
-    except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
+        with diverging():
+            path, stray = data_path(bound)
+            bound = finely_stepped(bound.shaped(path), path)
+            found = search(bound, path, stray, without, workers, most)
+            return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
+    except Diverged as error:
         raise cannot_follow(bound) from error
 
 
@@ -180,5 +206,7 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
     posterior = diagnosis.posterior
     if posterior is None:
         (folder / "posterior.nc").unlink(missing_ok=True)
-    parts = [] if posterior is None else [partial(save_posterior, posterior, folder / "posterior.nc")]
-    side_by_side([*parts, told], workers)
+    parts: list[Callable[[], None]] = [told]
+    if posterior is not None:
+        parts.insert(0, partial(save_posterior, posterior, folder / "posterior.nc"))
+    side_by_side(parts, workers)

@@ -10,24 +10,31 @@ import multiprocessing
 import pickle
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from multiprocessing.connection import Connection
-from multiprocessing.context import BaseContext
+from multiprocessing.context import ForkContext
 from multiprocessing.sharedctypes import Synchronized
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
+from invdyn.diagnosis.budget import Budget
+
 T = TypeVar("T")
 
-Answers = dict[int, tuple[bool, object]]
+Answers = dict[int, tuple[bool, Any]]
 """By the number of a part: whether it was done, and its result, or what it raised."""
 
 
-def side_by_side(parts: Sequence[Callable[[], T]], workers: int) -> list[T]:
+def side_by_side(parts: Sequence[Callable[[], T]], workers: int, budget: Budget | None = None) -> list[T]:
     """Results of ``parts``, ``workers`` of them at a time; the first one is this process's.
+
+    Each part finds the ``budget`` as it is before the first, wherever it runs; their work counts once all are done.
 
     Raises what the first of them that fails raises; RuntimeError where a process ends without a word.
     """
+    if budget is not None:
+        return budget.together(side_by_side([partial(budget.apart, part) for part in parts], workers))
     here = workers < 2 or len(parts) < 2 or not sys.platform.startswith("linux")
     if here or multiprocessing.current_process().daemon:
         return [part() for part in parts]
@@ -70,7 +77,7 @@ def _next(turn: Synchronized) -> int:
 
 
 def _begun(
-    context: BaseContext, parts: Sequence[Callable[[], T]], turn: Synchronized
+    context: ForkContext, parts: Sequence[Callable[[], T]], turn: Synchronized
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)
     child = context.Process(target=_work, args=(parts, turn, outbox), daemon=True)

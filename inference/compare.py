@@ -34,9 +34,11 @@ import numpy as np
 import pandas as pd
 import torch
 
+from invdyn.inference.execution.memory import check_memory
+from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.held_out import log_score
 from invdyn.inference.methods.registry import METHODS
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare
@@ -131,8 +133,8 @@ def compare(
         binding: further options of :func:`.initialise.arm_problem`: torque, integrator, family, learn_lengths …
 
     Raises:
-        InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``, or
-            a recording that does not fit the body.
+        InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``,
+            more filters than memory holds, or a recording that does not fit the body.
     """
     methods = tuple(dict.fromkeys(methods))
     if unknown := [method for method in methods if method not in METHODS]:
@@ -144,11 +146,15 @@ def compare(
     if isolate and executor is not None:
         raise InputError("expected isolated methods or workers, got both: memory is measured in one process")
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
-    bind = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
+    check_memory(recording.num_frames, body.num_joints, options, methods)
+    bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
     whole = bind(recording, truth=truth, report=_stage(progress, "fit"))
     head, future, missing = _split(whole, recording, bind, held_out, _stage(progress, "fit without the tail"))
     launch = _in_own_process if isolate else partial(measured, executor=executor)
-    rows, posteriors, failures, notes = {}, {}, {}, {}
+    rows: dict[str, dict[str, Any]] = {}
+    posteriors: dict[str, az.InferenceData] = {}
+    failures: dict[str, str] = {}
+    notes: dict[str, str] = {}
     for method in methods:
         rows[method] = {}
         try:
@@ -158,27 +164,27 @@ def compare(
             continue
         posteriors[method] = idata
         rows[method] = {**_scores(idata), **_evidence(idata), "seconds": seconds, "memory": memory}
-        if head is None:
+        if head is None or future is None:
             continue
         try:
-            seen, *_ = launch(head, method, progress=_named(progress, f"{method} without the tail"))
-            rows[method]["log_score"] = log_score(future, seen, whole.path, seed)
+            scored, *_ = launch(head, method, progress=_named(progress, f"{method} without the tail"))
+            rows[method]["log_score"] = log_score(future, scored, whole.path, seed)
         except Exception as error:
             notes[method] = f"no log score: {first_line(error)}"
     if missing:
         notes["all"] = f"no log score: {missing}"
     columns = ["log_evidence", "log_evidence_sd", "evidence_kind", "log_score", "outer_ess", "seconds", "memory"]
-    scored = [name for row in rows.values() for name in row if name not in columns]
-    table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=[*dict.fromkeys(scored), *columns])
+    found = [name for row in rows.values() for name in row if name not in columns]
+    table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=[*dict.fromkeys(found), *columns])
     table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
     table["failure"] = [failures.get(method, "") for method in table.index]
     table.index.name = "method"
-    seen = 0 if future is None else _seen(whole, head)
+    seen = 0 if head is None else _seen(whole, head)
     return Comparison(table, posteriors, failures, notes, seen, isolate, recording.name, seed)
 
 
 def _split(
-    whole: Task, recording: Recording, bind: Callable[..., Task], share: float, report
+    whole: Task, recording: Recording, bind: Callable[..., Task], share: float, report: Report | None
 ) -> tuple[Task | None, Problem | None, str]:
     """Task of the first rows, the whole problem with their parameters, and why there is none."""
     rows = recording.num_frames

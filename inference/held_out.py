@@ -11,6 +11,8 @@ good to hundredths of a nat, estimates it: so methods without a filter have a sc
 methods is what they believe. (Bootstrap filters on the tail would differ by more than the methods do.)
 """
 
+from typing import Self
+
 import arviz as az
 import numpy as np
 import torch
@@ -18,9 +20,10 @@ from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
 
 from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.filters.filtering import SMCOptions, run_filters
 from invdyn.inference.filters.nested import outer_weights
-from invdyn.inference.methods.smc import SMCOptions, gaussian_smoother, run_filters
 from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
 
@@ -34,14 +37,9 @@ class Continued(StateSpaceModel):
         super().__init__({**model.parameters, "start.mean": mean, "start.root": root})
         self.model, self.first = model, first
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
-        self.num_steps = model.num_steps - first
+        self.num_steps, self.driven = model.num_steps - first, model.driven
 
-    @property
-    def driven(self) -> slice | None:
-        """The model's."""
-        return self.model.driven
-
-    def replace(self, **values: Tensor) -> "Continued":
+    def replace(self, **values: Tensor) -> Self:
         """Other values, of the whole model's parameters too."""
         other = super().replace(**values)
         other.model = self.model.replace(**{name: v for name, v in values.items() if name in self.model.parameters})

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import arviz as az
 
+from invdyn.inference.execution.memory import check_memory
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.methods.registry import METHODS
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.task import prepare
 from invdyn.models import Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
@@ -67,15 +69,17 @@ def infer(
 
     Raises:
         InputError: the recording does not fit the body, an unknown method or parameter, a device that is not there,
-            or a checkpoint of another run.
+            more filters than memory holds, or a checkpoint of another run.
         LostWork: workers died and could not be replaced; the message names the filters that are missing.
     """
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
+    options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
+    check_memory(recording.num_frames, body.num_joints, options, (method,))
     task = prepare(
         recording,
         body,
-        options=SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task),
+        options=options,
         seed=seed,
         settings=settings,
         truth=truth,

@@ -21,8 +21,9 @@ from pyro import poutine
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import Tensors, spread
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import combine, load_posterior, save_posterior
 

@@ -13,12 +13,13 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
-from invdyn.inference.methods.smc import Progress, SMCOptions
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, Body, Learned
+from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.recordings import InputError, Recording, Truth
 
 SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
@@ -33,23 +34,18 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
     Not the dynamics' own noise ε: white noise on a velocity is a white torque by another name, and where it is
     free it takes torque away from τ (on the DFKI arm the evidence likes that, and the error doubles).
     """
+    body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
     wanted = [
         Free("torque.scale"),
         Free("torque.decay", sd=1.0),
         Free("torque.lengthscale", sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
-        Free("emission.keypoint_scale", tied=True),
-        Free("emission.confidence_slope", tied=True),
-        Free("emission.angle_scale", tied=True),
-        Free("emission.df", sd=1.0),
+        *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]
-    body = problem.model.body
-    for quantity in ("length", "mass", "com", "inertia"):
-        entries = tuple(k for k, link in enumerate(body.links) if isinstance(getattr(link, quantity), Learned))
-        if learn_lengths and quantity == "length":
-            entries = tuple(range(body.num_joints))
-        if entries:
-            wanted.append(Free(f"body.{quantity}", sd=0.3, entries=entries))
+    learned = dict(body.learned)
+    if learn_lengths:
+        learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
+    wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
     return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
 
 
@@ -126,7 +122,7 @@ def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
 
 def prepare(
     recording: Recording,
-    body: Body,
+    body: ArticulatedBody,
     *,
     options: SMCOptions,
     seed: int,
@@ -160,14 +156,14 @@ def prepare(
         "fit_converged": converged,
         "integrator": problem.model.integrator,
         "substeps": problem.model.substeps,
-        "family": problem.model.emission_model.family,
+        "family": problem.model.observation.family,
         "torque_process": type(problem.model.torque).__name__,
     }
     return Task(replace(problem, model=model), path, options, seed, record, kept, problem, tuple(free))
 
 
 def _fitted(
-    problem: Problem, free: Sequence[Free], report, checkpoint: Checkpoint | None
+    problem: Problem, free: Sequence[Free], report: Report | None, checkpoint: Checkpoint | None
 ) -> tuple[ArmModel, Tensor, bool]:
     """Model, mode, and whether it converged: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
@@ -183,9 +179,9 @@ def _fitted(
 def _fingerprint(problem: Problem, options: SMCOptions, seed: int, free: Sequence[Free]) -> dict[str, Any]:
     """All that the numbers of a run depend on, but for the method: each has a folder of its own."""
     model = problem.model
-    emission, torque = model.emission_model, model.torque
+    observation, torque = model.observation, model.torque
     data = [problem.observations, model.time]
-    data += [tensor for tensor in (model.command, emission.doubt) if tensor is not None]
+    data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
     return {
         "version": version("invdyn"),
         "recording": digest(*data),
@@ -194,7 +190,7 @@ def _fingerprint(problem: Problem, options: SMCOptions, seed: int, free: Sequenc
         "free": [repr(f) for f in free],
         "torque": f"{type(torque).__name__} {vars(torque)}",
         "integrator": f"{model.integrator}, {model.substeps} sub-steps",
-        "family": emission.family,
+        "family": observation.family,
         "seed": seed,
         **{name: str(value) for name, value in asdict(options).items()},
     }

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
+from . import camera_commands
 from .console import Commands, ProgressBar, check_outputs
-from .options import BodyFile, Diagnosed, Inference, Seed, spread
+from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, spread
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -25,6 +26,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+
+camera_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
@@ -145,16 +148,17 @@ def compare(
     outputs = ComparisonOutputs(out, names)
     outputs.check(*given.files)
     arguments = given.load()
-    out.mkdir(parents=True, exist_ok=True)
     with given.executor() as executor, ProgressBar() as progress:
         comparison = run(
             **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
         )
+    if not comparison.posteriors:
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
+        raise InputError(f"no method succeeded: {reasons}")
+    out.mkdir(parents=True, exist_ok=True)
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))
-    if not comparison.posteriors:
-        raise InputError("no method succeeded: see the reasons above")
 
 
 @app.command()
@@ -192,22 +196,49 @@ def blind(
         str | None,
         typer.Option(help="Such as commanded,none or commanded=200,none=40; default: all, four in ten commanded."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Cases follow from it; keep it from the method.")] = 1_000_000,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[
+        str | None,
+        typer.Option(help="Cases follow from it; a number, or - to be asked for it. Default: 1000000, for a look."),
+    ] = None,
+    seed_file: Annotated[
+        Path | None, typer.Option(help="A file with the seed: a method can read what stands on a command line.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
     ] = None,
+    method_user: Annotated[str | None, typer.Option(help="Run that method as this user; needs root.")] = None,
+    confine: Annotated[
+        bool, typer.Option("--confine/--no-confine", help="Run that method in a container, where bubblewrap has one.")
+    ] = True,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Then once more knowing the effect: how far could the gap close?")
     ] = False,
 ) -> None:
     """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
+    from invdyn.blindcheck.confined import confined
     from invdyn.blindcheck.counts import counted
     from invdyn.blindcheck.run import BlindRun
+    from invdyn.recordings import InputError
 
-    run = BlindRun(out, counted(kinds, cases), seed, workers, method_command)
+    from .seeds import secret_seed
+
+    if method_user is not None and method_command is None:
+        raise InputError("--method-user: expected --method-command with it; our own method runs as you do")
+    counts = counted(kinds, cases)
+    number, hidden = secret_seed(seed, seed_file, 1_000_000)
+    keeps = confined(method_user, confine and method_command is not None, [p for p in (out, seed_file) if p])
+    run = BlindRun(out, counts, number, workers, method_command, keeps)
     run.check()
+    if method_command is not None:
+        typer.echo(keeps.described())
+        if not hidden:
+            typer.echo(
+                "warning: the seed stands on the command line, or is the default, and tells a method all answers; "
+                "for a run that counts give --seed-file or --seed -",
+                err=True,
+            )
     with ProgressBar() as progress:
         commitment = run.make(progress)
     typer.echo(f"sealed answers, SHA-256 {commitment}")
@@ -251,10 +282,11 @@ def demo(
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
-    from .outputs import Outputs
+    from .outputs import Outputs, check_folder
     from .simulate import PAPER, paper_arm, record
     from .summary import summary_text
 
+    check_folder(out, [], [])
     out.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(
         out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", out / "torques.csv"

@@ -16,8 +16,9 @@ from tqdm import tqdm
 from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
+LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
-UsageError = typer.BadParameter.__base__
+UsageError: Any = typer.BadParameter.__base__
 
 
 class Commands(TyperGroup):
@@ -28,7 +29,7 @@ class Commands(TyperGroup):
         with warnings.catch_warnings():
             # ArviZ announces its version 1.0 once a day, to whoever imports it
             warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _show_warning  # type: ignore[assignment]  # it leaves out what it does not need
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt:
@@ -41,22 +42,28 @@ class Commands(TyperGroup):
                 if error.errno == errno.EPIPE:  # whoever read our output has left
                     raise
                 _say("error", f"{error.filename}: {error.strerror}" if error.filename else error)
-            except ValueError as error:
+            except (ValueError, ArithmeticError) as error:
                 if not isinstance(error, _input_errors()):
                     raise
                 _say("error", error)
             raise typer.Exit(BAD_INPUT)
 
 
-def _input_errors() -> tuple[type[ValueError], ...]:
+def _input_errors() -> tuple[type[Exception], ...]:
     from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
+    from invdyn.models.divergence import Diverged
     from invdyn.recordings import InputError
 
-    return InputError, BodyError
+    return InputError, BodyError, Diverged
 
 
 def _say(kind: str, message: object) -> None:
-    typer.echo(f"{kind}: {' '.join(str(message).split())}", err=True)
+    """One line that a terminal can show, whatever a file's name or content has put into it; its middle may go."""
+    line = " ".join(str(message).split())
+    line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
+    if len(line) > LONGEST:
+        line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
+    typer.echo(f"{kind}: {line}", err=True)
 
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
@@ -65,7 +72,10 @@ def _show_warning(message: object, category: type[Warning], *_: object) -> None:
 
 
 class ProgressBar:
-    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches."""
+    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches.
+
+    What follows a semicolon in `what` changes while the bar stays: "refine; payload".
+    """
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None
@@ -80,18 +90,20 @@ class ProgressBar:
 
     def __call__(self, done: int, total: int, what: str) -> None:
         """Show that `done` of `total` steps of `what` are done."""
-        if self._bar is None or self._what != what:
+        stage, _, detail = what.partition("; ")
+        if self._bar is None or self._what != stage:
             self.__exit__()
-            self._bar, self._what = tqdm(total=total, desc=what, file=sys.stderr, disable=None), what
+            self._bar, self._what = tqdm(total=total, desc=stage, file=sys.stderr, disable=None), stage
         self._bar.total = total
+        self._bar.set_postfix_str(detail)
         self._bar.update(done - self._bar.n)
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
     """Raise OSError or InputError unless each output can be written and has a path of its own."""
-    from invdyn.recordings import InputError, check_writable
+    from invdyn.recordings import InputError, check_writable, resolved
 
-    read = {path.resolve() for path in inputs}
+    read = {resolved(path) for path in inputs}
     taken: set[Path] = set()
     for path in outputs:
         if path is None:

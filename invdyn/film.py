@@ -7,10 +7,12 @@ imageio-ffmpeg (extra `video`).
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
@@ -27,6 +29,7 @@ FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
 MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
 ARMS = 30  # posterior draws shown as faint arms
+PLANE = ("x", "y")
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
@@ -40,7 +43,7 @@ def save_film(
         OSError: the place cannot be written.
     """
     check_film(path)
-    time = idata.posterior["time"].values
+    time = idata["posterior"]["time"].values
     shown = shown_frames(time)
     frames = film_frames(idata, shown, progress)
     with atomic_path(path) as temporary:
@@ -75,28 +78,29 @@ def film_frames(
     arms = arm_points(idata)
     mean = arms.mean(axis=0)
     arms = arms[np.linspace(0, len(arms) - 1, min(ARMS, len(arms)), dtype=int)]
-    time = idata.posterior["time"].values
-    if "position" in idata.observed_data:
-        observed = idata.observed_data["position"].transpose("time", "keypoint", "space").values
+    time = idata["posterior"]["time"].values
+    if "position" in idata["observed_data"]:
+        observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
         observed = np.full((len(time), 1, 2), np.nan)
     with matplotlib.rc_context(STYLE):
         figure, arm_axes, torque_axes = still_parts(idata, arms, observed)
         canvas = FigureCanvasAgg(figure)
-        draws = arm_axes.add_collection(LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5))
+        draws = LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5)
+        arm_axes.add_collection(draws)
         (trail,) = arm_axes.plot([], [], color=VERMILION, alpha=0.5, linewidth=1)
         (arm,) = arm_axes.plot([], [], "o-", color=BLUE, linewidth=2, markersize=5)
         (dots,) = arm_axes.plot([], [], "o:", color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6)
         clock = arm_axes.text(0.99, 0.98, "", transform=arm_axes.transAxes, ha="right", va="top", fontsize=9)
         lines = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
-        moving = [draws, trail, arm, dots, clock, *lines]
+        moving: list[Any] = [draws, trail, arm, dots, clock, *lines]
         for artist in moving:
             artist.set_animated(True)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
         for number, frame in enumerate(shown):
             canvas.restore_region(still)
-            draws.set_segments(arms[:, frame])
+            draws.set_segments(list(arms[:, frame]))
             recent = (time > time[frame] - TRAIL) & (time <= time[frame])
             trail.set_data(*observed[recent, -1].T)
             arm.set_data(*mean[frame].T)
@@ -112,17 +116,22 @@ def film_frames(
 
 
 def arm_points(idata: az.InferenceData) -> np.ndarray:
-    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence."""
+    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence.
+
+    Raises InputError for a motion that is not in the plane.
+    """
     tips = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
-    constants = idata.constant_data
+    if tips.shape[-1] != len(PLANE):
+        raise InputError(f"a film shows a motion in the plane, this one has {tips.shape[-1]} coordinates: leave it out")
+    constants = idata["constant_data"]
     base = constants["base"].values if "base" in constants else np.zeros(2)
     return np.concatenate([np.broadcast_to(base, (*tips.shape[:2], 1, 2)), tips], axis=2)
 
 
-def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray) -> tuple[Figure, list, list]:
+def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray) -> tuple[Figure, Axes, list[Axes]]:
     """Figure with the arm's axes and each joint's torque over time; everything but what moves."""
-    joints = idata.posterior["joint"].values
-    time = idata.posterior["time"].values
+    joints = idata["posterior"]["joint"].values
+    time = idata["posterior"]["time"].values
     columns = 1 if len(joints) <= 3 else 2
     rows = -(-len(joints) // columns)
     figure = Figure(figsize=(6.4, 4.6 + 1.2 * rows), dpi=100, layout="constrained")
@@ -134,16 +143,16 @@ def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray)
     arm_axes.margins(0.06)
     arm_axes.set_aspect("equal", adjustable="datalim")
     arm_axes.autoscale_view()
-    unit = idata.posterior["position"].attrs["units"]
+    unit = idata["posterior"]["position"].attrs["units"]
     arm_axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    bands, known = quantiles(idata, "torque"), idata.constant_data
+    bands, known = quantiles(idata, "torque"), idata["constant_data"]
     torque_axes = []
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
         if "truth_torque" in known:
             draw_truth(axes, time, known["truth_torque"].values[:, number])
-        axes.set_title(f"{joint} torque ({idata.posterior['torque'].attrs['units']})", loc="left")
+        axes.set_title(f"{joint} torque ({idata['posterior']['torque'].attrs['units']})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")

@@ -1,9 +1,11 @@
 """What a command is given: a body, a recording that fits it, a range of frames."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,20 +15,27 @@ from invdyn.recordings import (
     InputError,
     Recording,
     Truth,
+    bridged,
     check_plausible,
+    check_readable,
     in_body_lengths,
     load,
     load_truth,
     names,
+    parse_units,
     read_truth,
+    resolved,
 )
+from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
+from invdyn.recordings.naming import nearest
+from invdyn.recordings.plane import FLAT
 
 
 def load_body(name: str) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
-    if Path(name).exists():
-        return Body.load(name)
+    if resolved(name).exists():
+        return Body.load(check_readable(name))
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
@@ -37,7 +46,13 @@ def load_body(name: str) -> Body:
 
 
 def load_recording(
-    name: str, body: Body, base: str | None, body_lengths: bool, as_filmed: bool = False, **options: object
+    name: str,
+    body: Body,
+    base: str | None,
+    body_lengths: bool,
+    as_filmed: bool = False,
+    frames: str = ":",
+    **options: Any,
 ) -> Recording:
     """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
 
@@ -46,16 +61,22 @@ def load_recording(
         body: says which keypoints and joints, and their order.
         base: the keypoint at the first joint, if it is not called as the joint is. Where the file has it, the others
             are taken relative to it, and lie about the body's own base.
-        body_lengths: divide by the tracked body's own length (the base must be tracked).
+        body_lengths: take the scale from the body's own length (the base must be tracked); it is told, unless the
+            body is in body lengths itself.
         as_filmed: take nothing away from the keypoints of a file that is in metres in the body's own frame, unless
             `base` says so; a tilted camera would no longer show, and the base's noise would be in all of them.
-        options: units, fps, format, scale …
+        frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
+        options: units, fps, format, scale … A body moves in a plane: without `plane` a constant third coordinate is
+            left out.
 
     Raises:
         InputError: the file, or the file beside the body, makes no sense.
         OSError: the file cannot be opened.
     """
-    told = body_lengths or any((base, options.get("units"), options.get("scale")))
+    options["plane"] = options.get("plane") or FLAT
+    lengths = [link.nominal("length") for link in body.links]
+    units = parse_units(options.get("units"))
+    told = body_lengths or any((base, units.length, units.angle, options.get("scale")))
     in_frame = as_filmed and not told and Path(name).exists()
     in_frame = in_frame and FORMATS[recognise(Path(name), options.get("format"))].read is None
     base = base or body.base_keypoint
@@ -65,45 +86,49 @@ def load_recording(
         strange = [point for point in recording.keypoint_names if point not in (base, *tips)]
         if strange:
             raise InputError(
-                f"{name}: keypoint '{strange[0]}' is not of the body, which has {', '.join((base, *tips))}"
+                f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join((base, *tips))} "
+                f"(closest: {nearest(strange[0], (base, *tips))!r}): rename one of them"
             )
         order = [recording.keypoint_names.index(tip) for tip in tips if tip in recording.keypoint_names]
         recording = _with_keypoints(recording, order)
     elif body_lengths:
-        recording = in_body_lengths(load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options))
+        recording = load(name, keypoints=(base, *tips), joints=body.joint_names, base=base, **options)
+        recording = in_body_lengths(recording, length=sum(lengths))
         recording = _with_keypoints(recording, range(1, len(tips) + 1))
+        if recording.length_unit == "m":
+            warnings.warn(
+                f"{name}: no scale is known: keypoints are scaled so that the tracked arm is as long as the "
+                f"body's links together, {sum(lengths):.3g} m",
+                stacklevel=2,
+            )
     else:
         recording = load(name, keypoints=tips, joints=body.joint_names, base=base, **options)
     if not in_frame and any(body.base) and base in load(name, joints=body.joint_names, **options).keypoint_names:
         # what was taken relative to the base's own track lies about the body's base
-        if recording.keypoints.shape[-1] != len(body.base):
-            raise InputError(
-                f"{name}: expected keypoints of {len(body.base)} coordinates, as the body's base has, "
-                f"got {recording.keypoints.shape[-1]}: leave out the one across the plane"
-            )
         recording = replace(recording, keypoints=recording.keypoints + np.asarray(body.base))
     if recording.length_unit == "px":
         raise InputError(
             f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"
         )
-    check_plausible(recording, [link.nominal("length") for link in body.links], body.base)
-    return recording
+    with about(name):
+        check_plausible(recording, lengths, body.base, units)
+        return bridged(recording.select(*frame_range(frames)), sum(lengths))
 
 
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     """Only the keypoints of those numbers."""
-    order, confidence = list(order), recording.confidence
+    places, confidence = list(order), recording.confidence
     return replace(
         recording,
-        keypoints=recording.keypoints[:, order],
-        keypoint_names=tuple(recording.keypoint_names[place] for place in order),
-        confidence=None if confidence is None else confidence[:, order],
+        keypoints=recording.keypoints[:, places],
+        keypoint_names=tuple(recording.keypoint_names[place] for place in places),
+        confidence=None if confidence is None else confidence[:, places],
     )
 
 
 def load_known(name: str, body: Body) -> Truth:
     """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
-    known = load_truth(name) if not Path(name).exists() and name in names() else read_truth(name)
+    known = load_truth(name) if not resolved(name).exists() and name in names() else read_truth(name)
     if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:
         raise InputError(f"{name}: joint '{missing[0]}' is missing; it has {', '.join(known.joint_names)}")
     return known

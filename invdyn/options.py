@@ -1,10 +1,10 @@
 """Options that commands share: a dataclass whose fields are options, spread into a command by a decorator."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, fields
-from functools import wraps
+from functools import update_wrapper
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -13,7 +13,9 @@ import typer
 BodyFile = Annotated[
     str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or one that comes with us.")
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
+MOST_WORKERS = 1024
+Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -23,21 +25,26 @@ class Recorded:
 
     recording: Annotated[str, typer.Argument(help="File of keypoints, or the name of a known recording.")]
     body: BodyFile
-    units: Annotated[str | None, typer.Option(help="Of the file's numbers: px, mm, cm, m; deg, rad.")] = None
+    units: Annotated[str | None, typer.Option(help="Of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")] = None
     fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
     format: Annotated[str | None, typer.Option(help="Of the file, if it is not plain from it.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[
-        bool, typer.Option("--body-lengths", help="No scale known: divide by the body's own length.")
+        bool, typer.Option("--body-lengths", help="No scale known: take it from the body's own length.")
     ] = False
     base: Annotated[
         str | None, typer.Option(help="Keypoint to subtract; default: the first joint's (`diagnose`: none in metres).")
+    ] = None
+    individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
+    plane: Annotated[
+        str | None,
+        typer.Option(help="Of a file's three axes, right and up: xy, xz …; default: without a constant one."),
     ] = None
     frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
 
-    def read(self, name: str, body: Any, as_filmed: bool = False) -> Any:
+    def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording
 
@@ -47,10 +54,13 @@ class Recorded:
             self.base,
             self.body_lengths,
             as_filmed,
+            frames,
             units=self.units,
             fps=self.fps,
             format=self.format,
             scale=self.scale,
+            individual=self.individual,
+            plane=self.plane,
         )
 
 
@@ -69,7 +79,9 @@ class Inference(Recorded):
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
     seed: Seed = 0
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes that share the filters.")] = None
+    workers: Annotated[int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")] = (
+        None
+    )
     scheduler: Annotated[
         str | None, typer.Option(help="Whose workers share the filters: Dask's (tcp://host:8786), or mpi.")
     ] = None
@@ -84,7 +96,7 @@ class Inference(Recorded):
         from invdyn.models import FAMILIES, TORQUE_PROCESSES
         from invdyn.recordings import InputError
 
-        named = [("method", method, METHODS) for method in methods]
+        named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
         named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.noise, FAMILIES)]
         for what, given, known in named:
             if given not in known:
@@ -99,12 +111,11 @@ class Inference(Recorded):
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
         from invdyn.models import TORQUE_PROCESSES
 
-        from .inputs import frame_range, load_body, load_known
+        from .inputs import load_body, load_known
 
         body = load_body(self.body)
-        recording = self.read(self.recording, body)
         return {
-            "recording": recording.select(*frame_range(self.frames)),
+            "recording": self.read(self.recording, body, frames=self.frames),
             "body": body,
             "truth": None if self.truth is None else load_known(self.truth, body),
             "num_filters": self.filters,
@@ -140,16 +151,25 @@ class Diagnosed(Recorded):
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
     most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    budget: Annotated[
+        float | None,
+        typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
+    ] = None
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+    ] = 0.005
     seed: Seed = 0
     workers: Annotated[
         int,
-        typer.Option(min=1, help="Processes side by side, with the same result (on Linux; one elsewhere)."),
+        typer.Option(
+            min=1, max=MOST_WORKERS, help="Processes side by side, with the same result (on Linux; one elsewhere)."
+        ),
     ] = 2
 
     def check(self) -> None:
         """Raise InputError for an unknown effect, torques both 0 and hidden, and a recording that is given twice."""
         from invdyn.models.effects import EFFECTS
-        from invdyn.recordings import InputError
+        from invdyn.recordings import InputError, resolved
 
         for name in self.struck:
             if name not in EFFECTS:
@@ -158,10 +178,10 @@ class Diagnosed(Recorded):
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
         given: set[Path] = set()
         for name in (self.recording, *self.others, *([] if self.held_out is None else [self.held_out])):
-            if Path(name).resolve() in given:
+            if resolved(name) in given:
                 option = "--held-out" if name == self.held_out else "--also"
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
-            given.add(Path(name).resolve())
+            given.add(resolved(name))
 
     @property
     def struck(self) -> tuple[str, ...]:
@@ -182,18 +202,18 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from .inputs import frame_range, load_body
+        from .inputs import load_body
 
         body = load_body(self.body)
 
-        def read(name: str) -> Any:
-            recording = self.read(name, body, as_filmed=True)
+        def read(name: str, frames: str = ":") -> Any:
+            recording = self.read(name, body, as_filmed=True, frames=frames)
             if self.hide_torque and recording.torques is not None:
                 joints = recording.joint_names if recording.angles is not None else ()
                 recording = replace(recording, torques=None, joint_names=joints)
             return recording
 
-        recording = read(self.recording).select(*frame_range(self.frames))
+        recording = read(self.recording, self.frames)
         return {
             "recording": [recording, *map(read, self.others)] if self.others else recording,
             "body": body,
@@ -201,6 +221,8 @@ class Diagnosed(Recorded):
             "passive": self.passive,
             "without": self.struck,
             "most": self.most,
+            "budget": self.budget,
+            "tolerance": self.tolerance,
             "seed": self.seed,
             "workers": self.workers,
         }
@@ -224,12 +246,12 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     rest = [one for one in shared if one not in required]
     parameters = [*required, *(one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own), *rest]
 
-    @wraps(command)
     def spread_command(**options: Any) -> None:
         given = group(**{name: options.pop(name) for name in kinds})
         command(given, **options)
 
-    spread_command.__signature__ = inspect.Signature(parameters)
+    update_wrapper(spread_command, command)
+    vars(spread_command)["__signature__"] = inspect.Signature(parameters)
     spread_command.__annotations__ = {one.name: hints.get(one.name, one.annotation) for one in parameters}
-    del spread_command.__wrapped__
+    del vars(spread_command)["__wrapped__"]
     return spread_command

@@ -44,7 +44,7 @@ class Outputs:
             write_table(curves(idata), self.csv)
         if self.sto is not None:
             low, _, median, _, high = quantiles(idata, "torque")
-            time, joints = idata.posterior["time"].values, idata.posterior["joint"].values
+            time, joints = idata["posterior"]["time"].values, idata["posterior"]["joint"].values
             write_moments(self.sto, time, median, low, high, [str(joint) for joint in joints])
         if self.figure is not None:
             save_figure(plot_posterior(idata), self.figure)
@@ -82,20 +82,17 @@ class ComparisonOutputs:
         check_folder(self.folder, self.paths.values(), inputs)
 
     def write(self, comparison: Comparison) -> None:
-        """Write all of it, each file whole or not at all; posteriors first, as they took longest."""
+        """Write all of it, each file whole or not at all, where any method succeeded; posteriors first."""
         for method, idata in comparison.posteriors.items():
             save_posterior(idata, self.paths[method])
         write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
         write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
-        if comparison.posteriors:
-            save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
+        save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
 
     def listing(self, comparison: Comparison) -> str:
         """What lies where: an empty line, then one each."""
         missing = set(self.methods) - set(comparison.posteriors)
         kinds = {kind: path for kind, path in self.paths.items() if kind not in missing}
-        if not comparison.posteriors:
-            del kinds["figure"]
         width = max(map(len, kinds))
         return "".join(f"\n{kind:<{width}} {path}" for kind, path in kinds.items())
 
@@ -134,10 +131,10 @@ def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
     """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, angle, velocity."""
-    columns = {"time": idata.posterior["time"].values}
+    columns = {"time": idata["posterior"]["time"].values}
     for quantity in ("torque", "angle", "velocity"):
         low, _, median, _, high = quantiles(idata, quantity)
-        for number, joint in enumerate(idata.posterior["joint"].values):
+        for number, joint in enumerate(idata["posterior"]["joint"].values):
             for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
                 columns[f"{joint}_{quantity}{suffix}"] = values[:, number]
     return columns

@@ -8,10 +8,12 @@ Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state
 from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
@@ -27,7 +29,7 @@ BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 ORANGE, SKY, PINK = "#E69F00", "#56B4E9", "#CC79A7"
 METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, PINK)
 INK, GREY = "#111111", "#777777"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#999999",
@@ -43,6 +45,7 @@ STYLE = {
     "ytick.color": "#555555",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "text.parse_math": False,  # a joint may be called $\\frac
     "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -55,13 +58,13 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     Keypoint bands are for observations (posterior predictive, noise included) where the posterior has them,
     else for the noise-free tips. What is not known (truth, command, what was not observed) is left out.
     """
-    posterior, observed, known = idata.posterior, idata.observed_data, idata.constant_data
+    posterior, observed, known = idata["posterior"], idata["observed_data"], idata["constant_data"]
     time = posterior["time"].values
     joints, keypoints = posterior["joint"].values, posterior["keypoint"].values
     group = "posterior_predictive" if "posterior_predictive" in idata.groups() else "posterior"
     tips = quantiles(idata, "position", group)
     rows = max(len(joints), len(keypoints))
-    filtered = "ess" in idata.sample_stats  # else there are no particles whose number could be drawn
+    filtered = "ess" in idata["sample_stats"]  # else there are no particles whose number could be drawn
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 1.7 * rows + (2.2 if filtered else 0.8)), layout="constrained")
         grid = figure.add_gridspec(rows + filtered, 3, height_ratios=[1] * rows + [0.7] * filtered)
@@ -69,7 +72,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
             axes.set_ylabel(posterior["position"].attrs["units"])
-            for space, color in enumerate((BLUE, VERMILION)):
+            for space, color in zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False):
                 draw_bands(axes, time, tips[:, :, row, space], color)
                 if "position" in observed:
                     draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
@@ -90,7 +93,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             draw_sample_sizes(figure.add_subplot(grid[rows, :]), idata)
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
-            if axes.get_subplotspec().rowspan.stop >= rows:
+            place = axes.get_subplotspec()
+            if place is not None and place.rowspan.stop >= rows:
                 axes.set_xlabel("time (s)")
             else:
                 axes.tick_params(labelbottom=False)
@@ -106,10 +110,10 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
     that is far off leaves the panel there instead of pressing the others flat.
     """
     first = next(iter(posteriors.values()))
-    time, joints = first.posterior["time"].values, first.posterior["joint"].values
-    unit = first.posterior["torque"].attrs["units"]
+    time, joints = first["posterior"]["time"].values, first["posterior"]["joint"].values
+    unit = first["posterior"]["torque"].attrs["units"]
     bands = {method: quantiles(idata, "torque")[[0, 2, 4]] for method, idata in posteriors.items()}
-    truth = first.constant_data.get("truth_torque")
+    truth = first["constant_data"].get("truth_torque")
     reference = next(iter(bands.values()))[1] if truth is None else truth.transpose("time", "joint").values
     less = "less the truth" if truth is not None else f"less the median of {next(iter(posteriors))}"
     with matplotlib.rc_context(STYLE):
@@ -133,7 +137,7 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
         for axes in panels[-1]:
             axes.set_xlabel("time (s)")
         figure.align_ylabels()
-        entries = [
+        entries: list[Artist] = [
             Line2D([], [], color=color, linewidth=2, label=method)
             for method, color in zip(posteriors, cycle(METHOD_COLORS))
         ]
@@ -188,7 +192,7 @@ def draw_truth(axes: Axes, time: np.ndarray, values: np.ndarray) -> None:
 
 def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
     """Effective sample size, median and bands over filters; marks where they resampled, darker for more."""
-    statistics = idata.sample_stats
+    statistics = idata["sample_stats"]
     time = statistics["time"].values
     sizes = statistics["ess"].transpose("chain", "time").values
     draw_bands(axes, time, np.quantile(sizes, QUANTILES, axis=0), GREY)
@@ -205,15 +209,15 @@ def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
 def heading(idata: az.InferenceData) -> str:
     """Method, evidence, and health of the importance sampler over whole filters, in one line."""
     method, evidence, size = (idata.attrs[name] for name in ("method", "log_evidence", "outer_ess"))
-    filters = idata.sample_stats.sizes["chain"]
+    filters = idata["sample_stats"].sizes["chain"]
     outer = f"outer sample size {size:.1f} of {filters} filters"
     return f"method {method}   ·   log evidence {evidence:.1f}   ·   {outer}"
 
 
-def legend_entries(idata: az.InferenceData) -> list[Line2D | Patch]:
+def legend_entries(idata: az.InferenceData) -> list[Artist]:
     """Only what the figure shows; colours belong to the panels, so bands and lines stand here in grey."""
-    known = idata.constant_data
-    entries = [
+    known = idata["constant_data"]
+    entries: list[Artist] = [
         Line2D([], [], color=BLUE, linewidth=2, label="x"),
         Line2D([], [], color=VERMILION, linewidth=2, label="y"),
         Line2D([], [], color=GREY, linestyle="none", marker=".", label="observed"),
@@ -221,10 +225,10 @@ def legend_entries(idata: az.InferenceData) -> list[Line2D | Patch]:
         Patch(color=GREY, alpha=0.55, linewidth=0, label="50 %"),
         Patch(color=GREY, alpha=0.22, linewidth=0, label="90 %"),
     ]
-    if any(name.startswith("truth_") for name in known):
+    if any(str(name).startswith("truth_") for name in known):
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     if "command" in known:
         entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
-    if "resampled" in idata.sample_stats and idata.sample_stats["resampled"].any():
+    if "resampled" in idata["sample_stats"] and idata["sample_stats"]["resampled"].any():
         entries.append(Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled"))
     return entries

@@ -1,17 +1,19 @@
 """Recordings with known truth: an arm driven by random torques, filmed with noise."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
 
-from invdyn.models import ArmModel, Body, Emission, OrnsteinUhlenbeck
+from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
+MOST_FRAMES = 1_000_000  # nine hours of film
 GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
 
-PAPER = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
+PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
     "torque": OrnsteinUhlenbeck("printed", decay=6.0),
     "integrator": "euler",
     "settings": {
@@ -37,7 +39,7 @@ def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Rec
     command = None if model.command is None else model.command.numpy()
     recording = Recording(
         time=time,
-        keypoints=observations.numpy().reshape(len(time), body.num_joints, 2),
+        keypoints=model.observation.points(observations).numpy(),
         keypoint_names=body.keypoint_names,
         torques=command,
         joint_names=() if command is None else body.joint_names,
@@ -70,28 +72,31 @@ def random_arm(
         seed: of the command.
 
     Raises:
-        InputError: values that are no positive numbers, or a duration that holds fewer than two frames.
+        InputError: values that are no positive numbers or beyond what is real, or a duration that holds fewer than
+            two frames or more than a million.
     """
-    for name, value in {
-        "duration": duration,
-        "fps": fps,
-        "noise": noise,
-        "torque_scale": torque_scale,
+    for name, (value, largest) in {
+        "duration": (duration, 1e6),
+        "fps": (fps, 1e6),
+        "noise": (noise, 1e3),
+        "torque_scale": (torque_scale, 1e6),
     }.items():
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError(f"{name} must be a number from 0 up, got {value:g}")
+        if value is not None and not 0 <= value <= largest:
+            raise InputError(f"{name} must be a number from 0 to {largest:g}, got {value:g}")
+    if duration * fps > MOST_FRAMES:
+        raise InputError(
+            f"{duration:g} s at {fps:g} frames a second are {duration * fps:.3g} frames; at most {MOST_FRAMES} are made"
+        )
     num_frames = round(duration * fps)
     if num_frames < 2:
         raise InputError(f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed")
     torque = OrnsteinUhlenbeck()
-    gravity_x, gravity_y = body.gravity
-    hanging = math.atan2(gravity_y, gravity_x) if any(body.gravity) else 0.0
 
     def model(command: np.ndarray | None = None) -> ArmModel:
         return ArmModel(
             body,
             np.arange(num_frames) / fps,
-            Emission(range(body.num_joints)),
+            Observation(Keypoints(body.keypoint_names)),
             torque=torque,
             command=command,
             substeps=math.ceil(1 / (fps * STEP)),
@@ -99,7 +104,7 @@ def random_arm(
                 "emission.keypoint_scale": noise,
                 "noise.angle": 0.0,
                 "noise.velocity": 0.0,
-                "initial.angle": [hanging] + [0.0] * (body.num_joints - 1),
+                "initial.angle": body.hanging,
                 "initial.angle_scale": 0.3,
                 "initial.velocity_scale": 0.1,
             },
@@ -122,7 +127,7 @@ def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
     return ArmModel(
         body,
         0.03 * np.arange(num_frames),
-        Emission(range(body.num_joints)),
+        Observation(Keypoints(body.keypoint_names)),
         torque=PAPER["torque"],
         integrator=PAPER["integrator"],
         parameters=PAPER["settings"],

@@ -22,13 +22,13 @@ def torque_table(idata: az.InferenceData) -> pd.DataFrame:
     whose interval holds the truth.
     """
     low, _, median, _, high = quantiles(idata, "torque")
-    table = pd.DataFrame(index=pd.Index(idata.posterior["joint"].values, name="joint"))
+    table = pd.DataFrame(index=pd.Index(idata["posterior"]["joint"].values, name="joint"))
     table["rms"] = np.sqrt((median**2).mean(axis=0))
     table["peak"] = np.abs(median).max(axis=0)
     table["± 90 %"] = ((high - low) / 2).mean(axis=0)
-    if "truth_torque" not in idata.constant_data:
+    if "truth_torque" not in idata["constant_data"]:
         return table
-    truth = idata.constant_data["truth_torque"].transpose("time", "joint").values
+    truth = idata["constant_data"]["truth_torque"].transpose("time", "joint").values
     for joint, true, *ours in zip(table.index, truth.T, low.T, median.T, high.T, strict=True):
         known = np.isfinite(true)
         if known.sum() > 1:
@@ -41,16 +41,16 @@ def torque_table(idata: az.InferenceData) -> pd.DataFrame:
 
 def summary_text(idata: az.InferenceData) -> str:
     """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
-    filters, frames = idata.sample_stats.sizes["chain"], idata.posterior.sizes["time"]
+    filters, frames = idata["sample_stats"].sizes["chain"], idata["posterior"].sizes["time"]
     table = torque_table(idata).to_string(float_format=lambda value: f"{value:.3g}")
     evidence, outer = idata.attrs["log_evidence"], idata.attrs["outer_ess"]
     known = []
     if math.isfinite(evidence):
-        bound = "bound of the " if idata.sample_stats.attrs.get("bound", 0) else ""
+        bound = "bound of the " if idata["sample_stats"].attrs.get("bound", 0) else ""
         known.append(f"{bound}log evidence {evidence:.2f}")
-    if "ess" in idata.sample_stats:
+    if "ess" in idata["sample_stats"]:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
-    unit = idata.posterior["torque"].attrs["units"]
+    unit = idata["posterior"]["torque"].attrs["units"]
     return f"Joint torques ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()
 
 
@@ -67,7 +67,7 @@ def comparison_text(comparison: Comparison) -> str:
             for joint in joints
             for method, row in table.iterrows()
         }
-        unit = next(iter(comparison.posteriors.values())).posterior["torque"].attrs["units"]
+        unit = next(iter(comparison.posteriors.values()))["posterior"]["torque"].attrs["units"]
         frame = pd.DataFrame.from_dict(scores, orient="index")
         frame.index = pd.MultiIndex.from_tuples(frame.index, names=["joint", "method"])
         blocks.append(f"Joint torques ({unit}) against the truth\n\n{_printed(frame)}")

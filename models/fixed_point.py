@@ -84,9 +84,9 @@ def _sent(model: StateSpaceModel, before: Tensor, rows: Tensor) -> tuple[Tensor,
 
 def _carried(here: Tensor, f: Tensor, slopes: Tensor, rows: Tensor) -> Tensor:
     """Values f_t (..., R, E) and what each row's change from ``here`` adds to the next one's, if that is among them."""
-    old, new, slopes, numbers = here.numpy(), f.clone().numpy(), slopes.numpy(), rows.tolist()
+    old, new, change_of, numbers = here.numpy(), f.clone().numpy(), slopes.numpy(), rows.tolist()
     for i in range(1, len(numbers)):
         if numbers[i] == numbers[i - 1] + 1:
             change = new[..., i - 1, :] - old[..., i - 1, :]
-            new[..., i, :] += (slopes[..., i, :, :] @ change[..., None])[..., 0]
+            new[..., i, :] += (change_of[..., i, :, :] @ change[..., None])[..., 0]
     return torch.from_numpy(new)

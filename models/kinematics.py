@@ -1,6 +1,7 @@
-"""Angles from observed tips, as a start for linearisation and for the first frame's prior.
+"""Angles from what was observed, as a start for linearisation and for the first frame's prior.
 
-With tip k−1 and tip k both seen, link k points along their difference, so its absolute angle φ_k is
+Encoders tell the joints' coordinates of any body. Of a chain in the plane keypoints do too: with tip k−1
+and tip k both seen, link k points along their difference, so its absolute angle φ_k is
 an arctangent, known up to whole turns; joints are taken to begin within half a turn. A Kalman filter
 with nearly constant angular velocity,
 
@@ -15,11 +16,16 @@ of this enters the likelihood.
 Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s).
 """
 
+from collections.abc import Sequence
+from functools import singledispatch
+from typing import Any
+
 import numpy as np
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.observation.emission import Emission
+from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.observation import Observation
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb."""
@@ -27,24 +33,24 @@ GATE = 4.0
 """Standard deviations from its prediction beyond which an angle is left out, where what strays matters."""
 
 
-def link_angles(observations: Tensor, emission: Emission, body: BodyParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Measured absolute link angles (T, K), rad, NaN where a link was not seen; and which are wrapped.
+def link_angles(observations: Tensor, observation: Observation, body: BodyParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Measured absolute link angles (T, K) of a planar chain, rad, NaN where not seen; and which are wrapped.
 
     Those of encoders (whole turns counted) where they exist, else of the camera: wrapped, in (−π, π].
     """
     rows = observations.detach().cpu().double().numpy()
     joints = body.length.shape[-1]
-    points = 2 * len(emission.tips)
     absolute = np.full((len(rows), joints), np.nan)
-    if emission.tips:
-        tips = np.full((len(rows), joints + 1, 2), np.nan)
-        tips[:, 0] = body.base.detach().cpu().double().reshape(-1, 2)[0].numpy()
-        tips[:, np.asarray(emission.tips) + 1] = rows[:, :points].reshape(len(rows), -1, 2)
+    if observation.tracked:
+        points = observation.points(rows)
+        tips = np.full((len(rows), joints + 1, points.shape[-1]), np.nan)
+        tips[:, 0] = body.base.detach().cpu().double().reshape(-1, points.shape[-1])[0].numpy()
+        tips[:, np.asarray(observation.tracked) + 1] = points
         along = np.diff(tips, axis=1)
         absolute = np.arctan2(along[..., 1], along[..., 0])
-    if not emission.num_encoders:
+    if not observation.encoders:
         return absolute, np.ones(absolute.shape, dtype=bool)
-    encoders = np.cumsum(rows[:, points:], axis=1)
+    encoders = np.cumsum(observation.of(observation.encoders, rows), axis=1)
     unread = np.isnan(encoders)
     return np.where(unread, absolute, encoders), unread
 
@@ -53,7 +59,7 @@ def smooth_angles(
     time: np.ndarray,
     measured: np.ndarray,
     sd: np.ndarray,
-    agility=AGILITY,
+    agility: Sequence[float] | np.ndarray = AGILITY,
     wrap: bool | np.ndarray = True,
     gate: float = np.inf,
 ) -> np.ndarray:
@@ -100,14 +106,38 @@ def _first_seen(column: np.ndarray) -> float:
     return float(column[seen[0]]) if len(seen) else np.nan
 
 
+@singledispatch
 def joint_angle_candidates(
-    time: np.ndarray, observations: Tensor, emission: Emission, body: BodyParameters, sd: np.ndarray
+    body: ArticulatedBody,
+    time: np.ndarray,
+    observations: Tensor,
+    observation: Observation,
+    numbers: Any,
+    sd: np.ndarray,
 ) -> np.ndarray | None:
-    """Smoothed joint angles (C, T, K), rad; None when some link is never seen.
+    """Smoothed joint angles (C, T, K), rad, of a body with these ``numbers``; None when some joint is never seen.
 
-    ``sd`` (K,): noise of the measured link angles, rad.
+    ``sd`` (K,): noise of the measured angles, rad. One line for each kind of body whose keypoints tell angles, by
+    ``joint_angle_candidates.register``; of any other its encoders do.
     """
-    absolute, wrapped = link_angles(observations, emission, body)
+    if not observation.encoders:
+        return None
+    measured = observation.of(observation.encoders, observations.detach().cpu().double().numpy())
+    if not np.isfinite(measured).any(axis=0).all():
+        return None
+    return smooth_angles(time, measured, sd, wrap=False)
+
+
+@joint_angle_candidates.register
+def _(
+    body: Body,
+    time: np.ndarray,
+    observations: Tensor,
+    observation: Observation,
+    numbers: BodyParameters,
+    sd: np.ndarray,
+) -> np.ndarray | None:
+    absolute, wrapped = link_angles(observations, observation, numbers)
     if not np.isfinite(absolute).any(axis=0).all():
         return None
     smooth = smooth_angles(time, absolute, sd, wrap=wrapped)
@@ -120,7 +150,7 @@ def joint_angle_candidates(
 
 def _whirls(angles: np.ndarray) -> np.ndarray:
     """Whether angles (C, T, K) turn by more than half a turn from one row to the next, (C, 1, K)."""
-    return (np.abs(np.diff(angles, axis=1)) > np.pi).any(axis=1, keepdims=True)
+    return np.any(np.abs(np.diff(angles, axis=1)) > np.pi, axis=1, keepdims=True)
 
 
 def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:

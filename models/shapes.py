@@ -19,7 +19,7 @@ def join(*pieces: Tensor) -> Tensor:
     batches = [piece.shape[:-1] for piece in pieces]
     if len(set(batches)) > 1:
         batch = common(*batches)
-        pieces = [piece.expand(*batch, piece.shape[-1]) for piece in pieces]
+        pieces = tuple(piece.expand(*batch, piece.shape[-1]) for piece in pieces)
     return torch.cat(pieces, -1)
 
 

@@ -13,7 +13,8 @@ all rows can be evaluated in one call).
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, MutableMapping
+from typing import Self
 
 import pyro
 import torch
@@ -84,36 +85,43 @@ class StateSpaceModel(ABC):
         """Device of the parameters."""
         return next(iter(self.parameters.values())).device
 
-    def replace(self, **values: Tensor) -> "StateSpaceModel":
+    def replace(self, **values: Tensor) -> Self:
         """Return the model with other parameter values: ``model.replace(**{"torque.scale": s})``.
 
         Raises KeyError, naming the known ones, for a parameter that the model does not have.
         """
-        unknown = set(values) - set(self.parameters)
-        if unknown:
+        other = copy.copy(self)
+        other.parameters = self._replaced(values)
+        return other
+
+    def _replaced(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """All parameters, with other values for some; raises KeyError as :meth:`replace` says."""
+        self.check_names(values)
+        return {**self.parameters, **values}
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Raise KeyError, naming the known ones, for a parameter that the model does not have."""
+        if unknown := set(names) - set(self.parameters):
             raise KeyError(
                 f"no parameter {', '.join(sorted(unknown))}; this model has {', '.join(sorted(self.parameters))}"
             )
-        other = copy.copy(self)
-        other.parameters = {**self.parameters, **values}
-        return other
 
-    def with_priors(self, **priors: Distribution) -> "StateSpaceModel":
+    def with_priors(self, **priors: Distribution) -> Self:
         """Return the model in which these parameters are sampled by :meth:`sequence`."""
-        self.replace(**{name: self.parameters.get(name) for name in priors})  # checks the names
+        self.check_names(priors)
         other = copy.copy(self)
         other.priors = {**self.priors, **priors}
         return other
 
-    def learn(self, names: Iterable[str]) -> "StateSpaceModel":
+    def learn(self, names: Iterable[str]) -> Self:
         """Return the model in which these parameters are ``pyro.param`` in :meth:`sequence`."""
         names = tuple(names)
-        self.replace(**{name: self.parameters.get(name) for name in names})
+        self.check_names(names)
         other = copy.copy(self)
         other.learned = names
         return other
 
-    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None):
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Self:
         """Return the model with its parameters in another dtype or on another device."""
         return self.replace(**{k: v.to(dtype=dtype, device=device) for k, v in self.parameters.items()})
 
@@ -132,15 +140,17 @@ class StateSpaceModel(ABC):
         return constraints.real if name in self.unconstrained else constraints.positive
 
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------
-    def init(self, state, observation: Tensor | None = None) -> None:
+    def init(self, state: MutableMapping[str, Tensor], observation: Tensor | None = None) -> None:
         """First step for :class:`pyro.infer.SMCFilter`; writes ``state["x"]`` (..., D)."""
         self._enter(state, 0, self.initial(), observation)
 
-    def step(self, state, t: int, observation: Tensor | None = None) -> None:
+    def step(self, state: MutableMapping[str, Tensor], t: int, observation: Tensor | None = None) -> None:
         """Step into row ``t`` for :class:`pyro.infer.SMCFilter`; reads and writes ``state["x"]``."""
         self._enter(state, t, self.transition(state["x"], t), observation)
 
-    def _enter(self, state, t: int, prior: Distribution, observation: Tensor | None) -> None:
+    def _enter(
+        self, state: MutableMapping[str, Tensor], t: int, prior: Distribution, observation: Tensor | None
+    ) -> None:
         state["x"] = pyro.sample(f"x_{t}", prior)
         if observation is not None:
             observe(f"y_{t}", self.emission(state["x"], t), observation)

@@ -35,7 +35,7 @@ import torch
 from IPython.display import display
 
 from invdyn.inference import METHODS, Free, Problem, SMCOptions, arm_problem, fit
-from invdyn.models import ArmModel, Body, Emission, Link, OrnsteinUhlenbeck, TorqueProcess
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation, OrnsteinUhlenbeck, TorqueProcess
 from invdyn.plots import BLUE, STYLE, VERMILION, plot_comparison
 from invdyn.simulate import record
 
@@ -114,7 +114,7 @@ TRUE = {"torque.frequency": 5.5, "torque.decay": 1.0, "torque.scale": [0.25, 0.0
 NOISE = {"emission.keypoint_scale": 0.001, "noise.angle": 1e-4, "noise.velocity": 1e-3}
 START = {"initial.angle": [0.3, 0.2], "initial.angle_scale": 0.1, "initial.velocity_scale": 0.1}
 time = np.arange(120) / 60
-world = ArmModel(body, time, Emission(range(2)), torque=Tremor(), parameters=TRUE | NOISE | START)
+world = ArmModel(body, time, Observation(Keypoints(range(2))), torque=Tremor(), parameters=TRUE | NOISE | START)
 recording, truth = record(world, seed=1)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 2.6))

@@ -1,46 +1,6 @@
 """Keypoint tracks in, results out: formats, units, named real recordings."""
 
-from .atomic import atomic_path, check_writable, write_text
-from .catalogue import demo_frames, load_truth, names
-from .encoders import keypoints_from_angles
-from .errors import InputError
-from .formats import FORMATS, Format
-from .joined import joined
-from .keypoint_csv import read_keypoint_csv, write_keypoint_csv
-from .loader import load
-from .opensim import read_sto, read_trc, write_moments, write_sto
-from .recording import Recording
-from .tables import read_table, write_table
-from .truth import Truth, read_truth, write_truth
-from .units import check_plausible, in_body_lengths, median_link_lengths, parse_units
+import lazy_loader
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "InputError",
-    "Recording",
-    "Truth",
-    "atomic_path",
-    "check_plausible",
-    "check_writable",
-    "demo_frames",
-    "in_body_lengths",
-    "joined",
-    "keypoints_from_angles",
-    "load",
-    "load_truth",
-    "median_link_lengths",
-    "names",
-    "parse_units",
-    "read_keypoint_csv",
-    "read_sto",
-    "read_table",
-    "read_trc",
-    "read_truth",
-    "write_keypoint_csv",
-    "write_moments",
-    "write_sto",
-    "write_table",
-    "write_text",
-    "write_truth",
-]
+# The names stand in __init__.pyi, where editors and type checkers look too; a file is imported once one is asked for.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

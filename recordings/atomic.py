@@ -11,15 +11,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from .paths import resolved
+
 
 def check_writable(path: str | Path) -> Path:
     """Return the resolved `path` if a file can be written there; call it before hours of work, not after.
 
     Raises:
         OSError: the folder is missing or not a folder, may not be written, or `path` is itself a folder or
-            a device; `filename` and `strerror` say which.
+            a device, or no path; `filename` and `strerror` say which.
     """
-    target = Path(path).expanduser().resolve()
+    target = resolved(path)
     folder = target.parent
     if not folder.exists():
         raise FileNotFoundError(errno.ENOENT, "cannot write: the folder does not exist; make it", str(path))

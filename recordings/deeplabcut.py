@@ -1,16 +1,16 @@
 """DeepLabCut's tracks, single- and multi-animal, as csv or h5; Lightning Pose writes the same csv.
 
 The csv has three or four header lines, each with its name in the first cell: scorer, [individuals,]
-bodyparts, coords (x, y, likelihood); below, the first cell is the frame's number. The h5 is a pandas table
-with the same levels as its column index. Numbers stay as in the file: pixels, y down.
+bodyparts, coords (x, y, likelihood); below, the first cell is the frame's number. The h5 is a table of pandas
+with the same levels, in the same order, as its column labels. Numbers stay as in the file: pixels, y down.
 """
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, about, first_line
+from .errors import InputError, about
+from .pandas_h5 import read_pandas_h5
 from .recording import Recording
 from .tables import read_numbers, read_rows
 
@@ -42,31 +42,12 @@ def read_deeplabcut_csv(path: str | Path, fps: float, individual: str | None = N
 
 
 def read_deeplabcut_h5(path: str | Path, fps: float, individual: str | None = None) -> Recording:
-    """Read an h5, as above.
-
-    Raises InputError also when the extra that reads it is not installed, or the file is broken.
-    """
-    try:
-        import pandas
-        import tables  # noqa: F401  pandas reads h5 through it
-    except ImportError:
-        raise InputError(f"{path}: reading .h5 needs one more package: pip install 'invdyn[tracks]'") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the two libraries' own affairs
-            with pandas.HDFStore(str(path), mode="r") as store:
-                keys = store.keys()
-                frame = store[TABLE if f"/{TABLE}" in keys else keys[0]]
-        levels = [level for level in LEVELS[1:] if level in frame.columns.names]
-        columns = list(zip(*(frame.columns.get_level_values(level) for level in levels), strict=True))
-        numbers, frames = frame.to_numpy(dtype=np.float64), frame.index.to_numpy(dtype=np.float64)
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # a broken file fails anywhere inside HDF5 or pandas
-        raise InputError(f"{path}: not a whole DeepLabCut .h5 file ({first_line(error)})") from None
+    """Read an h5, as above, and nothing in it but arrays and labels: it cannot run code (:mod:`.pandas_h5`)."""
+    columns, frames, numbers = read_pandas_h5(path, TABLE)
     with about(path):
-        if "bodyparts" not in levels or "coords" not in levels:
+        if not all(len(label) in (3, 4) for label in columns) or not {"x", "y"} <= {label[-1] for label in columns}:
             raise InputError("not a DeepLabCut .h5 file: its table has no levels bodyparts and coords")
+        columns = [label[1:] for label in columns]
         return _assemble(columns, numbers, frames, fps, individual, Path(path).stem)
 
 

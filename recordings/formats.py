@@ -6,14 +6,17 @@ A new format is a new entry of `FORMATS`.
 import csv
 import difflib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
-from .opensim import read_trc
+from .opensim import TRC_AXES, read_trc
+from .paths import check_readable
+from .plane import OURS, Axes
 from .recording import Recording
+from .sleap_csv import FIRST, read_sleap_csv
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,16 @@ class Format:
         read: (path, frames a second or None, individual or None) → Recording, numbers as in the file.
         own_times: the file carries its times; otherwise the frame rate must be given.
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
+        animals: the file can hold several animals.
+        axes: where its axes lie in a Recording (:mod:`.plane`).
     """
 
     title: str
     read: Callable[[Path, float | None, str | None], Recording] | None
     own_times: bool = False
     own_units: bool = False
+    animals: bool = True
+    axes: Axes = field(default_factory=lambda: OURS)
 
 
 def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Recording]:
@@ -38,19 +45,34 @@ def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Re
 
 
 def _read_deeplabcut(path: Path, fps: float | None, individual: str | None) -> Recording:
+    if fps is None:
+        raise InputError("a DeepLabCut file does not say its frame rate: pass --fps, frames a second")
     read = read_deeplabcut_h5 if path.suffix.lower() in (".h5", ".hdf5") else read_deeplabcut_csv
     return read(path, fps, individual)
 
 
+def _read_sleap(path: Path, fps: float | None, individual: str | None) -> Recording:
+    if path.suffix.lower() == ".csv":
+        return read_sleap_csv(path, fps, individual)
+    return read_with_movement(path, "sleap", fps, individual)
+
+
 FORMATS: dict[str, Format] = {
     # the contract's own reader also takes names from a body: `load` calls it by itself
-    "csv": Format("keypoint CSV", None, own_times=True, own_units=True),
+    "csv": Format("keypoint CSV", None, own_times=True, own_units=True, animals=False),
     "deeplabcut": Format("DeepLabCut", _read_deeplabcut),
     "lightningpose": Format("Lightning Pose", _by_movement("lightningpose")),
-    "sleap": Format("SLEAP", _by_movement("sleap")),
+    "sleap": Format("SLEAP", _read_sleap),
     "anipose": Format("Anipose", _by_movement("anipose")),
     "nwb": Format("NWB", _by_movement("nwb"), own_times=True),
-    "trc": Format("OpenSim .trc", lambda path, fps, individual: read_trc(path), own_times=True, own_units=True),
+    "trc": Format(
+        "OpenSim .trc",
+        lambda path, fps, individual: read_trc(path),
+        own_times=True,
+        own_units=True,
+        animals=False,
+        axes=TRC_AXES,
+    ),
 }
 
 
@@ -59,7 +81,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
     Raises:
         InputError: an unknown format, or a file that looks like none.
-        OSError: a file that cannot be opened.
+        OSError: a file that cannot be opened, or is no ordinary one.
     """
     if name is not None:
         if name not in FORMATS:
@@ -73,8 +95,7 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_h5(path)
     by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
     if suffix not in by_suffix:
-        with open(path, "rb"):  # a folder or a missing file is told as such
-            pass
+        check_readable(path)
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
             f".trc (or say it: --format {'|'.join(FORMATS)})"
@@ -83,6 +104,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
 
 def _recognise_csv(path: Path) -> str:
+    check_readable(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             header = [cell.strip() for cell in next(csv.reader(file), [])]
@@ -90,12 +112,15 @@ def _recognise_csv(path: Path) -> str:
         raise InputError(f"{path}: not a text table ({first_line(error)})") from None
     if header[:1] == ["scorer"]:
         return "deeplabcut"
+    if tuple(header[: len(FIRST)]) == FIRST:
+        return "sleap"
     return "anipose" if {"fnum", "M_00", "center_0"} <= set(header) else "csv"
 
 
 def _recognise_h5(path: Path) -> str:
     import h5py
 
+    check_readable(path)
     with open(path, "rb") as file:
         try:
             with h5py.File(file, "r") as store:

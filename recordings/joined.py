@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def joined(recordings: Sequence[Recording]) -> tuple[Recording, tuple[int, ...]]
         times.append(each.time - each.time[0] + end + each.frame_interval)
         end = times[-1][-1]
     starts = np.cumsum([each.num_frames for each in recordings])[:-1]
-    columns = {
+    columns: dict[str, Any] = {
         field: None if getattr(first, field) is None else np.concatenate([getattr(r, field) for r in recordings])
         for field in ("keypoints", "confidence", "angles", "torques")
     }

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError, about
+from .naming import nearest
 from .recording import Recording, check_time
 from .tables import read_table, write_table
 
@@ -51,7 +52,9 @@ def read_keypoint_csv(
             points = in_file
         else:
             first = tuple(name for name in in_file if name == base and name not in keypoints)
-            points = first + _expected("keypoint", keypoints, [p for p in in_file if p not in first])
+            points = first + _expected(
+                "keypoint", keypoints, [p for p in in_file if p not in first], [base] if base and not first else []
+            )
         in_file = _distinct(stem for stem, suffix in found if suffix in ("torque", "angle"))
         names = in_file if joints is None else _expected("joint", joints, in_file)
         for stem in _distinct(stem for stem, suffix in found if suffix == "likelihood"):
@@ -112,32 +115,34 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
         near = difflib.get_close_matches("time", columns, 1)
         hint = f"; rename {near[0]!r}?" if near else ", in seconds"
         raise InputError(f"no column 'time'{hint}")
-    found = [tuple(c.rpartition("_")[::2]) for c in columns if c != "time"]
+    found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c != "time")]
     for stem, suffix in found:
         if not stem or suffix not in SUFFIXES:
             stems = {s for s, _ in found if s} | {*keypoints, *joints}
             known = ["time", *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
             column = f"{stem}_{suffix}" if stem else suffix
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
-            near = (whole or difflib.get_close_matches(column, known, 1, cutoff=0.0))[0]
+            near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
-                f"unknown column {column!r}; the closest known is {near!r} "
+                f"unknown column {column!r}; the closest known is {near_one!r} "
                 f"(known are time and <name>_{', _'.join(SUFFIXES)})"
             )
     return found
 
 
-def _expected(kind: str, expected: Sequence[str], in_file: Sequence[str]) -> tuple[str, ...]:
-    """The expected names, or none if the file has none; InputError when others are there instead."""
+def _expected(
+    kind: str, expected: Sequence[str], in_file: Sequence[str], others: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """The expected names, or none if the file has none; InputError when more are there (`others` might be), or less."""
     if not in_file:
         return ()
     unknown = [name for name in in_file if name not in expected]
     missing = [name for name in expected if name not in in_file]
     if unknown or (missing and kind == "keypoint"):
         hints = [
-            f"unknown {name!r} (closest: {difflib.get_close_matches(name, expected, 1, cutoff=0.0)[0]!r})"
+            f"unknown {name!r} (closest: {nearest(name, [*expected, *others])!r})"
             for name in unknown
-            if expected
+            if expected or others
         ]
         wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing)])
         raise InputError(

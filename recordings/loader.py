@@ -1,6 +1,7 @@
 """One call from a file, or the name of a known recording, to a checked Recording in SI units."""
 
 import difflib
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,17 @@ import numpy as np
 
 from . import catalogue
 from .errors import InputError, about
-from .formats import FORMATS, recognise
+from .formats import FORMATS, Format, recognise
 from .keypoint_csv import read_keypoint_csv
+from .lost import without_lost
+from .naming import alike, nearest
+from .paths import check_readable, resolved
+from .plane import FLAT, planar
+from .plausible import check_magnitudes
 from .recording import Recording
-from .units import check_magnitudes, parse_units, to_si
+from .units import FRAMES, Units, parse_units, to_si
+
+SLOWEST, FASTEST = 1e-3, 1e6  # frames a second
 
 
 def load(
@@ -26,6 +34,7 @@ def load(
     base: str | None = None,
     scale: float | None = None,
     individual: str | None = None,
+    plane: str | None = None,
 ) -> Recording:
     """Read a recording.
 
@@ -42,6 +51,8 @@ def load(
             frame by frame, and it is dropped if `keypoints` leaves it out. A fixed base need not be tracked.
         scale: metres a pixel; without it, pixels stay pixels (`length_unit` "px", y up).
         individual: which animal, in files of several.
+        plane: two of the file's axes, such as "xz", of three coordinates; "flat" for those that are left without a
+            constant one; None keeps three.
 
     Returns:
         Recording, lengths in m (or "px"), angles in rad, missing values NaN.
@@ -51,15 +62,17 @@ def load(
         OSError: a file that cannot be opened.
     """
     path = Path(path_or_name)
+    resolved(path)
     if not path.exists() and str(path_or_name) in catalogue.names():
         given = {"units": units, "fps": fps, "format": format, "scale": scale, "individual": individual}
+        given["plane"] = None if plane == FLAT else plane
         if surplus := [f"--{option}" for option, value in given.items() if value is not None]:
             raise InputError(f"{path_or_name} has known units and times: leave {', '.join(surplus)} out")
         recording = catalogue.load_named(str(path_or_name))
     else:
         if not path.exists():
             raise FileNotFoundError(*_no_such_file(path))
-        recording = _read(path, units, fps, keypoints, joints, format, base, scale, individual)
+        recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane)
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
         for p, name in enumerate(recording.keypoint_names):
@@ -68,28 +81,77 @@ def load(
         return recording
 
 
-def _read(path, units, fps, keypoints, joints, format, base, scale, individual) -> Recording:
+def read_file(
+    path: Path,
+    units: str | None = None,
+    fps: float | None = None,
+    keypoints: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,
+    format: str | None = None,
+    base: str | None = None,
+    scale: float | None = None,
+    individual: str | None = None,
+    plane: str | None = None,
+) -> Recording:
+    """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
+    check_readable(path)
     kind = recognise(path, format)
     form = FORMATS[kind]
     with about(path):
         declared = parse_units(units)
-        if form.own_times and fps is not None:
+        if form.own_times and fps is not None and declared.time != FRAMES:
             raise InputError(f"a {form.title} file carries its own times: leave --fps out")
         if not form.own_units and declared.length is None:
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
-        if fps is not None and not (np.isfinite(fps) and fps > 0):
-            raise InputError(f"--fps must be positive, got {fps}")
-        if kind == "trc" and units is not None:
+        if fps is not None and not SLOWEST <= fps <= FASTEST:
+            raise InputError(f"--fps must be positive, from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
+        if kind == "trc" and (declared.length or declared.angle):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
+        if not form.animals and individual is not None:
+            raise InputError(f"a {form.title} file holds one body: leave --individual out")
+        _check_time_unit(form, declared, fps)
         if form.read is None:
             recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base)
         else:
             recording = form.read(path, fps, individual)
-        recording = to_si(recording, declared, scale)
+        recording = without_lost(recording, pixels=declared.length == "px")
+        if plane is not None:
+            recording = planar(recording, plane, form.axes)
+        recording = to_si(recording, declared, scale, fps)
         check_magnitudes(recording, declared)
+        if base is not None and base not in recording.keypoint_names:
+            _tell_no_base(recording, base, keypoints or (), own_frame=form.read is None)
         return recording
+
+
+def _check_time_unit(form: Format, declared: Units, fps: float | None) -> None:
+    if declared.time is None:
+        return
+    if declared.time == FRAMES and form.own_times and fps is None:
+        raise InputError("--units frames needs the frame rate: pass --fps, frames a second")
+    if not form.own_times and declared.time != "s":
+        raise InputError(f"a {form.title} file numbers its frames, --fps says the rest: leave {declared.time!r} out")
+
+
+def _tell_no_base(recording: Recording, base: str, keypoints: Sequence[str], own_frame: bool) -> None:
+    """Refuse a base that differs in case or space from a keypoint; say that it is not tracked, where that is odd.
+
+    In the body's own frame, where the project's own file is by contract, a base need not be tracked.
+    """
+    known = recording.keypoint_names
+    if near := alike(base, [name for name in known if name not in keypoints]):
+        raise InputError(
+            f"keypoint {near!r} differs from the first joint's name, {base!r}, in case or spaces alone: rename one of "
+            f"them, or pass --base {near!r}"
+        )
+    if not own_frame and known:
+        warnings.warn(
+            f"{recording.name}: the base {base!r} is not tracked (the file has {', '.join(known)}): it is taken to "
+            "rest at the body's base in the file's own frame; pass --base with a keypoint's name if it is one of these",
+            stacklevel=2,
+        )
 
 
 def _keep(
@@ -120,8 +182,9 @@ def _keep(
 
 def _index(kind: str, name: str, known: Sequence[str]) -> int:
     if name not in known:
-        near = difflib.get_close_matches(name, known, 1, cutoff=0.0)[0]
-        raise InputError(f"{kind} {name!r} is missing: the file has {', '.join(known)} (closest: {near!r})")
+        raise InputError(
+            f"{kind} {name!r} is missing: the file has {', '.join(known)} (closest: {nearest(name, known)!r})"
+        )
     return list(known).index(name)
 
 

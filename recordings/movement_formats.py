@@ -1,11 +1,14 @@
 """The other trackers' files, read through the package `movement` (extra `tracks`).
 
 SLEAP (.slp, .h5), Lightning Pose (.csv), Anipose (.csv, 3-D) and NWB (.nwb, at its median rate); the last two
-come with keypoints in alphabetical order. Numbers stay as in the file. https://movement.neuroinformatics.dev
+come with keypoints in alphabetical order. None of these is read through pickles (`movement` reads DeepLabCut's .h5 by
+PyTables, which runs what is in it, so that :mod:`.deeplabcut` does it instead). Numbers stay as in the file. https://movement.neuroinformatics.dev
 """
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +17,6 @@ from .errors import InputError, about, first_line
 from .recording import Recording
 
 SOFTWARE = {  # our name of a format: movement's
-    "deeplabcut": "DeepLabCut",
     "sleap": "SLEAP",
     "lightningpose": "LightningPose",
     "anipose": "Anipose",
@@ -54,7 +56,7 @@ def read_with_movement(path: str | Path, software: str, fps: float | None, indiv
         )
 
 
-def _import_movement(path: str | Path):
+def _import_movement(path: str | Path) -> Callable[..., Any]:
     show = warnings.showwarning
     try:
         with warnings.catch_warnings():

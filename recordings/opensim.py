@@ -12,9 +12,13 @@ import numpy as np
 
 from .atomic import write_text
 from .errors import InputError, about
+from .paths import check_readable
 from .recording import Recording
 from .tables import read_numbers
 from .units import METRES
+
+TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
+"""Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
 
 
 def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
@@ -113,6 +117,6 @@ def read_trc(path: str | Path) -> Recording:
 
 def _text_lines(path: str | Path) -> list[str]:
     try:
-        return Path(path).read_text(encoding="utf-8-sig").splitlines()
+        return check_readable(path).read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file") from None

@@ -6,10 +6,19 @@ space axes (x right, y up in 2-D; z up in 3-D), K joints.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from .errors import InputError
+
+LARGEST = 1e7
+"""Of any coordinate, angle, torque or confidence, in its own unit: m, px, rad, deg, N·m. A film has 10⁴ pixels, a map
+of a country 10⁷ metres; what is larger is no measurement, and its powers leave a float's range."""
+LARGEST_TIME = 1e20
+"""s; nanoseconds since 1970 are 2 · 10¹⁸."""
+SHORTEST_STEP = 1e-7
+"""s between two rows, a hundred times faster than any sensor of an arm."""
 
 
 def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format) -> None:
@@ -22,6 +31,7 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
     if (bad := ~np.isfinite(time)).any():
         first = int(bad.argmax())
         raise InputError(f"time is {time[first]} at {where(first)}: every row needs a finite time, in seconds")
+    check_range("time", time, where, LARGEST_TIME)
     step = np.diff(time)
     if (step <= 0).any():
         first = int((step <= 0).argmax()) + 1
@@ -29,6 +39,23 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
         raise InputError(
             f"time {kind} at {where(first)} ({time[first - 1]:g} s, then {time[first]:g} s): "
             "times must increase; drop or sort the rows"
+        )
+    if (step < SHORTEST_STEP).any():
+        first = int((step < SHORTEST_STEP).argmax()) + 1
+        raise InputError(
+            f"time goes on by {step[first - 1]:.3g} s at {where(first)}, too little for a row of its own: "
+            "drop the row, or give times in seconds"
+        )
+
+
+def check_range(what: str, values: np.ndarray, where: Callable[[int], str], largest: float = LARGEST) -> None:
+    """Raise InputError unless all numbers of `values` (T, …) lie within ±`largest`; NaN is missing."""
+    if (beyond := np.abs(values) > largest).any():
+        frame, *_ = place = tuple(np.argwhere(beyond)[0])
+        if np.isinf(value := values[place]):
+            raise InputError(f"{what} is infinite at {where(frame)}: leave a missing value empty (NaN)")
+        raise InputError(
+            f"{what} is {value:.3g} at {where(frame)}: expected numbers up to {largest:.0e}; leave a missing one empty"
         )
 
 
@@ -50,7 +77,7 @@ class Recording:
 
     Raises:
         InputError: shapes or names that do not fit, fewer than two frames, times that are not finite and
-            increasing, infinite values, or nothing observed at all.
+            increasing, values that are infinite or beyond `LARGEST`, or nothing observed at all.
     """
 
     time: np.ndarray
@@ -76,9 +103,8 @@ class Recording:
         check_time(self.time)
         for field in ("keypoints", "confidence", "angles", "torques"):
             value = getattr(self, field)
-            if value is not None and np.isinf(value).any():
-                frame = int(np.argwhere(np.isinf(value))[0][0])
-                raise InputError(f"{field} is infinite at frame {frame}: leave a missing value empty (NaN)")
+            if value is not None:
+                check_range(field, value, "frame {}".format)
         if not any(np.isfinite(v).any() for v in (self.keypoints, self.angles) if v is not None):
             raise InputError("nothing is observed: no keypoint and no angle has a value in any frame")
 
@@ -123,22 +149,20 @@ class Recording:
 
     def at(self, frames: slice | np.ndarray) -> "Recording":
         """Some frames, a slice or a mask (T,); times stay. Raises InputError if under 2 remain."""
-        return replace(
-            self,
-            **{
-                field: None if (value := getattr(self, field)) is None else value[frames]
-                for field in ("time", "keypoints", "confidence", "angles", "torques")
-            },
-        )
+        chosen: dict[str, Any] = {
+            field: None if (value := getattr(self, field)) is None else value[frames]
+            for field in ("time", "keypoints", "confidence", "angles", "torques")
+        }
+        return replace(self, **chosen)
 
     def relative_to(self, keypoint: str) -> "Recording":
         """Every keypoint less that one's track, frame by frame; where it is missing, all are."""
         return replace(self, keypoints=self.keypoints - self.keypoint(keypoint)[:, None])
 
     def scaled(self, factor: float, unit: str) -> "Recording":
-        """Keypoints times `factor`, now in `unit`. Raises InputError unless the factor is positive."""
-        if not (np.isfinite(factor) and factor > 0):
-            raise InputError(f"a scale must be positive and finite, got {factor}")
+        """Keypoints times `factor`, now in `unit`. Raises InputError unless the factor is from 10⁻⁹ to 10⁹."""
+        if not 1e-9 <= factor <= 1e9:
+            raise InputError(f"a scale must be positive, from 1e-09 to 1e+09, got {factor:g}")
         return replace(self, keypoints=self.keypoints * factor, length_unit=unit)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from .atomic import atomic_path
 from .errors import InputError, about, first_line
+from .paths import check_readable
 
 Row = tuple[int, list[str]]  # line number in the file, and the cells
 
@@ -21,8 +22,9 @@ def read_rows(path: str | Path) -> list[Row]:
 
     Raises:
         InputError: an empty file, or one that is not text in UTF-8.
-        OSError: a file that cannot be opened.
+        OSError: a file that cannot be opened, or is no ordinary one.
     """
+    check_readable(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
@@ -53,7 +55,7 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
         if len(cells) != len(columns):
             raise InputError(f"{where(i)} has {len(cells)} cells, the header has {len(columns)}")
     try:
-        numbers = np.array([[float(c) if c else np.nan for c in cells] for _, cells in rows])
+        numbers = np.array([[_number(cell) for cell in cells] for _, cells in rows])
     except ValueError:
         numbers = np.array([np.inf])
     if np.isinf(numbers).any():  # go through them again, slowly, to say which cell it was
@@ -92,9 +94,15 @@ def write_table(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
         writer.writerows([repr(v) if v == v else "" for v in row] for row in rows)
 
 
+def _number(cell: str) -> float:
+    if "_" in cell:  # Python reads 1_5 as 15, nobody else does
+        raise ValueError
+    return float(cell) if cell else np.nan
+
+
 def _check_cell(cell: str, where: str) -> None:
     try:
-        value = float(cell) if cell else 0.0
+        value = _number(cell)
     except ValueError:
         raise InputError(f"{where}: {cell[:40]!r} is not a number; leave a missing value empty") from None
     if np.isinf(value):

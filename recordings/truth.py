@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError, about
-from .recording import check_time
+from .recording import check_range, check_time
 from .tables import read_table, write_table
 
 
@@ -23,7 +23,7 @@ class Truth:
         joint_names: K names.
 
     Raises:
-        InputError: shapes that do not fit, or times that are not finite and increasing.
+        InputError: shapes that do not fit, times that are not finite and increasing, or values beyond 10⁷.
     """
 
     time: np.ndarray
@@ -41,6 +41,7 @@ class Truth:
         for field in ("angle", "velocity", "torque"):
             if getattr(self, field).shape != shape:
                 raise InputError(f"truth: {field} must have shape {shape}, got {getattr(self, field).shape}")
+            check_range(f"truth: {field}", getattr(self, field), "frame {}".format)
 
     def at(self, time: np.ndarray) -> "Truth":
         """Linear interpolation at `time` (T',) s; NaN outside the record, never extrapolated."""

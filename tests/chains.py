@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import RecursiveDynamics, SymbolicDynamics
+from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
+from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
 
 F64 = torch.float64
 BOTH = pytest.mark.parametrize("kind", [SymbolicDynamics, RecursiveDynamics])

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from invdyn.models import ArmModel, Body, Emission, Link
-from invdyn.models.articulated.step import Drive
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models.articulated.drive import RowDrive
 
 F64 = torch.float64
 INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint
@@ -14,7 +14,7 @@ INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint
 
 def rod(rows=101, step=0.005, gravity=(0.0, 0.0), command=None, **kwargs):
     body = Body("rod", [Link("link", "hinge", "tip", length=0.3, mass=1.5)], gravity=gravity)
-    return ArmModel(body, step * np.arange(rows), Emission([0]), command=command, **kwargs)
+    return ArmModel(body, step * np.arange(rows), Observation(Keypoints([0])), command=command, **kwargs)
 
 
 def rolled(model, q, qd, rows=None):
@@ -31,7 +31,7 @@ def rolled(model, q, qd, rows=None):
 def driven(model, motor, t=3, step=None):
     """What drives a model at row ``t`` under a steady ``motor`` torque (..., K), in sub-steps of ``step`` s."""
     step = model.dt[t].reshape(1) if step is None else torch.tensor(step)
-    return Drive(motor, 0.0, model.body_parameters(), model._clock(t), step, step, 1)
+    return RowDrive(motor, 0.0, model.body_parameters(), model.timeline.clock(t, model.dtype), step, step, 1)
 
 
 def torque_of(model, ideal, x, t=3):
@@ -39,4 +39,4 @@ def torque_of(model, ideal, x, t=3):
     _, q, qd = ideal.split(x)
     body = ideal.body_parameters()
     drive = replace(driven(model, torch.zeros_like(q), t), body=body)
-    return model._rubbed(*model._smooth(drive, q, qd, 0.0))[0]
+    return model.mechanics.with_friction(*model.mechanics.smooth(drive, q, qd, 0.0))[0]

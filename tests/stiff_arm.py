@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 
 LENGTHS = (0.35, 0.3)
 
@@ -22,7 +22,7 @@ def arm(steps, noise, *, stiff=1e-3, dt=0.02, **options):
         "torque.scale": 3.0,
         **options.pop("parameters", {}),
     }
-    emission = options.pop("emission", Emission([0, 1]))
-    if emission.tips:
+    observation = options.pop("observation", Observation(Keypoints([0, 1])))
+    if observation.keypoints:
         parameters["emission.keypoint_scale"] = noise
-    return ArmModel(body(), dt * np.arange(steps), emission, parameters=parameters, **options)
+    return ArmModel(body(), dt * np.arange(steps), observation, parameters=parameters, **options)

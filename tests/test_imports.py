@@ -1,6 +1,8 @@
 """Imports go one way, and never in a circle; read from the source, so that lazy imports count too."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -75,17 +77,68 @@ def test_imports_go_one_way(room):
     assert not wrong
 
 
-def test_a_diagnosis_goes_through_its_stages_one_way():
-    stages = ["problem", "sensitivity", "hypotheses", "assessment"]
-    stage = {name: parts[2] for name in FILES if (parts := name.split("."))[1:2] == ["diagnosis"] and len(parts) > 3}
-    assert {*stages, "report"} == set(stage.values())
-    inner = {name: stages.index(at) for name, at in stage.items() if at in stages}
+STAGES = {
+    "inference": ["execution", "smoothing", "filters", "fitting", "variational", "mcmc", "posterior", "methods"],
+    "diagnosis": ["problem", "sensitivity", "hypotheses", "assessment", "report"],
+}
+"""Rooms of a room, each importing only those before it; a file beside them stands after the last of what it imports."""
+
+
+def inner_room(module):
+    """filters for invdyn.inference.filters.weights; None for a file at the top of its room."""
+    parts = module.split(".")
+    return parts[2] if len(parts) > 3 or (len(parts) == 3 and FILES[module].name == "__init__.py") else None
+
+
+@pytest.mark.parametrize("room", STAGES)
+def test_rooms_of_a_room_go_one_way(room):
+    stages = STAGES[room]
+    modules = [name for name in FILES if room_of(name) == room and name != f"invdyn.{room}"]
+    assert {inner_room(name) for name in modules} - {None} == set(stages)
+
+    def rank(name):
+        if (inner := inner_room(name)) is not None:
+            return stages.index(inner)
+        return max((rank(other) for other in IMPORTS[name] & set(modules)), default=-1)
+
     assert not [
         f"{name} imports {other}"
-        for name in inner
-        for other in IMPORTS[name]
-        if stage.get(other) == "report" or inner.get(other, 0) > inner[name]
+        for name in modules
+        for other in IMPORTS[name] & set(modules)
+        if rank(other) > rank(name)
     ]
+
+
+def test_a_report_is_only_read():
+    """The page of a diagnosis is made of its result: no stage before knows it."""
+    assert not [
+        name
+        for name in FILES
+        if room_of(name) == "diagnosis" and inner_room(name) not in ("report", None)
+        for other in IMPORTS[name]
+        if inner_room(other) == "report"
+    ]
+
+
+GENERIC = ("execution", "smoothing", "filters", "fitting", "variational", "mcmc")
+"""Rooms of inference that need no more than a ``StateSpaceModel``."""
+
+
+def test_generic_inference_loads_no_body():
+    """In a fresh interpreter: of our own, only state-space models, and how files and errors are written."""
+    generic = [name for name in FILES if room_of(name) == "inference" and inner_room(name) in GENERIC]
+    assert len(generic) > 30
+    code = f"import importlib, sys\nfor name in {generic!r}: importlib.import_module(name)\nprint(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    ours = {name for name in loaded if name.startswith("invdyn.")}
+    assert ours >= set(generic)
+    assert {name for name in ours if room_of(name) == "recordings"} <= {
+        "invdyn.recordings",
+        "invdyn.recordings.errors",
+        "invdyn.recordings.atomic",
+    }
+    assert not [name for name in ours if name.startswith(("invdyn.models.bodies", "invdyn.models.articulated"))]
+    assert {inner_room(name) for name in ours if room_of(name) == "inference"} <= {*GENERIC, None}
 
 
 def cycle(graph):

@@ -1,7 +1,8 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -12,6 +13,7 @@ from invdyn.diagnosis.assessment.confusability import overlaps
 from invdyn.diagnosis.assessment.findings import finding, key
 from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
+from invdyn.diagnosis.assessment.matters import TOLERANCE, matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed
 from invdyn.diagnosis.assessment.result import (
     Cause,
@@ -32,8 +34,9 @@ from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.problem.cause import Refined
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.noise import is_noise
+from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.models import Body
+from invdyn.models import ArmModel, Body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
@@ -52,27 +55,29 @@ def assembled(
     follows: Sequence[str],
     seed: int,
     held_out: str,
+    tolerance: float = TOLERANCE,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
     ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
+    A gap under ``tolerance`` of a typical torque does not matter (:mod:`.matters`).
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
     after, after_sd, path = residual(bound, best)
     _, q, qd = best.model.split(path)
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    parts = [  # what takes longest first
+    parts: list[Callable[[], Any]] = [  # what takes longest first
         partial(replay, best.model, path, bound.starts),
         partial(replay, model, _without_hidden(model, path), bound.starts),
         partial(residual, bound, none),
         *(partial(scores, bound, cause) for cause in (none, best)),
     ]
-    corrected, nominal, (before, before_sd, _), scored, improved = side_by_side(parts, found.workers)
+    corrected, nominal, (before, before_sd, unexplained), scored, improved = side_by_side(parts, found.workers)
     replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
-    moved = seen_tips(best.model, path) - tips[:, model.emission_model.tips]
+    moved = seen_tips(best.model, path) - tips[:, list(model.observation.tracked)]
     shifts = (
         np.sqrt((moved**2).sum(-1).mean(0))
         / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
@@ -94,21 +99,22 @@ def assembled(
     nothing = weighed.causes.get("", (none, 0.0))[1]
     rivals = _ambiguous(causes)
     joints = body.joint_names
-    visibility = tuple(
-        Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in found.first if s.effect is not None
-    )
-    probability = 1.0 - nothing
+    visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
+    probability, limit = 1.0 - nothing, tolerated(bound, unexplained, tolerance)
+    large = matters(bound, none, best, before, limit)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
         seed=seed,
         regime=bound.regime,
         gap=Gap(
-            detected=probability > 0.5,
+            detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
             residual_torque_rms=_rms(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+            matters=large,
+            tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime != "unknown_torque" else {},
         ),
         where=where(
             model,
@@ -142,12 +148,12 @@ def assembled(
             {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
         joint_names=joints,
-        link_names=tuple(link.name for link in body.links),
+        link_names=body.link_names,
         lengths=tuple(model.body_parameters().length.tolist()),
         tracks=Tracks(
             time=model.time.numpy(),
-            observed=bound.observations[:, : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy(),
-            keypoint_names=tuple(body.keypoint_names[tip] for tip in model.emission_model.tips),
+            observed=model.observation.points(bound.observations).numpy(),
+            keypoint_names=model.observation.tracked_names,
             base=np.asarray(body.base, dtype=float),
             command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
             angle=q.numpy(),
@@ -162,11 +168,10 @@ def assembled(
             residual_after_sd=after_sd,
             frame_gap=frame_gap,
         ),
-        screened=tuple(
-            (key(s.effect), float(s.log_evidence - _nothing(found))) for s in found.first if s.effect is not None
-        ),
+        screened=tuple((key(s.effect), float(s.log_evidence - _nothing(found))) for s in added(found.first)),
         visibility=visibility,
         method=_method(bound, found, weighed, held_out),
+        not_looked_at=found.missed,
         posterior=_posterior(bound, best, weighed, seed),
     )
 
@@ -177,7 +182,7 @@ def _unseen(bound: Setting, found: Search) -> set[str]:
     Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
     """
     unknown, body = bound.regime == "unknown_torque", bound.model.body
-    shown = [s for s in found.first if s.effect is not None]
+    shown = added(found.first)
     unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
     if bound.regime != "commanded":
         everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
@@ -194,7 +199,7 @@ def _nothing(found: Search) -> float:
     return next(s.log_evidence for s in found.first if s.effect is None)
 
 
-def _without_hidden(model, path: torch.Tensor) -> torch.Tensor:
+def _without_hidden(model: ArmModel, path: torch.Tensor) -> torch.Tensor:
     extra = path.shape[-1] - model.state_dim
     return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
 
@@ -232,6 +237,8 @@ def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> d
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
         "noise scale at its likeliest (its integral adds the same to each); "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
+        "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
+        "looked at",
         "held out": held_out,
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
@@ -263,7 +270,7 @@ def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, r
         not_identifiable=(),
         shrinkage=Shrinkage(None, None, False, empty),
         joint_names=joints,
-        link_names=tuple(link.name for link in body.links),
+        link_names=body.link_names,
         lengths=tuple(link.nominal("length") for link in body.links),
         tracks=None,
         screened=(),

@@ -36,11 +36,12 @@ from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.block_filter import BLOCK, BlockFilter
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult, joined
-from invdyn.inference.methods.laplace import GaussianChain
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.models import ArmModel
+from invdyn.models.divergence import Diverged, diverging
 
 FILTERS, PARTICLES = 8, 20
 """Filters of a run, particles of each filter."""
@@ -98,7 +99,7 @@ def confirm(
     if run is None:
         return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
     values, result = run
-    if before is not None:
+    if before is not None and before.result is not None:
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
     rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top]
@@ -110,8 +111,9 @@ def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Ten
     """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
     values, log_ratio = _draw(setting, cause, filters, seed)
     try:
-        result = _filtered(setting, cause, values, best_size(setting, cause), seed)
-    except (SMCFailed, ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        with diverging():
+            result = _filtered(setting, cause, values, best_size(setting, cause), seed)
+    except (SMCFailed, Diverged):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 

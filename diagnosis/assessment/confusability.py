@@ -17,23 +17,23 @@ import numpy as np
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.unknowns import unknowns
-from invdyn.diagnosis.sensitivity.screen import Screened, beside
+from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import SPIKE, filter_of, linear_of, whiten
 
 
-def change(setting: Setting, screened: Screened) -> np.ndarray:
+def change(setting: Setting, screened: Added) -> np.ndarray:
     """What an effect explains of the whitened data, (N,)."""
     model, path, best = setting.model, screened.path, screened.best
     levels, common = np.array([SPIKE]), unknowns(setting, ())
     about = filter_of(setting, model, path, levels, linear_of(setting, model, path))
     body = slopes(model, common, common.mean, 0.05 * common.sd, path)
     columns = whiten(setting, about, beside([screened.columns, body])).columns[0]
-    added, free = int(best.offset is not None), len(best.free)
-    basis, _ = np.linalg.qr(columns[:, 1 + added + free :])
+    offset, free = int(best.offset is not None), len(best.free)
+    basis, _ = np.linalg.qr(columns[:, 1 + offset + free :])
     columns = columns - basis @ (basis.T @ columns)
-    A = columns[:, 1 + added : 1 + added + free]
-    b = columns[:, 1] if added else np.zeros(len(columns))
+    A = columns[:, 1 + offset : 1 + offset + free]
+    b = columns[:, 1] if offset else np.zeros(len(columns))
     precision = 1 / np.square(best.sd)
     towards = A.T @ (columns[:, 0] + b) - precision * np.array(best.mean)
     return b - A @ np.linalg.solve(A.T @ A + np.diag(precision), towards)
@@ -44,7 +44,7 @@ def overlaps(setting: Setting, rivals: Sequence[str], first: Sequence[Screened])
 
     Two that it followed along different paths are compared each along its own.
     """
-    found = {key(s.effect): s for s in first if s.effect is not None}
+    found = {key(s.effect): s for s in added(first)}
     changed = {name: change(setting, found[name]) for name in rivals if name in found}
     return tuple((one, other, _alike(changed[one], changed[other])) for one, other in combinations(changed, 2))
 

@@ -33,6 +33,7 @@ from invdyn.diagnosis.hypotheses.swap_step import without
 from invdyn.diagnosis.problem.cause import Refined, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
 
 BLOCK = 0.4
@@ -107,10 +108,10 @@ def by_effect(
         rest = tuple(e for e in cause.effects if e is not effect)
         lesser = found.pool.get(key_of(rest)) or attempt(without, setting, cause, effect, FIRM)
         lesser = lesser and attempt(taken, lesser)
-        scored = lesser and attempt(scores, there.setting, lesser, rows)
-        return scored and closed(nothing, everything, rows, time, seed, besides=scored)
+        scored = None if lesser is None else attempt(scores, there.setting, lesser, rows)
+        return None if scored is None else closed(nothing, everything, rows, time, seed, besides=scored)
 
-    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers)
+    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers, setting.budget)
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 
@@ -131,8 +132,9 @@ def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
     settled = replace(cause, covariance=np.zeros_like(cause.covariance))
     try:
         begun, size = cause.path[: len(train.observations)], best_size(setting, cause)
-        fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
-    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        with diverging():
+            fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
+    except Diverged:
         return settled  # the first rows by themselves lead nowhere
     # Linearised along a path that knows the held-out rows; the predictions themselves do not.
     return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)

@@ -52,7 +52,7 @@ def where(
     body = model.body
     energy = ((residual / typical) ** 2).mean(0)
     everywhere = energy / energy.sum() if energy.sum() > 0 else np.full(len(energy), 1 / len(energy))
-    tracked = [body.keypoint_names[tip] for tip in model.emission_model.tips]
+    tracked = list(model.observation.tracked_names)
     spread = (
         shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
     )

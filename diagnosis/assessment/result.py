@@ -7,6 +7,7 @@ else than the run. T rows, K joints, P tracked keypoints; SI units and radians.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -65,8 +66,9 @@ class Cause:
 class Gap:
     """Whether there is a gap, with what probability, and its size in the units that people use.
 
-    `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers; `residual_torque_rms`
-    joint to N·m.
+    `detected` says that there is one and that it `matters`, which a torque under `tolerated_torque`, joint to N·m, does
+    not. `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers;
+    `residual_torque_rms` joint to N·m.
     """
 
     detected: bool
@@ -74,6 +76,8 @@ class Gap:
     elpd_per_frame: dict[str, float]
     residual_torque_rms: dict[str, float]
     replay_rms_m: dict[str, float]
+    matters: bool = True
+    tolerated_torque: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,8 @@ class Diagnosis:
     `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
     apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.confusability`), and
     `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
-    `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
+    `not_looked_at` counts the candidates for which the budget had nothing left when it ended the search, 0 where it did
+    not. `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
     candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
     In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
     its "end".
@@ -207,6 +212,7 @@ class Diagnosis:
     method: dict[str, str]
     overlaps: tuple[tuple[str, str, float], ...] = ()
     not_enough_data: str | None = None
+    not_looked_at: int = 0
     posterior: az.InferenceData | None = None
 
     def to_json(self) -> dict:
@@ -226,6 +232,8 @@ class Diagnosis:
                 "elpd_per_frame": self.gap.elpd_per_frame,
                 "residual_torque_rms": self.gap.residual_torque_rms,
                 "replay_rms_m": self.gap.replay_rms_m,
+                "matters": self.gap.matters,
+                "tolerated_torque": self.gap.tolerated_torque,
             },
             "where": {
                 "side": self.where.side,
@@ -253,6 +261,7 @@ class Diagnosis:
                 "gain_per_frame": self.outside.gain_per_frame,
             },
             "not_identifiable": list(self.not_identifiable),
+            "search": {"stopped_at_the_budget": self.not_looked_at > 0, "not_looked_at": self.not_looked_at},
             "shrinkage": {
                 **_closed(self.shrinkage),
                 "held_out": self.shrinkage.held_out,
@@ -262,7 +271,7 @@ class Diagnosis:
         }
 
 
-def _finite(value):
+def _finite(value: Any) -> Any:
     """The same with None for numbers that are not finite, which JSON lacks."""
     if isinstance(value, dict):
         return {name: _finite(each) for name, each in value.items()}

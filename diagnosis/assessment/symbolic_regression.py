@@ -54,27 +54,31 @@ class Formula:
     gain_per_frame: float
 
 
+CONSTANT = "constant"
 LIBRARY: dict[str, tuple[str, str, Feature]] = {
-    "1": ("", "N·m", lambda m, k: np.ones(len(m.t))),
-    "sin {}": ("position", "N·m", lambda m, k: np.sin(m.q[:, k])),
-    "cos {}": ("position", "N·m", lambda m, k: np.cos(m.q[:, k])),
-    "sin 2{}": ("position", "N·m", lambda m, k: np.sin(2 * m.q[:, k])),
-    "cos 2{}": ("position", "N·m", lambda m, k: np.cos(2 * m.q[:, k])),
-    "({0} − mean)": ("position", "N·m/rad", lambda m, k: m.q[:, k] - m.q[:, k].mean()),
-    "({0} − mean)³": ("position", "N·m/rad³", lambda m, k: (m.q[:, k] - m.q[:, k].mean()) ** 3),
-    "d{}/dt": ("velocity", "N·m·s/rad", lambda m, k: m.qd[:, k]),
-    "sgn d{}/dt": ("velocity", "N·m", lambda m, k: np.tanh(m.qd[:, k] / (0.02 * np.abs(m.qd[:, k]).max() + 1e-9))),
-    "|d{0}/dt| d{0}/dt": ("velocity", "N·m·s²/rad²", lambda m, k: m.qd[:, k] * np.abs(m.qd[:, k])),
-    "max(d{}/dt, 0)": ("velocity", "N·m·s/rad", lambda m, k: np.maximum(m.qd[:, k], 0)),
-    "sin({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.sin(m.q[:, k]) * m.qd[:, k]),
-    "cos({0}) d{0}/dt": ("position", "N·m·s/rad", lambda m, k: np.cos(m.q[:, k]) * m.qd[:, k]),
-    "d²{}/dt²": ("acceleration", "N·m·s²/rad", lambda m, k: m.qdd[:, k]),
-    "u {}": ("command", "1", lambda m, k: m.u[:, k]),
-    "|u {}|": ("command", "1", lambda m, k: np.abs(m.u[:, k])),
-    "t d{}/dt": ("time", "N·m/rad", lambda m, k: m.t * m.qd[:, k]),
-    "t u {}": ("time", "1/s", lambda m, k: m.t * m.u[:, k]),
+    CONSTANT: ("", "N·m", lambda m, k: np.ones(len(m.t))),
+    "sin {q}": ("position", "N·m", lambda m, k: np.sin(m.q[:, k])),
+    "cos {q}": ("position", "N·m", lambda m, k: np.cos(m.q[:, k])),
+    "sin 2{q}": ("position", "N·m", lambda m, k: np.sin(2 * m.q[:, k])),
+    "cos 2{q}": ("position", "N·m", lambda m, k: np.cos(2 * m.q[:, k])),
+    "({q} − mean)": ("position", "N·m/rad", lambda m, k: m.q[:, k] - m.q[:, k].mean()),
+    "({q} − mean)³": ("position", "N·m/rad³", lambda m, k: (m.q[:, k] - m.q[:, k].mean()) ** 3),
+    "d{q}/dt": ("velocity", "N·m·s/rad", lambda m, k: m.qd[:, k]),
+    "sgn d{q}/dt": ("velocity", "N·m", lambda m, k: np.tanh(m.qd[:, k] / (0.02 * np.abs(m.qd[:, k]).max() + 1e-9))),
+    "|d{q}/dt| d{q}/dt": ("velocity", "N·m·s²/rad²", lambda m, k: m.qd[:, k] * np.abs(m.qd[:, k])),
+    "max(d{q}/dt, 0)": ("velocity", "N·m·s/rad", lambda m, k: np.maximum(m.qd[:, k], 0)),
+    "sin({q}) d{q}/dt": ("position", "N·m·s/rad", lambda m, k: np.sin(m.q[:, k]) * m.qd[:, k]),
+    "cos({q}) d{q}/dt": ("position", "N·m·s/rad", lambda m, k: np.cos(m.q[:, k]) * m.qd[:, k]),
+    "d²{q}/dt²": ("acceleration", "N·m·s²/rad", lambda m, k: m.qdd[:, k]),
+    "{u}": ("command", "1", lambda m, k: m.u[:, k]),
+    "|{u}|": ("command", "1", lambda m, k: np.abs(m.u[:, k])),
+    "t d{q}/dt": ("time", "N·m/rad", lambda m, k: m.t * m.qd[:, k]),
+    "t {u}": ("time", "1/s", lambda m, k: m.t * m.u[:, k]),
 }
-"""Term → (variable, unit of its coefficient, function of the motion and a joint)."""
+"""Term in an angle {q} or a command {u} → (variable, unit of its coefficient, function of the motion and a joint).
+
+The unit 1 and the constant term are left out in words: "+0.1 × u[elbow] on elbow", "+0.1 N·m on elbow".
+"""
 
 
 def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
@@ -115,9 +119,15 @@ def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
         terms[i][0]: (float(mean), float(s), terms[i][2])
         for i, mean, s in zip(chosen, fit.mean[0], spread, strict=True)
     }
-    text = "; ".join(f"{mean:+.3g} ± {s:.1g} {unit} × {name}" for name, (mean, s, unit) in named.items())
+    text = "; ".join(f"{mean:+.3g} ± {s:.1g}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
     variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
     return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd))
+
+
+def _factor(unit: str, name: str) -> str:
+    """Unit and term behind a coefficient: " N·m × sin θ[elbow] on elbow"; a constant's is " N·m on elbow"."""
+    what = name.removeprefix(CONSTANT) if name.startswith(CONSTANT) else f" × {name}"
+    return f"{'' if unit == '1' else f' {unit}'}{what}"
 
 
 def _is_product(name: str) -> bool:
@@ -125,25 +135,28 @@ def _is_product(name: str) -> bool:
     return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
-def _library(cause: Refined, path: Tensor):
+def _library(cause: Refined, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
     """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))
     time = model.time.numpy() - model.time[0].item()
     u = np.zeros_like(q) if model.command is None else model.command.numpy()
     qdd = np.diff(qd, axis=0) / np.diff(time)[:, None]
-    motion = Motion(*((x[1:] + x[:-1]) / 2 for x in (q, qd)), qdd, u[:-1], (time[1:] + time[:-1]) / 2)
+    angle, velocity, middle = ((x[1:] + x[:-1]) / 2 for x in (q, qd, time))
+    motion = Motion(angle, velocity, qdd, u[:-1], middle)
     terms, features = [], []
     joints = model.body.joint_names
     for joint, acts_on in enumerate(joints):
         for k, name in enumerate(joints):
             for pattern, (variable, unit, function) in LIBRARY.items():
-                if (pattern == "1" and k != joint) or (variable in ("command", "time") and (k != joint or not u.any())):
+                if (pattern == CONSTANT and k != joint) or (
+                    variable in ("command", "time") and (k != joint or not u.any())
+                ):
                     continue
                 feature = function(motion, k)
-                if np.ptp(feature) == 0 and pattern != "1":
+                if np.ptp(feature) == 0 and pattern != CONSTANT:
                     continue
-                what = f"{pattern.format(f'θ[{name}]')} on {acts_on}"
+                what = f"{pattern.format(q=f'θ[{name}]', u=f'u[{name}]')} on {acts_on}"
                 terms.append((what, joint, unit, f"{variable}:{name}" if variable else ""))
                 features.append(feature)
     return terms, features
@@ -163,7 +176,7 @@ def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray)
     return np.logaddexp.reduce([_at(whitened, g, sets, sd).log_evidence for g in range(len(whitened.sizes))])
 
 
-def _held_out_gain(whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
+def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
     """Nats a frame that the last third of the rows gains, with coefficients from the first two."""
     rows = whitened.columns[size]
     cut = int(SHARE * len(rows))

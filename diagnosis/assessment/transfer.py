@@ -24,11 +24,10 @@ from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, scores, whitened
 from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, Setting
 from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
-from invdyn.recordings import InputError
 
 MOST = 50
 """Gauss–Newton steps, at most."""
@@ -41,7 +40,7 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
 
     ``start`` (T, D) is the path that the other recording's data ask for (:func:`.continuation.data_path`).
     Gauss–Newton by itself may end in a poor one, and so may a homotopy; where joints stick, also one after the
-    other. Raises InputError where no path can be followed.
+    other. Raises CannotFollow where no path can be followed.
     """
     model, size = cause.carried_to(other), best_size(setting, cause)
     rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
@@ -65,12 +64,13 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
     if model.effects.abrupt and own is not None:
         tried.append(attempt(along, own, by_itself=False))
     worth = [score(each) for each in tried]
-    if not np.isfinite(worth).any():
-        raise InputError(
+    there = tried[int(np.argmax(worth))]
+    if there is None or not np.isfinite(worth).any():
+        raise CannotFollow(
             f"{other.problem.recording.name}: body {model.body.name!r} cannot follow it, even with torque of its own "
             "at each joint: hold out a calmer recording of the same arm, or none"
         )
-    return tried[int(np.argmax(worth))]
+    return there
 
 
 @torch.no_grad()
@@ -79,8 +79,8 @@ def turned(there: Refined) -> list[Refined]:
 
     None where it is all the same to them, as it is to gravity and friction.
     """
-    model, path, found = there.model, there.path, []
-    if model.emission_model.num_encoders:
+    model, path, found = there.model, there.path, list[Refined]()
+    if model.observation.encoders:
         return found
     rows, joints = torch.arange(len(path)), model.body.num_joints
     after = model.transition_mean(path, rows)

@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.refine import expansions, refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.cause import Refined, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.noise import grid, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
@@ -107,9 +107,10 @@ class Play:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
         width = min(float(np.exp(log_width)), upper_bound(self.parameter))
         if width not in self.tried:
+            self.setting.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
-        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], [width])
+        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], np.array([width]))
 
 
 def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:

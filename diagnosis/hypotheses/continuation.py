@@ -4,8 +4,6 @@ Gauss–Newton finds the path of highest density near where it starts. A first o
 lets the arm follow the data under any simulation, with heavy tails where there are stray detections.
 """
 
-import copy
-
 import torch
 from torch import Tensor
 
@@ -23,6 +21,8 @@ SLACK = (1000.0, 100.0, 10.0, 1.0)
 """Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
 ITERATIONS, PATIENT, CLOSE = 6, 20, 0.3
 """Gauss–Newton steps at each of them, at most, or all at once; and the gain in nats under which they end."""
+STEPS = 3
+"""They take in the middle, from a path that is near."""
 
 
 def data_path(setting: Setting) -> tuple[Tensor, bool]:
@@ -45,11 +45,8 @@ def data_path(setting: Setting) -> tuple[Tensor, bool]:
 
 def _heavy_tailed(model: ArmModel) -> ArmModel:
     """The model with Student-t observations."""
-    other = copy.copy(model)
-    other.emission_model = copy.copy(model.emission_model)
-    other.emission_model.family = "student_t"
-    other.parameters = {**model.parameters, "emission.df": torch.full((1,), 3.0, dtype=model.dtype)}
-    return other
+    other = model.observed_by(model.observation.with_family("student_t"))
+    return other.replace(**{"emission.df": torch.full((1,), 3.0, dtype=model.dtype)})
 
 
 def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
@@ -63,6 +60,7 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
         quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
         path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
+        setting.budget.spend(ITERATIONS, loose, len(path))
     return path
 
 
@@ -74,6 +72,7 @@ def firmed(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tens
     """
     quiet = setting.with_residual(max(size, FIRM), model)
     own = gauss_newton_path(quiet, setting.observations, path, PATIENT, CLOSE)
+    setting.budget.spend(STEPS, model, len(path))
     if not model.effects.abrupt:
         return own
     other = led(setting, model, path, size)

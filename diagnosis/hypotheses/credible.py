@@ -18,9 +18,9 @@ def credible(bound: Setting, cause: Refined) -> bool:
     for effect in cause.effects:
         parameters = effect.parameters(bound.model.scale)
         names = {p.name: f"{effect.key}.{p.name}" for p in parameters}
-        own = [{name: known[key] for name, key in names.items()} for known in (mean, sd)]
-        if not effect.credible(*own, bound.model.scale):
+        own, spreads = ({name: known[key] for name, key in names.items()} for known in (mean, sd))
+        if not effect.credible(own, spreads, bound.model.scale):
             return False
-        if is_searched(effect) and any(at_far_end(p, own[0][p.name]) for p in parameters):
+        if is_searched(effect) and any(at_far_end(p, own[p.name]) for p in parameters):
             return False
     return have_room(cause.effects, mean, bound.model.scale)

@@ -13,7 +13,7 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import Refined
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.unknowns import unknowns
-from invdyn.diagnosis.sensitivity.screen import screen
+from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
 
 SHIFTS = (-1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5)
@@ -38,9 +38,10 @@ def relocated(setting: Setting, base: Refined, effect: Effect, cause: Refined) -
         point = np.array([known[name] for name in common.names])
         model = common.set_in(base.model, point)
         best = screen(setting, model, cause.path, [effect], common, point, times=times)
-        values = next(s.values for s in best if s.effect is not None)
+        (likely,) = added(best)
+        values = likely.values
         start = known | {f"{effect.key}.{name}": value for name, value in values.items()}
-        size = float(next(s.size for s in best if s.effect is not None))
+        size = float(likely.size)
         other = refine(setting, cause.effects, start, cause.path, size, **base.searched)
         if other.log_evidence < cause.log_evidence + GAIN:
             return cause

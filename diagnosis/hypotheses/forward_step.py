@@ -78,7 +78,7 @@ def extend(setting: Setting, found: Search, base: Refined, width: int) -> list[S
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
         driven = _sought(setting, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(setting, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers):
+        for causes in side_by_side([*driven, *late], found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
     return screened
@@ -94,9 +94,9 @@ def screened_with(setting: Setting, found: Search, base: Refined, alone: bool) -
         model, path, point = setting.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
-    if alone and not few:
+    if alone and not few and found.aside is not None:
         parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers)
+        screened, other = side_by_side(parts, found.workers, setting.budget)
         return screened, _aside(screened, other)
     screened = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
     return screened, screened
@@ -112,7 +112,7 @@ def _searchable(
     slips = len(beside) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
     slips = slips and (not beside or base.log_evidence > found.cleaned - HOPELESS)
     searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
-    gears = [e for e in searched if isinstance(e, HiddenHinge)]
+    gears: list[Effect] = [e for e in searched if isinstance(e, HiddenHinge)]
     return gears if slips else [], [e for e in searched if e not in gears]
 
 

@@ -74,16 +74,17 @@ def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
 def loudness(setting: Setting, cause: Refined) -> float:
     """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
     grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
-    points = 2 * len(cause.model.emission_model.tips)
-    if not grows or cause.model.emission_model.num_encoders:
+    observation = cause.model.observation
+    if not grows or observation.encoders or observation.keypoints is None:
         return cause.kappa
+    points = observation.part(observation.keypoints)
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
     rows = rows if isinstance(rows, MistakenRows) else rows.base_dist
     draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
     drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * setting.observations
 
     def shown(observations: torch.Tensor) -> np.ndarray:
-        return jitter(calm(setting.model.time, observations, setting.starts).numpy()[:, :points])
+        return jitter(calm(setting.model.time, observations, setting.starts).numpy()[:, points])
 
     own, theirs = np.mean([shown(each) for each in drawn], 0), shown(setting.observations)
     known = (own > 0) & (theirs > 0)

@@ -39,6 +39,7 @@ class Search:
         relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.moves`).
         stray: whether some detections are far from it.
         most: effects at once, at most.
+        missed: candidates that the budget had nothing left for.
     """
 
     candidates: list[Effect]
@@ -50,6 +51,7 @@ class Search:
     workers: int = 1
     relatives: dict[str, float] = field(default_factory=dict)
     most: int = MOST
+    missed: int = 0
 
     @property
     def top(self) -> float:
@@ -133,8 +135,8 @@ def leaves(cause: Refined, none: Refined) -> bool:
 def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
     """Every effect of the catalogue at every place at which it can act in this regime, bound."""
     body = setting.model.body
-    emission, commanded = setting.model.emission_model, setting.regime == "commanded"
-    tracked = [body.keypoint_names[tip] for tip in emission.tips]
+    observation, commanded = setting.model.observation, setting.regime == "commanded"
+    tracked = list(observation.tracked_names)
     found = []
     for name, kind in EFFECTS.items():
         if name in without:
@@ -144,7 +146,7 @@ def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
         found += [
             effect.bound(body)
             for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, emission.doubt is not None)
+            if effect.tellable(commanded, bool(observation.data()))
         ]
     return found
 

@@ -51,7 +51,7 @@ def best_size(setting: Setting, cause: Refined) -> float:
 
 
 def whitened(
-    setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float], columns: Columns | None = None
+    setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float] | np.ndarray, columns: Columns | None = None
 ) -> Whitened:
     """Innovations of ``setting``'s rows under a cause along a path (T, D), for each size of the residual.
 
@@ -87,7 +87,7 @@ def scores(setting: Setting, cause: Refined, unseen: np.ndarray | None = None) -
 
 def posterior_columns(setting: Setting, cause: Refined) -> Columns:
     """Slopes in p numbers z ~ N(0, I) along a cause's path: its parameters are μ + L z a posteriori."""
-    among = unknowns(setting, cause.model.effects)
+    among = unknowns(setting, cause.model.effects.effects)
     step = np.maximum(NUDGE * cause.sd, 1e-7 * among.sd)
     plain = slopes(cause.model, among, cause.mean, step, cause.path)
     values, vectors = np.linalg.eigh(cause.covariance)
@@ -157,7 +157,7 @@ def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
     with torch.no_grad():
         emission = model.emission(path, rows)
         loc = getattr(emission, "base_dist", emission).loc
-    return loc[..., : 2 * len(model.emission_model.tips)].unflatten(-1, (-1, 2)).numpy()
+    return model.observation.points(loc).numpy()
 
 
 def replay_rms(replayed: np.ndarray, smooth: np.ndarray) -> float:

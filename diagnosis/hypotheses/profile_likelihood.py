@@ -100,17 +100,17 @@ def _added(
     size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
-    start = np.log(start)
-    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    begun = np.log(start)
+    values = known | dict(zip(names, np.exp(begun).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
     (path, tangents, moving), some = along(cause), _telling(cause, levels)
-    start, covariance, integral = climb(score, start)
-    start = np.minimum(start, np.log(most))
-    own = integral - (score(start) - log_prior_of(parameters, np.exp(start)))
+    climbed, covariance, integral = climb(score, begun)
+    climbed = np.minimum(climbed, np.log(most))
+    own = integral - (score(climbed) - log_prior_of(parameters, np.exp(climbed)))
     noise_log = base.noise_log | {effect.key: own}
-    values = known | dict(zip(names, np.exp(start).tolist(), strict=True))
+    values = known | dict(zip(names, np.exp(climbed).tolist(), strict=True))
     cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
-    spreads = np.exp(start) * np.sqrt(np.diag(covariance))
+    spreads = np.exp(climbed) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
 
 

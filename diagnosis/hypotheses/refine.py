@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
-from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.cause import Refined, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
@@ -31,11 +31,14 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regressio
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, log_prior, sizes, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
 
 ROUNDS = 6
 STEPS, CLOSE = 3, 0.3
 """Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
+REFUSED = 2
+"""Steps more that a round takes in the middle, of those that gain nothing and what is worked out along the last."""
 SHORTER = 25
 """Steps, ever shorter ones, where none of those was a gain."""
 
@@ -63,14 +66,16 @@ def refine(
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
-    after the first of ``rounds``, or ``enough`` after the second, is left as it is. Parameters of effects that are
+    after the first of ``rounds``, or ``enough`` after the second, is left as it is; so is one at which the budget ends,
+    and :class:`.Spent` is raised where it ends before. Parameters of effects that are
     searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
     key, ``noise_sd`` their standard deviations.
     """
     model = setting.model.with_effects(*effects)
     effects = tuple(model.effects)
-    noise = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
-    noise = {name: float(values[name]) for name in noise}
+    setting.budget.ask(key_of(effects) or "no effect")
+    searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
+    noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     integrated = dict(noise_log or {})
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
@@ -88,16 +93,18 @@ def refine(
         here = among.set_in(model, point)
         quiet = setting.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
+        setting.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
             path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
+            setting.budget.spend(SHORTER, here, len(path))
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
-            raise np.linalg.LinAlgError("the expansion about these parameters is not finite")
+            raise Singular("the expansion about these parameters is not finite")
         mean, covariance = top.mean[0], top.covariance[0]
         target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
@@ -126,9 +133,12 @@ def refine(
         """
         nonlocal best, worth, most_seen, step
         for done in range(most):
+            if best is not None and setting.budget.over:
+                break
             try:
-                cause, target, promised = once(point, path, stiffness * size, fresh and not done)
-            except np.linalg.LinAlgError:
+                with diverging():
+                    cause, target, promised = once(point, path, stiffness * size, fresh and not done)
+            except Singular:
                 if best is None:
                     raise
                 break  # a step too far; what was found before it stands
@@ -154,15 +164,16 @@ def refine(
         descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
+    assert best is not None  # a first step that fails raises
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
-        if patient and not best.complete and best.log_evidence >= enough:
+        if patient and not best.complete and best.log_evidence >= enough and not setting.budget.over:
             size = float(levels[best.by_size.argmax()])
             firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
-    if rounds > 1 and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

@@ -23,16 +23,21 @@ With unknown torque one effect is looked for that the camera shows: what changes
 and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
 nothing, as no limb obeys it; one of the observation has to gain more.
 
+Where the budget (:mod:`..budget`) ends the search, it ends with what is in the pool.
+
 Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from torch import Tensor
 
+from invdyn.diagnosis.budget import SEARCH, Spent
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.forward_step import extend, screened_with
@@ -73,9 +78,18 @@ def search(
     Of no more than ``most`` effects at once.
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
-    known = setting.regime != "unknown_torque"
     found = replace(_begun(setting, path, stray, considered(setting, left_out), workers), most=most)
-    if known and stray:
+    setting.budget.share = SEARCH
+    with suppress(Spent):
+        _sought(setting, found)
+    found.missed = len(setting.budget.missed - found.pool.keys())
+    return found
+
+
+def _sought(setting: Setting, found: Search) -> None:
+    """Look for causes until nothing that is tried is better; raises :class:`.Spent` where the budget ends before."""
+    known, most = setting.regime != "unknown_torque", found.most
+    if known and found.stray:
         _mistaken(setting, found)
     extended: set[str] = set()
     for _ in range(max(FORWARD, most) if known else 1):
@@ -99,7 +113,6 @@ def search(
         refine_every(setting, found, base, screened_with(setting, found, base, False)[0])
         if found.ranked[0].key != best.key:
             _settled(setting, found, extended)
-    return found
 
 
 def _enough(setting: Setting, cause: Refined) -> bool:
@@ -142,10 +155,10 @@ def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect]
         aside = led(usual, setting.model, path, FIRM)
         return aside, attempt(refine, setting, (), {}, aside, FIRM)
 
-    starts = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
+    starts: list[Callable[[], Any]] = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
     if setting.regime != "unknown_torque":
         starts.append(partial(attempt, along_its_own))
-    none, *rest = side_by_side(starts, workers)
+    none, *rest = side_by_side(starts, workers, setting.budget)
     if none is None or None in rest:
         raise cannot_follow(setting)
     found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
@@ -191,7 +204,7 @@ def _mistaken(setting: Setting, found: Search) -> None:
     from where the simulation has it, too, and among stray detections nothing shows of that.
     """
     none = found.pool[""]
-    for path in (found.aside, found.path):
+    for path in (path for path in (found.aside, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
             base = none.moved_to(none.model, path)
             if (cause := attempt(refine_searched, setting, base, effect)) is not None:

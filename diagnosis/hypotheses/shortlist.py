@@ -17,10 +17,9 @@ show that something is left whatever it does.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-import torch
 
 from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import Search, imitable
@@ -28,10 +27,12 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import Refined, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.prior import log_prior_of
-from invdyn.diagnosis.sensitivity.screen import Screened
+from invdyn.diagnosis.sensitivity.screen import Added, Screened, added
 from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import NotTogether
 
 T = TypeVar("T")
 
@@ -74,9 +75,8 @@ def refine_promising(
     doubt = SURE if base.effects and base.complete else DOUBT
     promising = [
         s
-        for s in screened
-        if s.effect is not None
-        and temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
+        for s in added(screened)
+        if temper * (s.log_evidence - nothing) + log_prior_of((*base.effects, s.effect), found.candidates)
         > bare - doubt
     ]
     most = screened[0].log_evidence - nothing
@@ -99,7 +99,7 @@ def refine_promising(
             for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        for causes in side_by_side(parts if first else [*parts, *besides], found.workers):
+        for causes in side_by_side(parts if first else [*parts, *besides], found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
 
@@ -109,10 +109,11 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     none = next(s for s in screened if s.effect is None)
     least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
     known = {effect.key for cause in found.pool.values() for effect in cause.effects}
-    clear = [s for s in screened if s.effect is not None and s.effect.key not in known and s.by_size[0] > least]
+    clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - HOPELESS}
-    for causes in side_by_side([partial(_refined, setting, base, each, limits) for each in clear], found.workers):
+    parts = [partial(_refined, setting, base, each, limits) for each in clear]
+    for causes in side_by_side(parts, found.workers, setting.budget):
         for cause in causes:
             found.add(cause)
 
@@ -122,12 +123,12 @@ def refine_every(setting: Setting, found: Search, base: Refined, screened: Seque
 
     A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
     """
-    seen = [s for s in screened if s.effect is not None and s.effect.side == "observation"]
+    seen = [s for s in added(screened) if s.effect.side == "observation"]
     left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
         limits = {"enough": found.top - HOPELESS}
         parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]
-        for causes in side_by_side(parts, found.workers):
+        for causes in side_by_side(parts, found.workers, setting.budget):
             for cause in causes:
                 found.add(cause)
         if found.explained:
@@ -143,22 +144,22 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
     follows at once may explain nothing.
     """
     nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
-    seen = [s for s in screened if s.effect is not None and not imitable(s.effect) and s.dprime > FAINT]
+    seen = [s for s in added(screened) if not imitable(s.effect) and s.dprime > FAINT]
     soft = {s.effect.key for s in seen if s.effect.softened() is not None}
     barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
 
-    def refined(each: Screened) -> list[Refined]:
+    def refined(each: Added) -> list[Refined]:
         known = found.pool.get(key_of((*base.effects, each.effect)))
         causes = [known] if known else _refined(setting, base, each, {})
         ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
         return causes + [form for c in ideal if (form := softer(setting, c, each.effect)) is not None]
 
-    for causes in side_by_side([partial(refined, each) for each in barred], found.workers):
+    for causes in side_by_side([partial(refined, each) for each in barred], found.workers, setting.budget):
         for cause in causes:
             found.add(cause)
 
 
-def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> list[Refined]:
+def _refined(setting: Setting, base: Refined, each: Added, limits: dict[str, Any]) -> list[Refined]:
     """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
 
     Where both end far under the base, once more from there.
@@ -190,15 +191,17 @@ def _refined(setting: Setting, base: Refined, each: Screened, limits: dict[str, 
     return refined
 
 
-def _from_base(setting: Setting, base: Refined, each: Screened, limits: dict[str, float]) -> Refined:
+def _from_base(setting: Setting, base: Refined, each: Added, limits: dict[str, Any]) -> Refined:
     """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
-    nothing = {p.name: p.absent for p in each.effect.parameters(setting.model.scale) if p.absent not in (None, np.inf)}
-    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | nothing).items()} | base.values
+    none_of_it = {
+        p.name: p.absent for p in each.effect.parameters(setting.model.scale) if p.absent not in (None, np.inf)
+    }
+    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | none_of_it).items()} | base.values
     size = float(sizes(setting.regime)[int(base.by_size.argmax())])
     return refine(setting, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
 
 
-def softer(setting: Setting, cause: Refined, mine: Effect, **limits: float) -> Refined | None:
+def softer(setting: Setting, cause: Refined, mine: Effect, **limits: Any) -> Refined | None:
     """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
     form = mine.softened()
     if form is None:
@@ -215,9 +218,12 @@ def idle(screened: Sequence[Screened]) -> float:
     return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
 
 
-def attempt(work: Callable[..., T], *arguments, **options) -> T | None:
-    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all."""
+def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> T | None:
+    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all, or to
+    effects that no simulation has together.
+    """
     try:
-        return work(*arguments, **options)
-    except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        with diverging():
+            return work(*arguments, **options)
+    except (Diverged, NotTogether):
         return None

@@ -10,8 +10,6 @@ not always where friction falls with speed: such a motion is unstable, and what 
 next. What leaves something then may leave nothing in shorter ones.
 """
 
-from copy import copy
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -39,7 +37,7 @@ def finely_stepped(setting: Setting, path: Tensor) -> Setting:
     """
     if setting.regime == "unknown_torque":
         return setting
-    model, ends = copy(setting.model), {}
+    model, ends = setting.model, {}
     rows = torch.arange(1, len(path))
     about = filter_of(setting, setting.model, path, np.array([SPIKE]))
     nothing = np.zeros((*setting.observations.shape, 1))
@@ -47,9 +45,8 @@ def finely_stepped(setting: Setting, path: Tensor) -> Setting:
     def reached(count: int) -> Tensor:
         """States (T − 1, D) at the ends of all rows, in so many sub-steps."""
         if count not in ends:
-            model.substeps = count
             with torch.no_grad():
-                ends[count] = model.transition_mean(path[:-1], rows)
+                ends[count] = model.in_substeps(count).transition_mean(path[:-1], rows)
         return ends[count]
 
     own = setting.model.substeps

@@ -61,6 +61,7 @@ def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Re
         return refine(setting, rest, whole.values, whole.path, size)
     if not is_searched(effect):
         return refine(setting, rest, whole.values, whole.path, size, **whole.searched)
+    cause: Refined | None
     cause = refine(setting, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)
     for each in searched:
         cause = cause and refine_searched(setting, cause, each)

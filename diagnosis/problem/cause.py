@@ -110,11 +110,12 @@ class Refined:
         """
         mine, theirs = self.model, other.model
         values = {name: value for name, value in mine.parameters.items() if name.startswith(PREFIX)}
-        values |= {name: mine.parameters[name] for name in ("body.mass", "body.com", "body.inertia", "body.length")}
+        recorded = ("body.gravity", "body.base")  # of the recording's frame, and not of the body
+        values |= {n: v for n, v in mine.parameters.items() if n.startswith("body.") and n not in recorded}
         keypoint, angle = "emission.keypoint_scale", "emission.angle_scale"
         if keypoint in theirs.parameters:
-            known = dict(zip(mine.emission_model.tips, mine.parameters.get(keypoint, ()), strict=True))
-            own = zip(theirs.emission_model.tips, theirs.parameters[keypoint], strict=True)
+            known = dict(zip(mine.observation.tracked, mine.parameters.get(keypoint, ()), strict=True))
+            own = zip(theirs.observation.tracked, theirs.parameters[keypoint], strict=True)
             values[keypoint] = torch.stack([known.get(tip, scale) for tip, scale in own])
         if angle in theirs.parameters and angle in mine.parameters:
             values[angle] = mine.parameters[angle]

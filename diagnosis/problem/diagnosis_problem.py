@@ -9,8 +9,7 @@ what a gap in the dynamics is measured by. Three regimes:
 """
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +17,17 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.diagnosis.budget import Budget
+from invdyn.diagnosis.problem.conventions import check_conventions
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
+from invdyn.diagnosis.problem.thinned import thinned
 from invdyn.inference.posterior.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
 from invdyn.models.bodies.scalars import QUANTITIES
-from invdyn.models.effects.scale import typical_inertia, typical_torque
+from invdyn.models.divergence import Diverged
+from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
 
@@ -85,6 +88,7 @@ class Setting:
         uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
+        budget: what is left of it; all settings of one diagnosis share it.
     """
 
     problem: Problem
@@ -92,6 +96,7 @@ class Setting:
     uncertain: tuple["Uncertain", ...] = ()
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
+    budget: Budget = field(default_factory=Budget, compare=False)
 
     @property
     def model(self) -> ArmModel:
@@ -134,9 +139,7 @@ class Setting:
 
     def in_substeps(self, count: int) -> "Setting":
         """The same setting in so many integrator sub-steps a row."""
-        model = copy(self.model)
-        model.substeps = count
-        return replace(self, problem=replace(self.problem, model=model))
+        return replace(self, problem=replace(self.problem, model=self.model.in_substeps(count)))
 
     def observing(self, observations: Tensor) -> "Setting":
         """The same setting with other observations (T, O)."""
@@ -179,7 +182,8 @@ def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
 
 def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
-    recording, starts = joined([recording] if isinstance(recording, Recording) else recording)
+    given = [recording] if isinstance(recording, Recording) else recording
+    recording, begins = joined([thinned(each) for each in given])
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
     uncertain = uncertain_numbers(body)
@@ -197,7 +201,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
     # The first row of a recording that was seen; it follows from none before it.
-    starts = sorted({int(rows[:start].sum()) for start in starts} - {0, seen})
+    starts = sorted({int(rows[:start].sum()) for start in begins} - {0, seen})
     usual = _usual(problem.model, problem.observations, starts)
     model = _as_seen(problem, usual, regime)
     if regime == "commanded":
@@ -206,10 +210,11 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime == "commanded":
         _check_torques(recording.name, model, velocity)
+    check_conventions(recording.name, model, problem.observations, angle)
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
-    model.substeps = sufficient_substeps(model, usual)
+    model = model.in_substeps(sufficient_substeps(model, usual))
     return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
@@ -218,11 +223,11 @@ def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
 
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
     """
-    body = model.scale.body
+    body, dynamics = model.scale.body, model.dynamics
     if not bool(body.gravity.any()):
         return
     rms = (velocity.diff(dim=0) / model.dt[1:].unsqueeze(-1)).square().mean(0).sqrt()
-    needed = (typical_torque(body) + typical_inertia(body) * rms).norm().item()
+    needed = (typical_torque(dynamics, body) + dynamics.typical_inertia(body) * rms).norm().item()
     given = model.command.square().mean(0).sqrt().norm().item()
     if given > TOO_MUCH * needed:
         raise InputError(
@@ -242,24 +247,29 @@ def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
     ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
     """
     model = problem.model
-    points = 2 * len(model.emission_model.tips)
-    reach = model.body_parameters().length.sum().item()
+    observation = model.observation
+    reach = model.dynamics.reach(model.body_parameters()).item()
     found = {}
     if regime != "unknown_torque":
         found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
-    if points:
-        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), usual[:, :points].numpy()))
+    if observation.keypoints:
+        sd = torch.as_tensor(noise_at_rest(model.time.numpy(), observation.points(usual).numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
-    if model.emission_model.num_encoders:
-        angles = problem.observations[:, points:].numpy()
-        sd = shrunk(jitter(angles), variance_of_log(np.isfinite(angles).sum(0)))
-        found["emission.angle_scale"] = torch.as_tensor(sd).clamp_min(1e-5)
+    if observation.encoders:
+        angles = observation.of(observation.encoders, problem.observations).numpy()
+        shaken = shrunk(jitter(angles), variance_of_log(np.isfinite(angles).sum(0)))
+        found["emission.angle_scale"] = torch.as_tensor(shaken).clamp_min(1e-5)
     return model.replace(**found)
 
 
-def cannot_follow(setting: Setting) -> InputError:
+class CannotFollow(InputError, Diverged):
+    """Of the user's body on a recording; of a candidate, which is then none."""
+
+
+def cannot_follow(setting: Setting) -> CannotFollow:
     """The error of a simulation that runs away from its recording whatever is added to it."""
-    return InputError(
+    return CannotFollow(
         f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque of its "
-        "own at each joint: check units of torques (N·m), lengths and masses, or give a calmer stretch: --frames 0:500"
+        "own at each joint: check units of torques (N·m), lengths and masses, signs and zeros of joints, or give a "
+        "calmer stretch: --frames 0:500"
     )

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models import ArmModel
+from invdyn.models import ArmModel, Body
 
 FAR = 7.0
 """Times the median over rows."""
@@ -23,9 +23,13 @@ EXACT = 1e-9
 
 
 def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
-    """Observations (T, O) with exchanged labels put right; as they are where fewer than two keypoints are tracked."""
-    tips = model.emission_model.tips
-    points = observations[:, : 2 * len(tips)].unflatten(-1, (-1, 2)).numpy()
+    """Observations (T, O) with exchanged labels put right; as they are where fewer than two keypoints
+    are tracked, and of a body that is no chain in the plane.
+    """
+    if not isinstance(model.body, Body):
+        return observations
+    tips = model.observation.tracked
+    points = model.observation.points(observations).numpy()
     body = model.body_parameters()
     length, base = body.length.numpy(), body.base.numpy()
     links = [k for k in tips if k == 0 or k - 1 in tips]
@@ -48,4 +52,4 @@ def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
         there = misfit(other)
         better = (own > least) & (there < np.minimum(best, least)) & np.isfinite(other[:, [i, j]]).all((1, 2))
         best, put_right = np.where(better, there, best), np.where(better[:, None, None], other, put_right)
-    return torch.cat([torch.as_tensor(put_right).flatten(1), observations[:, 2 * len(tips) :]], -1)
+    return model.observation.with_points(observations, torch.as_tensor(put_right))

@@ -43,12 +43,12 @@ VAGUE = 1 / 3
 
 
 def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Noise sd, m, of each of P points (T, 2P) seen at ``time`` (T,) s where it rests; 0 where too little is seen."""
-    average = jitter(points).reshape(-1, 2).mean(1)
-    pairs = points.reshape(len(points), -1, 2).swapaxes(0, 1)
-    rest = np.array([_at_rest(time, pair, usual) for usual, pair in zip(average, pairs, strict=True)])
+    """Noise sd, m, of each of P points (T, P, d) seen at ``time`` (T,) s where it rests; 0 where too little is seen."""
+    average = jitter(points.reshape(len(points), -1)).reshape(points.shape[1:]).mean(1)
+    tracks = points.swapaxes(0, 1)
+    rest = np.array([_at_rest(time, track, usual) for usual, track in zip(average, tracks, strict=True)])
     grows = rest < average
-    variance = np.where(grows, VAGUE**2, variance_of_log(np.isfinite(pairs).sum((1, 2))))
+    variance = np.where(grows, VAGUE**2, variance_of_log(np.isfinite(tracks).sum((1, 2))))
     alike = shrunk(rest, variance)
     return np.where(grows, np.minimum(average, alike), alike)
 
@@ -74,7 +74,7 @@ def shrunk(sd: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 
 def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
-    """Of one point's ``track`` (T, 2), whose noise is ``usual`` on average; no more than that."""
+    """Of one point's ``track`` (T, d), whose noise is ``usual`` on average; no more than that."""
     seen = np.isfinite(track).all(-1)
     time, track = time[seen], track[seen]
     if len(track) < BINS * FEWEST or usual == 0.0:
@@ -84,7 +84,7 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     velocity = savgol_filter(track, window, DEGREE, deriv=1, delta=step, axis=0)
     speed = np.linalg.norm(velocity, axis=-1)
     sizes, along, whole = [], [], []
-    for c in range(2):
+    for c in range(track.shape[-1]):
         sizes.append(np.abs(differences(track[:, c])))
         # The middle of the rows that a difference is of.
         middle = slice((len(track) - len(sizes[c])) // 2, (len(track) - len(sizes[c])) // 2 + len(sizes[c]))

@@ -54,9 +54,10 @@ def thinned(x: np.ndarray, y: np.ndarray, most: int = MOST) -> tuple[np.ndarray,
 
 def path(points: np.ndarray) -> str:
     """SVG path through (N, 2) whole numbers, broken at NaN; a single point is the shortest of lines."""
-    pieces, run = [], []
+    pieces: list[str] = []
+    run: list[tuple[float, float]] = []
 
-    def close():
+    def close() -> None:
         if run:
             pieces.append("M" + " ".join(f"{round(x)} {round(y)}" for x, y in run) + ("h.1" if len(run) == 1 else ""))
         run.clear()
@@ -143,7 +144,10 @@ class Plot:
     def html(self, label: str) -> Markup:
         """The figure; `label` tells what it shows to those who do not see it."""
         across, up = ticks(*self.x, self.counts[0]), ticks(*self.y, self.counts[1])
-        xs, ys = self._points(np.array(across), 0)[:, 0] / WIDE, self._points(np.zeros(len(up)), np.array(up))[:, 1]
+        xs, ys = (
+            self._points(np.array(across), np.zeros(len(across)))[:, 0] / WIDE,
+            self._points(np.zeros(len(up)), np.array(up))[:, 1],
+        )
         grid = "".join(f"M{round(v * WIDE)} 0V{HIGH}" for v in xs) + "".join(f"M0 {round(v)}H{WIDE}" for v in ys)
         return Markup(
             '<div class="plot" role="img" aria-label="{}"><div class="yname">{}</div>'

@@ -7,6 +7,7 @@ The rule for digits is the Particle Data Group's: two digits of the uncertainty 
 
 import math
 from collections.abc import Mapping
+from typing import TypeGuard
 
 from invdyn.diagnosis.assessment.result import Estimate
 
@@ -23,7 +24,7 @@ HANDY = {
 """Unit → size under which it is changed, factor, unit that it is changed to."""
 
 
-def known(value: float | None) -> bool:
+def known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite number at all."""
     return value is not None and math.isfinite(value)
 

@@ -217,7 +217,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 def _visible(diagnosis: Diagnosis) -> dict[str, list]:
     """Candidates by whether the recording could have shown them, with d′."""
-    groups = {"yes": [], "faintly": [], "no": []}
+    groups: dict[str, list] = {"yes": [], "faintly": [], "no": []}
     for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):
         name = "no" if not v.dprime >= FAINT else "yes" if v.dprime >= CLEAR else "faintly"
         groups[name].append((key_words(v.key, diagnosis), plain(v.dprime, 2)))

@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import Cause, Diagnosis, named
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
 from invdyn.diagnosis.report.numbers import handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
@@ -33,7 +33,7 @@ def alike(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
     Two causes are alike where each effect of one is the other's, or in one ambiguity set with it.
     """
 
-    def group(finding):
+    def group(finding: Finding) -> str:
         names = {finding.key, finding.effect}
         found = [i for i, keys in enumerate(diagnosis.ambiguity_set) if names & set(keys) and len(keys) > 1]
         return f"#{found[0]}" if found else finding.key
@@ -52,24 +52,22 @@ def verdict(diagnosis: Diagnosis) -> str:
     """One sentence."""
     answer, probability = kind(diagnosis), percent(diagnosis.gap.probability)
     hidden = diagnosis.regime == "unknown_torque"
-    if answer == "not_enough_data":
+    if answer == "not_enough_data" and diagnosis.not_enough_data is not None:
         return f"Not enough data to say whether there is a gap: {diagnosis.not_enough_data.strip().rstrip('.')}."
     if answer == "none" and hidden:
         return (
             "No gap shows, but the joint torques are unknown and could hide one in how the arm moves "
             f"(probability of a gap {probability})."
         )
+    if answer == "none" and diagnosis.gap.probability > 0.5:
+        return f"No gap that matters: what the simulation lacks{_small(diagnosis)} is too little to look into."
     if answer == "none":
         return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
     if answer == "outside":
-        place, part = _place(diagnosis), _in_part(diagnosis)
-        return (
-            f"There is a gap{place}, and no effect in the catalogue explains {'all of it' if part else 'it'} "
-            f"({percent(diagnosis.outside.probability)} probable){part}."
-        )
-    if answer == "unclear":
-        return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
+        return _beyond(diagnosis)
     cause = best(diagnosis)
+    if answer == "unclear" or cause is None:
+        return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
     words, together = alike(diagnosis, cause)
     if answer == "ambiguous":
         them = "either" if len(words) == 2 else "any of them"
@@ -100,13 +98,41 @@ def _closing(diagnosis: Diagnosis, them: str) -> str:
     return f"adding {them} closes {'all' if closed >= 0.995 else percent(closed)} of the gap"
 
 
-def _in_part(diagnosis: Diagnosis) -> str:
-    """What explains a part of the gap, where that is more probable than not."""
+def _beyond(diagnosis: Diagnosis) -> str:
+    """Where something is left: what explains most, how far that closes the gap, and the rest; or that nothing does."""
+    place, outside = _place(diagnosis), percent(diagnosis.outside.probability)
+    what = "no effect in the catalogue" if not diagnosis.not_looked_at else "no effect that the search came to"
     cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.in_part, default=None)
     if cause is None or cause.in_part <= 0.5:
+        return f"There is a gap{place}, and {what} explains it ({outside} probable)."
+    them, closed = "it" if len(cause.effects) == 1 else "them", diagnosis.shrinkage.gap_closed
+    much = "most" if known(closed) and closed > 0.5 else "a part"
+    return (
+        f"There is a gap{place}; {much} of it is {cause_words(cause)} ({percent(cause.in_part)} probable): "
+        f"{_closing(diagnosis, them)}; {_rest(diagnosis, what)}."
+    )
+
+
+def _rest(diagnosis: Diagnosis, what: str) -> str:
+    """What the best cause leaves, in N·m where torques are known, and that ``what`` explains it: no effect."""
+    after, limits = diagnosis.shrinkage.residual_torque_rms_after, diagnosis.gap.tolerated_torque
+    top = None if diagnosis.regime == "unknown_torque" else largest(after)
+    if top is None:
+        return f"{what} explains the rest"
+    rest = f"the rest, {handy(top[1], 'N·m')} at {place_words('joint', top[0])}"
+    if limits and all(after[joint] <= limit for joint, limit in limits.items()):
+        return f"{rest}, is less than is tolerated"
+    return f"{what} explains {rest}"
+
+
+def _small(diagnosis: Diagnosis) -> str:
+    """The torque of a gap that does not matter, at the joint where it is nearest to its limit, and that limit."""
+    gap = diagnosis.gap
+    shares = {n: gap.residual_torque_rms[n] / limit for n, limit in gap.tolerated_torque.items() if limit > 0}
+    if (top := largest(shares)) is None:
         return ""
-    them = "it" if len(cause.effects) == 1 else "them"
-    return f"; {cause_words(cause)} would be a part of it: {_closing(diagnosis, them)}"
+    lacks, limit = handy(gap.residual_torque_rms[top[0]], "N·m"), handy(gap.tolerated_torque[top[0]], "N·m")
+    return f", {lacks} at {place_words('joint', top[0])} where {limit} is tolerated,"
 
 
 def _place(diagnosis: Diagnosis) -> str:
@@ -131,6 +157,14 @@ def details(diagnosis: Diagnosis) -> list[str]:
         found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")
     if answer in ("ambiguous", "outside", "unclear") and diagnosis.separating_experiment:
         found.append(f"What would tell: {diagnosis.separating_experiment.strip().rstrip('.')}.")
+    if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
+        chance = percent(max(cause.probability, cause.in_part))
+        found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
+    if count := diagnosis.not_looked_at:
+        found.append(
+            f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at "
+            "(--budget gives more)."
+        )
     if diagnosis.regime == "unknown_torque" and answer != "none":
         found.append("The joint torques are unknown, so what they could imitate by themselves cannot be blamed.")
     return found
@@ -147,9 +181,9 @@ def where(diagnosis: Diagnosis) -> str | None:
         much = "" if top[1] >= 0.9 else "mostly " if top[1] > 0.5 else "in part "
         parts.append(f"{much}at {place_words(shares[0], top[0])} ({percent(top[1])})")
     if w.intervals:
-        top = max(w.intervals, key=lambda i: i.share)
-        if top.share >= 0.3:
-            parts.append(f"{percent(top.share)} of it between {top.start:.2f} s and {top.stop:.2f} s")
+        when = max(w.intervals, key=lambda i: i.share)
+        if when.share >= 0.3:
+            parts.append(f"{percent(when.share)} of it between {when.start:.2f} s and {when.stop:.2f} s")
     return f"The gap lies {', '.join(parts)}." if parts else None
 
 

@@ -19,8 +19,8 @@ from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.prior import MOST, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.evidence import learned, regression
-from invdyn.diagnosis.sensitivity.screen import Screened, beside
-from invdyn.diagnosis.sensitivity.sensitivities import slopes
+from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
+from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, log_prior, sizes, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -48,7 +48,7 @@ class Together:
 class _Part:
     """An effect's columns among all: numbers, and the Gaussian prior of their factors."""
 
-    screened: Screened
+    screened: Added
     index: tuple[int, ...]
     mean: tuple[float, ...]
     sd: tuple[float, ...]
@@ -72,11 +72,13 @@ def together(
         common: unknowns that stay free in all sets, at their prior means in ``model``.
         candidates: all effects considered, for the prior.
     """
-    single = [s for s in screened if s.effect is not None][:BEST]
+    single = added(screened)[:BEST]
     if len(single) < 2:
         return []
     temper = tempered(single[0].log_evidence - next(s.log_evidence for s in screened if s.effect is None))
-    parts, pieces, start = [], [], 1
+    parts: list[_Part] = []
+    pieces: list[Columns] = []
+    start = 1
     for each in single:
         h = each.best
         offset = h.offset is not None
@@ -164,7 +166,8 @@ def _agree(parts: Sequence[_Part], members: Sequence[int]) -> bool:
 
 
 def _values(members: Sequence[_Part], factors: np.ndarray) -> dict[str, float]:
-    values, at = {}, 0
+    values: dict[str, float] = {}
+    at = 0
     for part in members:
         h, offset = part.screened.best, part.screened.best.offset is not None
         own = factors[at + offset : at + len(part.index)]

@@ -34,7 +34,7 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
     def moved(path: Tensor, rows: Tensor) -> Tensor:
         return gaussian_mean(model.transition(path[:, rows - 1], rows))
 
-    if model.driven is not None:
+    if model.driven is not None or model.effects.hinge is None:
         path = settled(model, path)
         return path, moved(path, rows)
 

@@ -5,21 +5,22 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from copy import copy
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
+from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import Setting
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
-from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, products, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
@@ -32,8 +33,10 @@ SHORT, SURELY = 11, 10.0
 """Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
 beyond it, in twice the nats."""
 
-BLOCK = 200
-"""Columns that are whitened together."""
+COLUMN = 0.6
+"""Passes (:mod:`..budget`) that a column takes."""
+BLOCK, LONG = 200, 1500
+"""Columns that are whitened together, fewer of them along more rows: memory is what holds both."""
 HINGED, BEGUN = 10, 20
 """It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
 
@@ -84,10 +87,14 @@ def blocks(
     One block without any where there are no effects.
     """
     plain = unchanged(model, path)
-    found, pieces, first, count = [], [], [], 0
+    found: list[Hypothesis] = []
+    pieces: list[Columns] = []
+    first: list[int] = []
+    count = 0
+    room = BLOCK if len(path) < LONG else BLOCK * LONG // len(path)
     for effect in effects:
         mine, columns = hypotheses(model, effect, path, plain, times)
-        if count and count + columns.g.shape[-1] > BLOCK:
+        if count and count + columns.g.shape[-1] > room:
             yield found, pieces, first
             found, pieces, first, count = [], [], [], 0
         found += mine
@@ -159,6 +166,20 @@ class Screened:
     path: Tensor
 
 
+@dataclass(frozen=True)
+class Added(Screened):
+    """Of an effect, and not of none."""
+
+    effect: Effect
+    best: Hypothesis
+    columns: Columns
+
+
+def added(screened: Iterable[Screened]) -> list[Added]:
+    """All but "no effect", in their order."""
+    return [s for s in screened if isinstance(s, Added)]
+
+
 def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
     """Numbers of a hypothesis' columns, one after the other: what is added as it is, if anything, and what is free."""
     added = () if hypothesis.offset is None else (hypothesis.offset,)
@@ -204,14 +225,14 @@ def screen(
     leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
     those where it would explain most if none are given.
     """
+    setting.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
     levels = sizes(setting.regime)
     levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
-    quick = copy(model)
     # What an effect adds is small: half of the sub-steps tell it as well.
-    quick.substeps = (model.substeps + 1) // 2
+    quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
-    screened = []
+    screened: list[Screened] = []
     linear = linear_of(setting, model, path)
     about = filter_of(setting, model, path, levels, linear)
     if not times and any("moment" in effect.located for effect in effects):
@@ -219,7 +240,8 @@ def screen(
     for found, pieces, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
-        whitened = whiten(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
+        setting.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
+        whitened = products(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
@@ -238,7 +260,7 @@ def screen(
             other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
             by_size = logsumexp(part, axis=1)
             screened.append(
-                Screened(
+                Added(
                     best.effect,
                     float(logsumexp(part)),
                     by_size,
@@ -256,12 +278,14 @@ def screen(
 
 
 def screen_in_halves(
-    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given
+    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
     halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
-    one, *rest = side_by_side([partial(screen, setting, model, path, half, *given) for half in halves], workers)
-    return sorted([*one, *(s for other in rest for s in other if s.effect is not None)], key=lambda s: -s.log_evidence)
+    one, *rest = side_by_side(
+        [partial(screen, setting, model, path, half, *given) for half in halves], workers, setting.budget
+    )
+    return sorted([*one, *(s for other in rest for s in added(other))], key=lambda s: -s.log_evidence)
 
 
 def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:

@@ -77,7 +77,10 @@ def changes(
     ``plain`` (T−1, D) is f without it.
     """
     parts = [_changed(model, effect, sets[i : i + MANY], path, plain) for i in range(0, len(sets), MANY)]
-    return parts[0] if len(parts) == 1 else tuple(torch.cat(each) for each in zip(*parts, strict=True))
+    if len(parts) == 1:
+        return parts[0]
+    f, h = (torch.cat(each) for each in zip(*parts, strict=True))
+    return f, h
 
 
 def _changed(
@@ -134,17 +137,20 @@ def hypotheses(
         names = [p.name for p in bent]
         points = [dict(zip(names, values, strict=True)) for values in product(*(p.grid for p in bent))]
         rare = -np.log(len(points))
-    sets: list[dict[str, float]] = [{p.name: p.absent for p in straight} | points[0]]
-    found, pieces = [], []
+    # What is not on a grid is expanded about its absence, which it then has.
+    absent: dict[str, float] = {p.name: p.absent for p in straight if p.absent is not None}
+    sets = [absent | points[0]]
+    found: list[Hypothesis] = []
+    pieces: list[tuple[int, int | None, float]] = []
     for point in points:
-        base = {p.name: p.absent for p in straight} | point
+        base = absent | point
         if straight:
             free, first = straight, len(pieces)
             for p in straight:
                 step = STEP * spread(p)
-                sets.append(base | {p.name: p.absent + step})
+                sets.append(base | {p.name: absent[p.name] + step})
                 pieces.append((len(sets) - 1, 0, step))
-            offset = None
+            offset: int | None = None
         else:
             free, offset = bent, len(pieces)
             sets.append(base)

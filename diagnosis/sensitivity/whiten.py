@@ -9,7 +9,7 @@ Shapes: T rows, D states, O observations, J columns, G sizes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -59,6 +59,12 @@ class Whitened:
         return int(self.seen.sum())
 
 
+LARGE = 2**25
+"""Whitened numbers, 256 MB of them, up to which those for all sizes are held at once."""
+LINEARISED, FILTERED = 0.75, 0.2
+"""Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
+
+
 def sizes(regime: str) -> np.ndarray:
     """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
     return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
@@ -87,11 +93,18 @@ class Filter:
     linear: Linearisation
     gained: Gains
 
+    def at(self, number: int) -> "Filter":
+        """For one of the sizes alone."""
+        one = slice(number, number + 1)
+        gained = Gains(self.gained.whitening[:, one], self.gained.gain[:, one], self.gained.log_det[one])
+        return Filter(self.sizes[one], self.linear, gained)
+
 
 def filter_of(
     setting: Setting, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
 ) -> Filter:
     """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
+    setting.budget.spend(LINEARISED * (linear is None) + len(levels) * FILTERED, model, len(path))
     linear = linear or linear_of(setting, model, path)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
@@ -107,6 +120,16 @@ def filter_of(
     return Filter(levels, linear, filtered)
 
 
+def products(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
+    """What :func:`whiten` gives, and of many numbers the products alone: whitened for one size after the other."""
+    count = len(about.sizes) * columns.d.shape[0] * columns.d.shape[1] * (1 + columns.d.shape[2])
+    if count <= LARGE:
+        return whiten(setting, about, columns, groups)
+    gram = np.concatenate([whiten(setting, about.at(g), columns, groups).gram for g in range(len(about.sizes))])
+    none = replace(columns, g=columns.g[..., :0], d=columns.d[..., :0])
+    return replace(whiten(setting, about, none), gram=gram)
+
+
 def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
     """Whiten the data and ``columns`` by a filter.
 
@@ -114,6 +137,8 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
     is, from 1 on; and those with the data and with columns behind all groups.
     """
     linear, levels = about.linear, about.sizes
+    if linear.rows is None:
+        raise TypeError("expected a linearisation by tangents, got one over a posterior")
     w = innovations(
         about.gained,
         linear.F,

@@ -4,10 +4,13 @@ Two files: ``tensors-<step>-<random>.safetensors`` and ``manifest.json``, which 
 place, flushed to the disk and moved there in one step; the manifest comes last, and the tensor file of the
 checkpoint before is removed after that. Whoever reads meets the old checkpoint or the new one, never half of both.
 
-    manifest    {"schema": 1, "step": …, "fingerprint": {…}, "state": {…}, "tensors": file name, "versions": {…}}
+    manifest    {"schema": 2, "place": …, "step": …, "fingerprint": {…}, "state": {…}, "tensors": file name,
+                 "sha256": of that file, "versions": {…}, "seal": SHA-256 of all entries before}
 
 The fingerprint is what the run was started with (seed, sizes, a digest of the data): a checkpoint of another run is
-refused, not continued. safetensors holds numbers only, so that loading runs no code.
+refused, not continued, as is one in another part's place. What does not match its hash is refused too: a file that was
+damaged, shortened, edited or exchanged would be continued to an answer that nobody could tell from a right one. The
+hashes tell accidents; who means harm can write new ones. safetensors holds numbers only, so that loading runs no code.
 """
 
 import hashlib
@@ -18,14 +21,16 @@ import secrets
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from invdyn.recordings import InputError, atomic_path
+from invdyn.recordings import InputError, atomic_path, check_readable
+from invdyn.recordings.errors import first_line
 
-SCHEMA = 1
+SCHEMA = 2
 MANIFEST = "manifest.json"
 _TENSORS = re.compile(r"tensors-\d+-[0-9a-f]{8}\.safetensors")
 _UNFINISHED = re.compile(r"\.(tensors-\d+-[0-9a-f]{8}|manifest)\.[0-9a-f]{8}\.(safetensors|json)")
@@ -38,12 +43,14 @@ class Checkpoint:
     Args:
         folder: made when missing; one run's only.
         fingerprint: values that JSON can hold, by name: all that a run must share to be continued.
+        place: name of the part of a run that this is.
 
     Raises InputError (a ValueError) when safetensors is not installed; OSError when the folder cannot be made.
     """
 
-    def __init__(self, folder: str | Path, fingerprint: Mapping[str, Any] | None = None):
+    def __init__(self, folder: str | Path, fingerprint: Mapping[str, Any] | None = None, place: str = ""):
         _safetensors()
+        self.place = place
         self.folder = Path(folder).expanduser()
         self.folder.mkdir(parents=True, exist_ok=True)
         # As it comes back from the file: tuples as lists, keys as strings.
@@ -61,16 +68,20 @@ class Checkpoint:
         whole = {
             key: value.detach().cpu().clone(memory_format=torch.contiguous_format) for key, value in tensors.items()
         }
+        content = _safetensors().save(whole)
         manifest = {
             "schema": SCHEMA,
+            "place": self.place,
             "step": step,
             "fingerprint": self.fingerprint,
             "state": state,
             "tensors": name,
+            "sha256": hashlib.sha256(content).hexdigest(),
             "versions": {package: version(package) for package in ("torch", "safetensors")},
         }
-        text = json.dumps(manifest, indent=1).encode()  # first, for it fails where the state is not JSON's
-        self._write(name, _safetensors().save(whole))
+        manifest = json.loads(json.dumps(manifest))  # first, for it fails where the state is not JSON's
+        text = json.dumps(manifest | {"seal": _seal(manifest)}, indent=1).encode()
+        self._write(name, content)
         self._write(MANIFEST, text)
         for file in self.folder.iterdir():
             if file.name != name and (_TENSORS.fullmatch(file.name) or _UNFINISHED.fullmatch(file.name)):
@@ -81,37 +92,55 @@ class Checkpoint:
 
         Raises InputError for the checkpoint of another run, and for files that are broken.
         """
-        path = self.folder / MANIFEST
+        manifest = self._manifest()
+        if manifest is None:
+            return None
+        name = manifest["tensors"]
         try:
-            manifest = json.loads(path.read_bytes())
+            content = check_readable(self.folder / name).read_bytes()
+        except FileNotFoundError:
+            raise self._broken(f"names {name}, which is missing") from None
+        if hashlib.sha256(content).hexdigest() != manifest["sha256"]:
+            raise self._broken(f"names {name}, which is not what was written")
+        try:
+            tensors = _safetensors().load(content)
+        except Exception as error:  # safetensors has its own class for what it cannot read
+            raise self._broken(f"names {name}, which cannot be read ({first_line(error)})") from None
+        return {key: value.to(device) for key, value in tensors.items()}, {
+            **manifest["state"],
+            "step": manifest["step"],
+        }
+
+    def _manifest(self) -> dict[str, Any] | None:
+        """The manifest, of this run and place, with the entries that this program wrote; None where there is none."""
+        path = self.folder / MANIFEST
+        if not path.exists():
+            return None
+        try:
+            manifest = json.loads(check_readable(path).read_bytes())
         except FileNotFoundError:
             return None
-        except ValueError:
+        except (ValueError, RecursionError):
             raise self._broken("is no JSON") from None
         if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
             schema = manifest.get("schema") if isinstance(manifest, dict) else None
-            raise self._broken(f"expected schema {SCHEMA}, got {schema!r}")
-        try:
-            theirs, state, step, name = (manifest[key] for key in ("fingerprint", "state", "step", "tensors"))
-        except KeyError as missing:
-            raise self._broken(f"has no entry {missing}") from None
-        fits = isinstance(theirs, dict) and isinstance(state, dict) and isinstance(step, int)
-        if not fits or not _TENSORS.fullmatch(str(name)):
-            raise self._broken("its entries are not what this program writes")
-        self._same_run(theirs)
-        try:
-            tensors = _safetensors().load((self.folder / name).read_bytes())
-        except FileNotFoundError:
-            raise self._broken(f"names {name}, which is missing") from None
-        except Exception as error:  # safetensors has its own class for files cut short
-            reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-            raise self._broken(f"names {name}, which cannot be read ({reason})") from None
-        return {key: value.to(device) for key, value in tensors.items()}, {**state, "step": step}
+            raise self._broken(f"expected schema {SCHEMA}, got {schema!r:.60}")
+        if isinstance(theirs := manifest.get("fingerprint"), dict):
+            self._same_run(theirs)  # before the seal: what is most likely has its own words
+        seal = manifest.pop("seal", None)
+        kinds = {"place": str, "step": int, "fingerprint": dict, "state": dict, "tensors": str, "sha256": str}
+        fits = all(isinstance(manifest.get(key), kind) for key, kind in kinds.items())
+        if seal != _seal(manifest) or not fits or not _TENSORS.fullmatch(manifest["tensors"]):
+            raise self._broken("its entries are not what this program wrote")
+        if manifest["place"] != self.place:
+            raise self._broken(f"is of the part {manifest['place']!r}, expected {self.place!r}")
+        return manifest
 
     def _same_run(self, theirs: dict[str, Any]) -> None:
         differs = [key for key in sorted(theirs | self.fingerprint) if theirs.get(key) != self.fingerprint.get(key)]
         if differs:
-            what = ", ".join(f"{key} {theirs.get(key)!r} there, {self.fingerprint.get(key)!r} here" for key in differs)
+            here = self.fingerprint
+            what = ", ".join(f"{key} {theirs.get(key)!r:.200} there, {here.get(key)!r:.200} here" for key in differs)
             raise InputError(f"{self.folder}: the checkpoint of another run: {what}; name another folder or delete it")
 
     def _broken(self, what: str) -> InputError:
@@ -123,6 +152,11 @@ class Checkpoint:
             file.flush()
             os.fsync(file.fileno())
         _sync(self.folder)
+
+
+def _seal(manifest: Mapping[str, Any]) -> str:
+    """Hash of a manifest's other entries, in one order."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def digest(*tensors: Tensor) -> str:
@@ -163,7 +197,7 @@ def _sync(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _safetensors():
+def _safetensors() -> ModuleType:
     try:
         import safetensors.torch
     except ImportError:

@@ -18,6 +18,7 @@ A part whose worker dies is done again, with the same seed: in a fresh pool wher
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import ExitStack
+from functools import partial
 from threading import RLock
 from typing import TypeVar
 
@@ -84,15 +85,16 @@ def spread(
             progress(len(results) * steps + extra, count * steps)
 
     def arrived(i: int, result: Tensors) -> None:
-        if stores[i] is not None:
-            stores[i].save(result)
+        if (store := stores[i]) is not None:
+            store.save(result)
         results[i] = result
         report()
 
     missing = [i for i in range(count) if i not in results]
     if executor is None:
         for i in missing:
-            arrived(i, _named(names[i], lambda i=i: _run(part, arguments[i], lambda done, _: report(done))))
+            work = partial(_run, part, arguments[i], lambda done, _: report(done))
+            arrived(i, _named(names[i], work))
     elif missing:
         _collect(part, arguments, names, missing, executor, arrived)
     return [results[i] for i in range(count)]
@@ -100,10 +102,22 @@ def spread(
 
 def inside(checkpoint: Checkpoint | None, name: str) -> Checkpoint | None:
     """The same run's checkpoint ``name`` in the folder of another; None where there is none."""
-    return None if checkpoint is None else Checkpoint(checkpoint.folder / name, checkpoint.fingerprint)
+    if checkpoint is None:
+        return None
+    return Checkpoint(checkpoint.folder / name, checkpoint.fingerprint, f"{checkpoint.place}/{name}".lstrip("/"))
 
 
-def _collect(part: Part, arguments, names, missing: list[int], executor: Executor, arrived) -> None:
+Arrived = Callable[[int, Tensors], None]
+
+
+def _collect(
+    part: Part,
+    arguments: Sequence[tuple],
+    names: Sequence[str],
+    missing: list[int],
+    executor: Executor,
+    arrived: Arrived,
+) -> None:
     """Have the ``missing`` parts done by the executor's workers, in fresh pools if its own breaks."""
     with ExitStack() as pools:
         for attempt in range(RETRIES + 1):
@@ -116,7 +130,14 @@ def _collect(part: Part, arguments, names, missing: list[int], executor: Executo
     raise LostWork(f"{lost} could not be had: workers died {RETRIES + 1} times; is there memory for so many at once?")
 
 
-def _collect_once(part: Part, arguments, names, missing: list[int], executor: Executor, arrived) -> list[int]:
+def _collect_once(
+    part: Part,
+    arguments: Sequence[tuple],
+    names: Sequence[str],
+    missing: list[int],
+    executor: Executor,
+    arrived: Arrived,
+) -> list[int]:
     """Have the ``missing`` parts done; returns those that were lost because the pool broke."""
     pending: dict[Future, int] = {}
     lost: list[int] = []

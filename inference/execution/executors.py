@@ -8,7 +8,7 @@ import os
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing import get_context, parent_process
 from threading import Thread, current_thread, main_thread
 
@@ -33,6 +33,7 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
     """
     if workers is not None and scheduler is not None:
         raise InputError("expected a number of workers or a scheduler, got both: a scheduler has its own workers")
+    opened: AbstractContextManager[Executor | None]
     if workers is not None:
         opened = process_pool(workers)
     elif scheduler == "mpi":
@@ -54,7 +55,7 @@ def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
     try:
         with _deaf_to_interrupt():  # the children inherit that, from before their first line of Python
-            for _ in range(pool._max_workers):
+            for _ in range(pool._max_workers):  # type: ignore[attr-defined]  # it says nowhere else how many it has
                 pool.submit(os.getpid)
         yield pool
     finally:
@@ -84,7 +85,9 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    parent_process().join()
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
     os._exit(1)
 
 

@@ -69,7 +69,7 @@ class BlockFilter:
         self.num_particles, self.ess_threshold = num_particles, ess_threshold
         factors, linear = smoothers.factors, smoothers.linearisation
 
-        def rows(values: np.ndarray) -> Tensor:
+        def rows(values: np.ndarray | Tensor) -> Tensor:
             return torch.as_tensor(np.ascontiguousarray(values))
 
         self._path = rows(smoothers.path)
@@ -133,7 +133,7 @@ class BlockFilter:
         shaken = _apply(self._root[:, rows], noise) + self._offset[:, rows]
         bent = self._a[:, followed].expand(*first.shape[:-1], some, -1)
         for _ in range(PASSES):
-            used, deviation = [first], []
+            used, deviation = [first], list[Tensor]()
             for i, t in enumerate(numbers.tolist()):
                 if i:
                     used.append(_apply(self._F[:, t - 1], deviation[-1]) + bent[..., i - 1, :])

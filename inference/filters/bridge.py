@@ -51,7 +51,7 @@ class Bridge:
             L = linear.L[row]
             top = np.concatenate([np.broadcast_to(eye, L.shape), np.zeros_like(L), np.zeros_like(b)], -1)
             bottom = np.concatenate([U @ L, U, b], -1)
-            triangle = np.linalg.qr(np.concatenate([top, bottom], -2), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.concatenate([top, bottom], -2), mode="r"))
             R, B, r = np.split(triangle[:, :dim], [dim, 2 * dim], -1)
             A, alpha = triangle[:, dim:, dim : 2 * dim], triangle[:, dim:, 2 * dim :]
             root = L @ np.linalg.inv(R)
@@ -81,15 +81,15 @@ class Bridge:
         logits = log_weights.unsqueeze(-2) - 0.5 * reach.square().sum(-1)
         index = categorical(logits).unsqueeze(-1)
 
-        proposed = [states.gather(-2, index.expand(*index.shape[:-1], states.shape[-1]))]
+        states_of_draw = [states.gather(-2, index.expand(*index.shape[:-1], states.shape[-1]))]
         prediction = first.gather(-2, index.expand(*index.shape[:-1], first.shape[-1]))
         for j in range(1, self.block + 1):
             deviation = prediction @ self._get("gain", j, t).mT + known @ self._get("offset", j, t).mT
             deviation = deviation + torch.randn_like(deviation) @ self._get("root", j, t).mT
-            proposed.append(deviation + self.path[t + j])
+            states_of_draw.append(deviation + self.path[t + j])
             if j < self.block:
-                prediction = self._predict(proposed[-1], t + j + 1)
-        proposed = torch.stack(proposed, -2)
+                prediction = self._predict(states_of_draw[-1], t + j + 1)
+        proposed = torch.stack(states_of_draw, -2)
 
         end_state = stretch[..., -1:, :]
         both = torch.stack([torch.cat([proposed, end_state], -2), stretch])
@@ -125,5 +125,5 @@ class Bridge:
 def _triangle(rows: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compress rows (…, n, D) ≈ targets (…, n, C) to D rows by QR; the residual does not matter here."""
     dim = rows.shape[-1]
-    triangle = np.linalg.qr(np.concatenate([rows, targets], -1), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.concatenate([rows, targets], -1), mode="r"))
     return triangle[..., :dim, :dim], triangle[..., :dim, dim:]

@@ -16,7 +16,7 @@ Entries of what a row leaves are stored one after the other, in memory (D, M, N)
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -57,7 +57,7 @@ class _Columns:
     A tensor without entries is left a tensor: no entry would say of what type and on what device it is.
     """
 
-    entries: np.ndarray
+    entries: Any  # an array of tensors, which NumPy's types cannot say
     batch: torch.Size
 
     @classmethod
@@ -65,7 +65,11 @@ class _Columns:
         """A tensor whose last dimensions, ``event`` of them at most, are the event."""
         event = min(event, value.ndim)
         batch = value.shape[: value.ndim - event]
-        return cls.made(value.shape[len(batch) :], lambda index: value[(..., *index)], batch)
+
+        def entry(index: tuple[int, ...]) -> Tensor:
+            return value[(..., *index)]  # type: ignore[index]  # NumPy's way, which torch's types leave out
+
+        return cls.made(value.shape[len(batch) :], entry, batch)
 
     @classmethod
     def made(cls, event: tuple[int, ...], entry: Callable[[tuple[int, ...]], Tensor], batch: torch.Size) -> "_Columns":
@@ -92,13 +96,13 @@ class _Columns:
         axis = dim - len(self.batch) if dim >= 0 else dim + self.entries.ndim
         return axis if axis >= 0 else None
 
-    def with_event(self, entries: np.ndarray | Tensor) -> "_Columns | Tensor":
+    def with_event(self, entries: Any) -> "_Columns | Tensor":
         """Some of the entries, or others, for the same batch; a tensor where there is no event left, or no entry."""
         if isinstance(entries, np.ndarray) and not entries.size:
             return self.entries.flat[0].new_empty(*self.batch, *entries.shape)
         if isinstance(entries, np.ndarray) and entries.ndim:
             return _Columns(entries, self.batch)
-        entry = entries[()] if isinstance(entries, np.ndarray) else entries
+        entry: Any = entries[()] if isinstance(entries, np.ndarray) else entries
         return entry.expand(self.batch)
 
 
@@ -121,14 +125,14 @@ class _ByColumns(Interpreter):
         super().__init__(graph)
         self.batch = batch
 
-    def placeholder(self, target, args, kwargs):
+    def placeholder(self, target: Any, args: tuple, kwargs: dict[str, Any]) -> Any:
         return self._columns(super().placeholder(target, args, kwargs))
 
-    def output(self, target, args, kwargs):
+    def output(self, target: Any, args: tuple, kwargs: dict[str, Any]) -> Any:
         values = super().output(target, args, kwargs)
         return tree_map(lambda value: value.stored() if isinstance(value, _Columns) else _whole(value), values)
 
-    def call_function(self, target, args, kwargs):
+    def call_function(self, target: Any, args: tuple, kwargs: dict[str, Any]) -> Any:
         if target is operator.getitem:  # of a list that an operation has returned
             return super().call_function(target, args, kwargs)
         if target not in (aten.permute.default, aten.clone.default):
@@ -145,27 +149,27 @@ class _ByColumns(Interpreter):
         args, kwargs = tree_map(_whole, (args, kwargs))
         return self._columns(super().call_function(target, args, kwargs))
 
-    def _columns(self, value):
+    def _columns(self, value: Any) -> Any:
         """A tensor (M, N, ...) as columns, such as a state or noise; what is none as it is."""
         fits = isinstance(value, Tensor) and value.ndim > 2 and value.shape[:2] == self.batch and value.numel()
         return _Columns.of(value, value.ndim - 2) if fits else value
 
 
-def _whole(value, kind=_Columns | _Turned):
+def _whole(value: Any, kind: Any = _Columns | _Turned) -> Any:
     """Columns of this ``kind`` as a tensor; what is none as it is."""
     return value.whole() if isinstance(value, kind) else value
 
 
-def _each(target, *args, **kwargs):
+def _each(target: Callable[..., Tensor], *args: Any, **kwargs: Any) -> Any:
     """An elementwise operation, entry by entry."""
     event = max(value.entries.ndim for value in args if isinstance(value, _Columns))
-    args = [_aligned(value, event) if isinstance(value, Tensor | _Columns) else value for value in args]
-    columns = [value for value in args if isinstance(value, _Columns)]
+    aligned = [_aligned(value, event) if isinstance(value, Tensor | _Columns) else value for value in args]
+    columns = [value for value in aligned if isinstance(value, _Columns)]
     shape = np.broadcast_shapes(*(value.entries.shape for value in columns))
     if 0 in shape:
         return NotImplemented
     batch = torch.broadcast_shapes(*(value.batch for value in columns))
-    entries = [np.broadcast_to(v.entries, shape) if isinstance(v, _Columns) else v for v in args]
+    entries = [np.broadcast_to(v.entries, shape) if isinstance(v, _Columns) else v for v in aligned]
 
     def entry(index: tuple[int, ...]) -> Tensor:
         return target(*(value[index] if isinstance(value, np.ndarray) else value for value in entries), **kwargs)
@@ -183,12 +187,12 @@ def _aligned(value: "Tensor | _Columns", event: int) -> _Columns:
     return _Columns.of(value, event)
 
 
-def _same_type(values) -> bool:
+def _same_type(values: Sequence[_Columns]) -> bool:
     """Whether all entries of these columns are of one type, so that putting them together changes none."""
     return len({entry.dtype for value in values for entry in value.entries.flat}) == 1
 
 
-def _cat(values, dim: int = 0):
+def _cat(values: Sequence[Any], dim: int = 0) -> Any:
     first = next(value for value in values if isinstance(value, _Columns))
     event = first.entries.ndim
     values = [_Columns.of(value, event) if isinstance(value, Tensor) else value for value in values]
@@ -199,7 +203,7 @@ def _cat(values, dim: int = 0):
     return _Columns(np.concatenate([value.entries for value in values], axis), batch)
 
 
-def _stack(values, dim: int = 0):
+def _stack(values: Sequence[Any], dim: int = 0) -> Any:
     # Two dimensions are filters and particles: what is stacked behind them are entries.
     if all(isinstance(value, Tensor) and value.ndim == 2 and value.numel() for value in values):
         values = [_Columns.of(value, 0) for value in values]
@@ -215,9 +219,9 @@ def _stack(values, dim: int = 0):
     return NotImplemented if axis < 0 else first.with_event(np.stack([value.entries for value in values], axis))
 
 
-def _permute(value: _Columns | _Turned, dims):
+def _permute(value: _Columns | _Turned, dims: Sequence[int]) -> Any:
     if isinstance(value, _Turned):
-        value, dims = value.columns, [value.dims[dim] for dim in dims]
+        dims, value = [value.dims[dim] for dim in dims], value.columns
     batch = len(value.batch)
     dims = tuple(dim % (batch + value.entries.ndim) for dim in dims)
     if dims[:batch] != tuple(range(batch)):
@@ -225,33 +229,33 @@ def _permute(value: _Columns | _Turned, dims):
     return value.with_event(value.entries.transpose([dim - batch for dim in dims[batch:]]))
 
 
-def _split(value: _Columns, sizes, dim: int = 0):
+def _split(value: _Columns, sizes: Sequence[int], dim: int = 0) -> Any:
     axis = value.axis(dim)
     if axis is None:
         return NotImplemented
     return [value.with_event(part) for part in np.split(value.entries, np.cumsum(sizes)[:-1], axis)]
 
 
-def _unbind(value: _Columns, dim: int = 0):
+def _unbind(value: _Columns, dim: int = 0) -> Any:
     axis = value.axis(dim)
     if axis is None:
         return NotImplemented
     return [value.with_event(value.entries.take(k, axis)) for k in range(value.entries.shape[axis])]
 
 
-def _select(value: _Columns, dim: int, index: int):
+def _select(value: _Columns, dim: int, index: int) -> Any:
     axis = value.axis(dim)
     return NotImplemented if axis is None else value.with_event(value.entries.take(index, axis))
 
 
-def _slice(value: _Columns, dim: int = 0, start=None, end=None, step: int = 1):
+def _slice(value: _Columns, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1) -> Any:
     axis = value.axis(dim)
     if axis is None:
         return NotImplemented
     return value.with_event(value.entries[(slice(None),) * axis + (slice(start, end, step),)])
 
 
-def _view(value: _Columns, shape):
+def _view(value: _Columns, shape: Sequence[int]) -> Any:
     size = math.prod(value.batch)
     if -1 in shape:
         known = -math.prod(shape)
@@ -268,7 +272,7 @@ def _view(value: _Columns, shape):
     return flat.with_event(flat.entries)
 
 
-def _expand(value: _Columns, shape, implicit: bool = False):
+def _expand(value: _Columns, shape: Sequence[int], implicit: bool = False) -> Any:
     k = len(shape) - value.entries.ndim
     event = [old if new == -1 else new for old, new in zip(value.entries.shape, shape[k:], strict=True)]
     padded = (1,) * (k - len(value.batch)) + tuple(value.batch)
@@ -278,40 +282,41 @@ def _expand(value: _Columns, shape, implicit: bool = False):
     return _Columns(np.broadcast_to(value.entries, event), torch.Size(batch))
 
 
-def _unsqueeze(value: _Columns, dim: int):
+def _unsqueeze(value: _Columns, dim: int) -> Any:
     axis = dim - len(value.batch) if dim >= 0 else dim + value.entries.ndim + 1
     return NotImplemented if axis < 0 else value.with_event(np.expand_dims(value.entries, axis))
 
 
-def _sum(value: _Columns, dims, keepdim: bool = False, dtype=None):
-    axes = [value.axis(dim) for dim in dims or ()]
-    if not axes or None in axes or dtype is not None or not value.entries.flat[0].is_floating_point():
+def _sum(value: _Columns, dims: Sequence[int] | None, keepdim: bool = False, dtype: torch.dtype | None = None) -> Any:
+    axes = [axis for dim in dims or () if (axis := value.axis(dim)) is not None]
+    if not axes or len(axes) < len(dims or ()) or dtype is not None or not value.entries.flat[0].is_floating_point():
         return NotImplemented
-    return value.with_event(np.add.reduce(value.entries, axis=tuple(axes), keepdims=keepdim))
+    return value.with_event(value.entries.sum(axis=tuple(axes), keepdims=keepdim))
 
 
-def _matmul(value, matrix):
+def _matmul(value: Any, matrix: Any) -> Any:
     """(B, N, D) times (B, D, P), or (N, D) times (D, P)."""
     if not isinstance(value, _Columns) or isinstance(matrix, _Columns) or value.entries.ndim != 1:
         return NotImplemented
     if not 0 < math.prod(matrix.shape[-2:]) <= LARGEST:
         return NotImplemented
-    matrix = _Columns.of(matrix, 2)
-    if matrix.batch:  # beside (B, N)
-        matrix = _Columns.made(
-            matrix.entries.shape, lambda index, old=matrix.entries: old[index].unsqueeze(-1), matrix.batch
-        )
-    return _Columns(value.entries @ matrix.entries, value.batch)
+    columns = _Columns.of(matrix, 2)
+    entries = columns.entries
+    if columns.batch:  # beside (B, N)
+        entries = _Columns.made(
+            entries.shape, lambda index: columns.entries[index].unsqueeze(-1), columns.batch
+        ).entries
+    return _Columns(value.entries @ entries, value.batch)
 
 
-def _randn_like(value: _Columns, **kwargs):
+def _randn_like(value: _Columns, **kwargs: Any) -> Any:
     like = value.entries.flat[0]
     dtype, device = kwargs.get("dtype") or like.dtype, kwargs.get("device") or like.device
     noise = torch.randn(*value.batch, *value.entries.shape, dtype=dtype, device=device)
     return _Columns.of(noise, value.entries.ndim)
 
 
-def _same(value: _Columns | _Turned, **kwargs):
+def _same(value: _Columns | _Turned, **kwargs: Any) -> Any:
     return value
 
 

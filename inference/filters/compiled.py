@@ -41,7 +41,15 @@ class CompiledRows:
         self._known: dict[Any, tuple[Advance, tuple]] = {}
         self._failed = False
 
-    def __call__(self, owners: tuple, t: Tensor, y: Tensor, seen: Tensor | None, particles: Particles, log_weights):
+    def __call__(
+        self,
+        owners: tuple,
+        t: Tensor,
+        y: Tensor,
+        seen: Tensor | None,
+        particles: Particles,
+        log_weights: Tensor,
+    ) -> tuple:
         """``advance(t, y, seen, particles, log_weights)`` of a row in the middle, by the graph of rows like it.
 
         ``owners`` are the objects that ``advance`` finds by itself: for others, another graph. They must not change:
@@ -58,12 +66,13 @@ class CompiledRows:
         row, _ = self._known[key]
         return row(t, y, seen, particles, log_weights)
 
-    def _compiled(self, *example) -> Advance | None:
+    def _compiled(
+        self, t: Tensor, y: Tensor, seen: Tensor | None, particles: Particles, log_weights: Tensor
+    ) -> Advance | None:
         """The graph of rows like this one, called as ``advance`` is; None where it cannot be had."""
-        t, y, seen, particles, log_weights = example
-        names, left = list(particles), []
+        names, left = list(particles), list[str]()
 
-        def flat(t, y, log_weights, *rest):
+        def flat(t: Tensor, y: Tensor, log_weights: Tensor, *rest: Tensor) -> tuple:
             values = dict(zip(names, rest, strict=False))
             entries_seen = rest[len(names)] if len(rest) > len(names) else None
             after, *others = self._advance(t, y, entries_seen, values, log_weights)
@@ -76,7 +85,7 @@ class CompiledRows:
             return None
         keys, count = list(left), len(left)
 
-        def row(t, y, seen, particles, log_weights):
+        def row(t: Tensor, y: Tensor, seen: Tensor | None, particles: Particles, log_weights: Tensor) -> tuple:
             values = graph(t, y, log_weights, *particles.values(), *(() if seen is None else (seen,)))
             return dict(zip(keys, values[:count], strict=True)), *values[count:]
 

@@ -40,7 +40,7 @@ class Controlled(Proposal):
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path
 
-        def rows(values) -> Tensor:
+        def rows(values: np.ndarray | Tensor) -> Tensor:
             return torch.as_tensor(np.asarray(values)).to(dtype=model.dtype, device=model.device)
 
         self.path = rows(path)
@@ -103,7 +103,7 @@ class Controlled(Proposal):
         loc = self.path[t] + prediction @ self._gain[t].mT + self._offset[t]
         return MultivariateNormal(loc, scale_tril=self._root[t], validate_args=False)
 
-    def log_twist(self, state, t: int) -> Tensor:
+    def log_twist(self, state: Particles, t: int | Tensor) -> Tensor:
         """Log ψ̃_t(x_t) of the particles in Pyro's state; zero at the last row."""
         return self.at(t, state["x"])["log_twist"]
 

@@ -36,6 +36,7 @@ from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import conditional, eliminate, log_abs_det
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
@@ -90,10 +91,10 @@ def iterate(
     for _ in range(iterations):
         try:
             # A few particles far from the others can make the backward sweep diverge.
-            with np.errstate(over="raise", invalid="raise"):
+            with np.errstate(over="raise", invalid="raise"), diverging():
                 latest = refit(model, observations, latest, results, num_points)
             results.append(pilot(latest))
-        except (SMCFailed, FloatingPointError, np.linalg.LinAlgError):
+        except (SMCFailed, FloatingPointError, Singular):
             return start
     # Not the smallest spread of all refits: a run that has missed a region looks the steadiest.
     return latest if _spread(results[-1]) <= _spread(first) else start
@@ -163,7 +164,7 @@ def _corrected(
     deviation = x - mean
     # A sliver of each coordinate's own spread keeps S regular when points lie in a plane.
     sliver = 1e-6 * np.diag(np.maximum(deviation.std(0), 1e-12))
-    S = np.linalg.qr(np.concatenate([deviation / np.sqrt(count), sliver]), mode="r").T
+    S = np.asarray(np.linalg.qr(np.concatenate([deviation / np.sqrt(count), sliver]), mode="r")).T
     z = np.linalg.solve(S, deviation.T).T
     # Hermite polynomials are orthonormal on a Gaussian cloud, so one ridge fits all coefficients.
     row, column = np.triu_indices(dim)

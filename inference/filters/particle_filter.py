@@ -79,8 +79,8 @@ class ParticleFilter(SMCFilter):
 
     def __init__(
         self,
-        model,
-        guide,
+        model: Any,
+        guide: Any,
         num_particles: int,
         max_plate_nesting: int = 0,
         *,
@@ -112,17 +112,17 @@ class ParticleFilter(SMCFilter):
         self._log_twist: Tensor | None = None
 
     # -- Pyro's way in -------------------------------------------------------------------------
-    def init(self, *args, **kwargs) -> None:
+    def init(self, *args: Any, **kwargs: Any) -> None:
         """Sample row 0 and weight it; arguments go to the model and the guide."""
         self._restart()
         self.state = FilterState(self.batch)
         self._traced("init", args, kwargs)
 
-    def step(self, *args, **kwargs) -> None:
+    def step(self, *args: Any, **kwargs: Any) -> None:
         """Sample the next row and weight it; arguments go to the model and the guide."""
         self._traced("step", args, kwargs)
 
-    def _plates(self):
+    def _plates(self) -> list[Any]:
         """Particle plate, inside a filter plate where there are several filters."""
         dim = -1 - self.max_plate_nesting
         particles = pyro.plate("particles", self.num_particles, dim=dim)
@@ -130,10 +130,10 @@ class ParticleFilter(SMCFilter):
             return [particles]
         return [pyro.plate("filters", self.num_filters, dim=dim - 1), particles]
 
-    def _traced(self, method: str, args, kwargs) -> None:
+    def _traced(self, method: str, args: tuple, kwargs: dict[str, Any]) -> None:
         plates = self._plates()
 
-        def in_plates(function):
+        def in_plates(function: Callable) -> Callable:
             for plate in reversed(plates):
                 function = plate(function)
             return function
@@ -150,12 +150,12 @@ class ParticleFilter(SMCFilter):
             increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
             self._log_twist = twist
         self._weigh(increment)
-        carried = dict(self.state) | ({} if self._log_twist is None else {_TWIST: self._log_twist})
-        carried = self._resample(carried, synchronous=self.ess.device.type == "cpu")
-        self._log_twist = carried.pop(_TWIST, None)
+        whole = dict(self.state) | ({} if self._log_twist is None else {_TWIST: self._log_twist})
+        carried: dict[str, Any] = self._resample(whole, synchronous=self.ess.device.type == "cpu")
+        self._log_twist = carried.pop(_TWIST, None)  # type: ignore[call-overload]  # a key that no state has
         self.state._replace(carried, self._log_weights)
 
-    def _trace_log_weight(self, model_trace, guide_trace) -> Tensor:
+    def _trace_log_weight(self, model_trace: Any, guide_trace: Any) -> Tensor:
         """Log p(x, y) − log q(x) per particle, from the traces of one step."""
         model_trace, guide_trace = prune_subsample_sites(model_trace), prune_subsample_sites(guide_trace)
         model_trace.compute_log_prob()

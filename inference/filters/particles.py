@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from pyro.infer.smcfilter import SMCState
@@ -37,7 +38,7 @@ class FilterResult:
 def joined(results: Sequence[FilterResult]) -> FilterResult:
     """All filters of several runs over the same rows, as of one."""
 
-    def beside(name: str) -> Tensor | None:
+    def beside(name: str) -> Any:
         values = [getattr(result, name) for result in results]
         return None if values[0] is None else torch.cat(values, 0 if name == "log_evidence" else 1)
 
@@ -107,7 +108,7 @@ class FilterState(SMCState):
         self._batch = tuple(batch)
         self._log_weights = torch.full(batch, -math.log(batch[-1]), dtype=torch.float64)
 
-    def __setitem__(self, key, value):
+    def __setitem__(self, key: str, value: Tensor) -> None:
         """Store a tensor whose leading dimensions are the batch; guides may not write."""
         if self._locked:
             raise RuntimeError("a guide cannot write to the particles' state: only the model can")

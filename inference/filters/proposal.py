@@ -59,11 +59,11 @@ class Proposal(ABC):
         return particles
 
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------
-    def init(self, state, observation: Tensor | None = None) -> None:
+    def init(self, state: Particles, observation: Tensor | None = None) -> None:
         """First step of an ``SMCFilter`` guide."""
         pyro.sample("x_0", self.conditional_initial())
 
-    def step(self, state, t: int, observation: Tensor | None = None) -> None:
+    def step(self, state: Particles, t: int, observation: Tensor | None = None) -> None:
         """Step into row ``t`` of an ``SMCFilter`` guide; reads ``state["x"]``."""
         pyro.sample(f"x_{t}", self.conditional(t, state["x"]))
 

@@ -11,6 +11,7 @@ better than noise scales: a first-order or quasi-Newton method crawls here.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
 from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.state_space import StateSpaceModel
 
 STEP = 2e-3
@@ -46,8 +48,12 @@ class Free:
         return tuple(range(size)) if self.entries is None else self.entries
 
 
+M = TypeVar("M", bound=StateSpaceModel)
+"""The class of the model, which is kept."""
+
+
 @dataclass
-class Fit:
+class Fit(Generic[M]):
     """Result of :func:`fit`.
 
     Attributes:
@@ -60,7 +66,7 @@ class Fit:
         covariance: (P, P) posterior covariance of φ (Laplace).
     """
 
-    model: StateSpaceModel
+    model: M
     log_evidence: float
     path: Tensor
     log_sd: dict[str, np.ndarray]
@@ -69,7 +75,7 @@ class Fit:
     covariance: np.ndarray
 
 
-class LogParameters:
+class LogParameters(Generic[M]):
     """A model's free parameters as one vector φ = log(θ/θ_start), whose prior is N(0, diag sd²).
 
     Attributes:
@@ -77,7 +83,7 @@ class LogParameters:
         sd: (P,) of the prior.
     """
 
-    def __init__(self, model: StateSpaceModel, free: Sequence[Free]):
+    def __init__(self, model: M, free: Sequence[Free]):
         self.model, self.free = model, tuple(free)
         entries = [f.indices(model.parameters[f.name].numel()) for f in self.free]
         sizes = [1 if f.tied else len(own) for f, own in zip(self.free, entries, strict=True)]
@@ -89,7 +95,7 @@ class LogParameters:
             for k in own[:size]
         ]
 
-    def at(self, phi: Tensor) -> StateSpaceModel:
+    def at(self, phi: Tensor) -> M:
         """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""
         values = {}
         for f, index in zip(self.free, self.slices, strict=True):
@@ -105,16 +111,16 @@ class LogParameters:
         return self.model.replace(**values)
 
 
-class _Objective:
+class _Objective(Generic[M]):
     """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
 
-    def __init__(self, model: StateSpaceModel, observations: Tensor, free: Sequence[Free], start: Tensor | None):
+    def __init__(self, model: M, observations: Tensor, free: Sequence[Free], start: Tensor | None):
         self.observations, self.parameters = observations, LogParameters(model, free)
         self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
         self.path = start
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
 
-    def at(self, phi: np.ndarray) -> StateSpaceModel:
+    def at(self, phi: np.ndarray) -> M:
         """See :meth:`LogParameters.at`."""
         return self.parameters.at(torch.as_tensor(phi))
 
@@ -133,8 +139,9 @@ class _Objective:
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         if self._known is None or self._known[0] != phi.tobytes():
             try:
-                self._known = (phi.tobytes(), self._expand(phi))
-            except (np.linalg.LinAlgError, torch.linalg.LinAlgError, ValueError):
+                with diverging():
+                    self._known = (phi.tobytes(), self._expand(phi))
+            except Diverged:
                 if self.path is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.
@@ -170,14 +177,14 @@ class _Objective:
 
 
 def fit(
-    model: StateSpaceModel,
+    model: M,
     observations: Tensor,
     free: Sequence[Free],
     *,
     start: Tensor | None = None,
     max_iterations: int = 40,
     progress: Callable[[int, int], None] | None = None,
-) -> Fit:
+) -> Fit[M]:
     """Fit the ``free`` parameters; all must be positive.
 
     Args:
@@ -192,7 +199,7 @@ def fit(
     """
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
-    model.replace(**{f.name: model.parameters.get(f.name) for f in free})  # checks the names
+    model.check_names(f.name for f in free)
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
         none = np.zeros(0)
@@ -200,7 +207,7 @@ def fit(
     objective = _Objective(model, observations, free, start)
     reached: list[float] = []
 
-    def report(intermediate_result):
+    def report(intermediate_result: Any) -> None:
         reached.append(intermediate_result.fun)
         if progress is not None:
             progress(min(len(reached), max_iterations), max_iterations)
@@ -228,7 +235,7 @@ def fit(
     return Fit(
         objective.at(result.x),
         log_evidence,
-        objective.path,
+        torch.as_tensor(objective.path),
         {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
         bool(result.success) or len(reached) < max_iterations,
         result.x,

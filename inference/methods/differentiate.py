@@ -21,11 +21,13 @@ import torch
 from scipy.signal import butter, filtfilt
 from torch import Tensor
 
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
-from invdyn.inference.methods.smc import Progress, SMCOptions
+from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import BodyParameters, Emission, dynamics_for
+from invdyn.models import Body, BodyParameters, Observation
+from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.kinematics import link_angles, within_half_a_turn
 from invdyn.recordings import InputError
 
@@ -34,14 +36,14 @@ FEWEST_FRAMES = 10
 
 
 def joint_angles(
-    time: np.ndarray, observations: Tensor, emission: Emission, body: BodyParameters
+    time: np.ndarray, observations: Tensor, observation: Observation, body: BodyParameters
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles (T, K), rad, unwrapped, gaps bridged by straight lines; and the gaps' lengths (T, K), s.
 
     A length is 0 where the angle was seen, and inf in a gap that is open at an end of the recording.
     Raises InputError when a link is never seen.
     """
-    links, wrapped = link_angles(observations, emission, body)
+    links, wrapped = link_angles(observations, observation, body)
     absolute, gap = np.empty_like(links), np.empty_like(links)
     for k in range(links.shape[1]):
         seen = np.flatnonzero(np.isfinite(links[:, k]))
@@ -79,7 +81,8 @@ def derivatives(
     q = np.stack([_low_passed(_onto(grid, time, a), f, interval) for a, f in zip(angle.T, cutoffs, strict=True)], -1)
     qd = np.gradient(q, interval, axis=0)
     qdd = np.gradient(qd, interval, axis=0)
-    return tuple(np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    q, qd, qdd = (np.stack([_onto(time, grid, column) for column in x.T], -1) for x in (q, qd, qdd))
+    return q, qd, qdd
 
 
 def winter_cutoff(time: np.ndarray, angle: np.ndarray, count: int = 60) -> np.ndarray:
@@ -116,10 +119,12 @@ def _onto(grid: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
     return column if grid is time else np.interp(grid, time, column)
 
 
-def inverse_dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, body: BodyParameters) -> np.ndarray:
+def inverse_dynamics(
+    dynamics: Dynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, body: BodyParameters
+) -> np.ndarray:
     """Net joint torques (T, K), N·m."""
-    dynamics = dynamics_for(q.shape[-1])
-    return dynamics.inverse(*(torch.as_tensor(x.copy()) for x in (q, qd, qdd)), body).numpy()
+    angles, velocities, accelerations = (torch.as_tensor(x.copy()) for x in (q, qd, qdd))
+    return dynamics.inverse(angles, velocities, accelerations, body).numpy()
 
 
 @torch.no_grad()
@@ -143,16 +148,22 @@ def differentiate(
         progress: called with (done, total, what).
         cutoff: Hz; by residual analysis, joint by joint, when not given.
 
-    Raises InputError for fewer than ten frames, a link that is never seen, or an impossible cut-off.
+    Raises InputError for fewer than ten frames, a link that is never seen, or an impossible cut-off, and a body
+    that is no chain in the plane.
     """
     model, time = problem.model.to(dtype=torch.float64), problem.recording.time
+    if not isinstance(model.body, Body):
+        raise InputError(
+            f"filter-and-differentiate reads angles of a chain in the plane, got body '{model.body.name}': "
+            "use another method"
+        )
     body = model.body_parameters()
-    angle, gap = joint_angles(time, problem.observations, model.emission_model, body)
+    angle, gap = joint_angles(time, problem.observations, model.observation, body)
     cutoffs = winter_cutoff(time, angle) if cutoff is None else np.full(angle.shape[1], cutoff)
     q, qd, qdd = derivatives(time, angle, cutoffs)
     for x in (q, qd, qdd):
         x[gap > 0.5 / cutoffs] = math.nan
-    torque = torch.as_tensor(inverse_dynamics(q, qd, qdd, body))
+    torque = torch.as_tensor(inverse_dynamics(model.dynamics, q, qd, qdd, body))
     if model.command is not None:
         torque = torque - model.command
     path = torch.cat([model.torque.path(torque, model.time), torch.as_tensor(q), torch.as_tensor(qd)], -1)

@@ -1,43 +1,24 @@
-"""NUTS on short series: the reference that other methods are held against.
-
-Hoffman & Gelman (2014), "The No-U-Turn Sampler". The path is written through standard normals, non-centred,
-by the Gaussian smoother's chain (:class:`.laplace.GaussianChain`), x = path(ε): near ε ~ N(0, I)
-where the posterior is nearly Gaussian, however stiff the dynamics, so that steps of order one fit all
-coordinates. Its target is exact: log p(x(ε), y), as the map's Jacobian is constant.
-"""
+"""NUTS as a method, on short series: the reference that others are held against (:mod:`invdyn.inference.mcmc.nuts`)."""
 
 import math
 
 import arviz as az
-import numpy as np
-import pyro
 import torch
-import xarray as xr
-from pyro.distributions import Normal
-from pyro.infer import MCMC, NUTS
 from torch import Tensor
 
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
-from invdyn.inference.methods.laplace import GaussianChain
-from invdyn.inference.methods.smc import Progress, SMCOptions, gaussian_smoother
+from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.mcmc.mixing import mixing
+from invdyn.inference.mcmc.nuts import sample_paths
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import StateSpaceModel
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.recordings import InputError
 
 LONGEST = 100
 """Rows that NUTS can be waited for."""
-
-
-def whitened_model(model: StateSpaceModel, observations: Tensor, chain: GaussianChain):
-    """The Pyro model whose site "noise" (T, D) makes the path, distributed as p(x, y)."""
-
-    def noise_to_path() -> None:
-        noise = pyro.sample("noise", Normal(torch.zeros_like(chain.loc), 1.0).to_event(2))
-        # In place of the standard normal's own density.
-        pyro.factor("ratio", model.log_joint(chain.path(noise), observations) + 0.5 * noise.square().sum())
-
-    return noise_to_path
 
 
 def nuts(
@@ -74,33 +55,18 @@ def nuts(
         )
     draws = math.ceil(options.num_filters * options.num_draws / chains)
     whitening = GaussianChain.of(gaussian_smoother(model, observations, start))
-    target = whitened_model(model, observations, whitening)
-    paths, divergent, done = [], 0, 0
-
-    def report(*_) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, chains * (warmup + draws), "nuts")
-
     with seeded(seed):
-        for number in range(chains):
-            # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
-            torch.manual_seed(seed * 1_000_003 + number)
-            begin = {"noise": 2 * torch.randn(whitening.loc.shape, dtype=torch.float64)}
-            sampler = MCMC(
-                NUTS(target, max_tree_depth=8),
-                num_samples=draws,
-                warmup_steps=warmup,
-                initial_params=begin,
-                hook_fn=report,
-                disable_progbar=True,
-            )
-            sampler.run()
-            paths.append(whitening.path(sampler.get_samples()["noise"]))
-            divergent += len(sampler.diagnostics()["divergences"]["chain 0"])
+        paths, divergent = sample_paths(
+            model,
+            observations,
+            whitening,
+            chains=chains,
+            draws=draws,
+            warmup=warmup,
+            seed=seed,
+            progress=None if progress is None else lambda done, total: progress(done, total, "nuts"),
+        )
         torch.manual_seed(seed)
-        paths = torch.stack(paths)
         return to_inference_data(
             problem,
             paths,
@@ -109,14 +75,3 @@ def nuts(
             settings={**(settings or {}), "chains": chains, "warmup": warmup},
             diagnostics={**mixing(model.net_torque(paths).numpy()), "divergences": divergent},
         )
-
-
-def mixing(torque: np.ndarray) -> dict[str, float]:
-    """Largest R-hat, smallest bulk and tail effective sample size of any entry of draws (chain, draw, …)."""
-    # ArviZ's own conversion warns of more chains than draws, which is what batched chains are.
-    data = xr.Dataset({"torque": (["chain", "draw", *(f"dim_{k}" for k in range(torque.ndim - 2))], torque)})
-    return {
-        "r_hat": float(az.rhat(data)["torque"].max()),
-        "ess_bulk": float(az.ess(data, method="bulk")["torque"].min()),
-        "ess_tail": float(az.ess(data, method="tail")["torque"].min()),
-    }

@@ -7,6 +7,7 @@
 import time
 from collections.abc import Callable
 from functools import partial, wraps
+from typing import Any
 
 import arviz as az
 
@@ -26,7 +27,7 @@ def timed(method: Method) -> Method:
     """Return ``method`` with the seconds that it took noted in the attributes of its sample_stats."""
 
     @wraps(getattr(method, "func", method))
-    def run(*args, **kwargs) -> az.InferenceData:
+    def run(*args: Any, **kwargs: Any) -> az.InferenceData:
         begun = time.perf_counter()
         idata = method(*args, **kwargs)
         idata["sample_stats"].attrs["seconds"] = time.perf_counter() - begun
@@ -39,7 +40,7 @@ def named(name: str, method: Method) -> Method:
     """Return ``method`` with its results under another name."""
 
     @wraps(getattr(method, "func", method))
-    def run(*args, **kwargs) -> az.InferenceData:
+    def run(*args: Any, **kwargs: Any) -> az.InferenceData:
         idata = method(*args, **kwargs)
         idata.attrs["method"] = idata["sample_stats"].attrs["method"] = name
         return idata

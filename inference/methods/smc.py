@@ -4,177 +4,26 @@ Biderman et al. (2020) with two changes: the guide looks ahead (:mod:`.controlle
 reported is the smoothed posterior (:mod:`.backward_simulation`), not the filter.
 """
 
-from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import get_type_hints
+from dataclasses import replace
 
 import arviz as az
 import numpy as np
 import torch
 
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.distribute import Tensors, inside, spread
+from invdyn.inference.execution.distribute import inside, spread
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.backward_simulation import backward_simulation
-from invdyn.inference.filters.bootstrap import Bootstrap
-from invdyn.inference.filters.controlled import Controlled
-from invdyn.inference.filters.iterated import iterate
-from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, adapted_smoother, run_task
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
-from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
-from invdyn.models import StateSpaceModel
-from invdyn.recordings import InputError
-
-Progress = Callable[[int, int, str], None]
-
-PILOT_PARTICLE_STEPS = 4e6
-"""Particles × rows that the pilot runs of a refit keep, at most."""
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 
 PILOTS, FILTERS, PREDICTIVE = range(3)
 """Places of the random numbers of one run (:func:`.seeds.derived`)."""
-
-
-@dataclass(frozen=True)
-class SMCOptions:
-    """M filters, N particles each, R smoothed trajectories of each.
-
-    The controlled guide is refitted ``refits`` times on pilot runs; 0 takes the linearised model's
-    factors as they are. ``dtype`` None means float32 particles where that is precise enough
-    (:func:`sufficient_dtype`), else float64.
-
-    ``filters_per_task`` filters are one batch with a seed of its own, and what a worker is given at a time: results
-    depend on it, and not on how many workers there are. Fewer spread wider; many share what a time step costs
-    (measured: 16 instead of 32 take a quarter longer with 100 particles each, 6 % with 1,000). None means 32, and
-    on a GPU all of them.
-    """
-
-    num_filters: int = 64
-    num_particles: int = 100
-    num_draws: int = 4
-    refits: int = 2
-    ess_threshold: float = 0.5
-    resampling: str = "systematic"
-    dtype: torch.dtype | None = None
-    device: str = "cpu"
-    filters_per_task: int | None = None
-
-    def tasks(self) -> list[int]:
-        """Number of filters in each task, the last one's being the rest."""
-        size = self.filters_per_task or (32 if self.device == "cpu" else self.num_filters)
-        whole, rest = divmod(self.num_filters, size)
-        return [size] * whole + [rest] * (rest > 0)
-
-    def check(self) -> None:
-        """Raise InputError for a device that torch does not have here, or tasks of no filters."""
-        if self.filters_per_task is not None and self.filters_per_task < 1:
-            raise InputError(f"expected at least one filter in a task, got {self.filters_per_task}")
-        kind = self.device.partition(":")[0]
-        if kind not in ("cpu", "cuda"):
-            raise InputError(f"expected the device cpu or cuda, got {self.device!r}")
-        if kind == "cuda" and not torch.cuda.is_available():
-            raise InputError("device cuda: torch finds no CUDA device here (nvidia-smi lists them); use cpu")
-
-
-def gaussian_smoother(model: StateSpaceModel, observations: torch.Tensor, start=None) -> GaussianSmoother:
-    """Gauss–Newton, then linearised over the posterior."""
-    smoother = gauss_newton(model, observations, start=start)
-    return posterior_linearisation(model, observations, smoother)
-
-
-def adapted_smoother(
-    model: StateSpaceModel, observations: torch.Tensor, options: SMCOptions, start=None
-) -> GaussianSmoother:
-    """What the controlled guide and the smoother use: factors refitted on pilot runs (:mod:`.iterated`).
-
-    The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
-    guides the steadier filters. Random numbers are torch's own (global seed).
-    """
-    mode = gauss_newton(model, observations, start=start)
-    around = posterior_linearisation(model, observations, mode)
-    if options.refits == 0 or options.num_filters == 1:
-        return around
-
-    # Enough particles to fit a quadratic to, and no more than memory holds for every row.
-    room = int(PILOT_PARTICLE_STEPS / (options.num_filters * len(observations)))
-    few = replace(options, num_particles=min(options.num_particles, 100, max(room, 16)))
-
-    def pilot(smoother: GaussianSmoother) -> FilterResult:
-        return run_filters(model, observations, few, smoother=smoother)
-
-    return iterate(model, observations, [mode, around], pilot, iterations=options.refits)
-
-
-def sufficient_dtype(smoother: GaussianSmoother) -> torch.dtype:
-    """float32 if its rounding of the states stays under a hundredth of their posterior sd everywhere, else float64."""
-    sd = smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt()
-    rounding = torch.finfo(torch.float32).eps * smoother.path.abs()
-    return torch.float32 if bool((rounding < 0.01 * sd).all()) else torch.float64
-
-
-def run_filters(
-    model: StateSpaceModel,
-    observations: torch.Tensor,
-    options: SMCOptions,
-    *,
-    guide: str = "controlled",
-    smoother: GaussianSmoother | None = None,
-    keep: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> FilterResult:
-    """Run M filters with ``guide`` "controlled" or "bootstrap"; see :meth:`ParticleFilter.run`."""
-    if guide == "controlled" and smoother is None:
-        smoother = adapted_smoother(model, observations, options)
-    dtype = options.dtype or (torch.float32 if smoother is None else sufficient_dtype(smoother))
-    fast = model.to(dtype=dtype, device=options.device)
-    rows = observations.to(dtype=dtype, device=options.device)
-    proposal = Bootstrap(fast) if smoother is None or guide == "bootstrap" else Controlled(fast, observations, smoother)
-    particle_filter = ParticleFilter(
-        fast,
-        proposal,
-        options.num_particles,
-        num_filters=options.num_filters,
-        ess_threshold=options.ess_threshold,
-        resampling=options.resampling,
-    )
-    return particle_filter.run(rows, keep=keep, progress=progress)
-
-
-def run_task(
-    model: StateSpaceModel,
-    observations: torch.Tensor,
-    options: SMCOptions,
-    guide: str,
-    smoother: GaussianSmoother | None,
-    seed: int,
-    progress: Callable[[int, int], None] | None = None,
-) -> Tensors:
-    """Filters and their smoothed trajectories, from a seed of their own: what one worker does.
-
-    ``progress`` counts the rows of both. Returns, of :class:`FilterResult`, the fields without a particle
-    dimension, and "paths" (M, R, T, D).
-    """
-    rows = len(observations)
-
-    def counted(before: int):
-        return None if progress is None else lambda done, _: progress(before + done, 2 * rows)
-
-    with seeded(seed, options.device):
-        result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=counted(0))
-        result = replace(
-            result, **{name: value.cpu() for name, value in vars(result).items() if value is not None}
-        )  # smoothing is done in float64, where the smoother is
-        paths = backward_simulation(
-            model, result, observations, options.num_draws, smoother=smoother, progress=counted(rows)
-        )
-    return {"paths": paths, **{name: getattr(result, name) for name in PER_FILTER}}
-
-
-PER_FILTER = {"log_evidence": 0, "log_evidence_increment": 1, "ess": 1, "resampled": 1}
-"""Fields of :class:`FilterResult` without a particle dimension, and which of theirs is the filters'."""
 
 
 def smc(
@@ -251,35 +100,9 @@ def fitted_guide(
 ) -> GaussianSmoother:
     """:func:`adapted_smoother`, or the one that was kept."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
-        return _unflattened(GaussianSmoother, kept[0])
+        return unflattened(GaussianSmoother, kept[0])
     with seeded(derived(seed, PILOTS), options.device):
         smoother = adapted_smoother(problem.model, problem.observations, options, start)
     if checkpoint is not None:
-        checkpoint.save(_flattened(smoother))
+        checkpoint.save(flattened(smoother))
     return smoother
-
-
-def _flattened(record: object, prefix: str = "") -> Tensors:
-    """The arrays and tensors of a dataclass, and of those in it, by dotted name."""
-    tensors: Tensors = {}
-    for field in fields(record):
-        value = getattr(record, field.name)
-        if is_dataclass(value):
-            tensors |= _flattened(value, f"{prefix}{field.name}.")
-        elif value is not None:
-            tensors[prefix + field.name] = torch.as_tensor(np.asarray(value))
-    return tensors
-
-
-def _unflattened(kind: type, tensors: Tensors, prefix: str = ""):
-    """The dataclass of which :func:`_flattened` is ``tensors``."""
-    values = {}
-    for name, hint in get_type_hints(kind).items():
-        if is_dataclass(hint):
-            values[name] = _unflattened(hint, tensors, f"{prefix}{name}.")
-        elif prefix + name not in tensors:
-            values[name] = None
-        else:
-            value = tensors[prefix + name]
-            values[name] = value if hint is torch.Tensor else value.numpy()[()]
-    return kind(**values)

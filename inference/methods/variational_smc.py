@@ -26,7 +26,9 @@ Shapes: P free parameters, M filters.
 import dataclasses
 import json
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import arviz as az
 import pyro
@@ -38,22 +40,23 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation, genealogy
+from invdyn.inference.filters.filtering import SMCOptions, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.fitting.identifiability import unidentified
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
-from invdyn.inference.methods.parameter_guide import Following, Uncertain
-from invdyn.inference.methods.smc import Progress, SMCOptions, gaussian_smoother, sufficient_dtype
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import combine, to_inference_data
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
-from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother, posterior_linearisation
 from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.parameter_guide import Following, Uncertain
 from invdyn.inference.variational.training import train
 from invdyn.inference.variational.vsmc import VSMC_ELBO
-from invdyn.models import StateSpaceModel
+from invdyn.models import ArmModel, StateSpaceModel
 
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than q, so that the weights stay bounded."""
@@ -102,17 +105,15 @@ def vsmc(
     """
     options = options or SMCOptions()
 
-    def stage(what: str):
+    def stage(what: str) -> Report | None:
         return None if progress is None else lambda done, total: progress(done, total, what)
 
     with seeded(seed, options.device), pyro.get_param_store().scope():
-        learner = _Learner(problem, free, options, start, stage("fit"))
+        kind = _OverParameters if free else _AtParameters
+        learner = kind(problem, free, options, start, stage("fit"))
         gain = learner.train(steps, learning_rate, stage("train"), inside(checkpoint, "vsmc"))
         with torch.no_grad():
-            if free:
-                idata, found = learner.over_parameters(seed, settings or {}, stage("filter"))
-            else:
-                idata, found = learner.at_parameters(seed, settings or {}, stage("filter"), stage("smooth")), []
+            idata, found = learner.posterior(seed, settings or {}, stage("filter"), stage("smooth"))
     each = idata["sample_stats"]["log_evidence"].values
     error = each.std(ddof=1) / math.sqrt(len(each)) if len(each) > 1 else math.nan
     idata["sample_stats"].attrs |= {
@@ -124,39 +125,40 @@ def vsmc(
     return idata
 
 
-class _Learner:
-    """What the stages of :func:`vsmc` share: the problem, its start, its guide."""
+class _Learner(ABC):
+    """What the stages of :func:`vsmc` share: the problem, its start, its guide and the model that it is trained for."""
 
-    def __init__(self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report):
+    guide: Corrected
+    target: StateSpaceModel
+
+    def __init__(self, problem: Problem, options: SMCOptions, model: ArmModel, start: Tensor | None):
         self.problem, self.options = problem, options
-        model = problem.model.to(dtype=torch.float64)
         self.observations = problem.observations.double()
-        if free:
-            found = fit(model, self.observations, free, start=start, progress=report)
-            self.log_parameters = LogParameters(model, free)
-            root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
-            self.centre, self.root, model, start = torch.as_tensor(found.phi), root, found.model, found.path
         self.smoother = gaussian_smoother(model, self.observations, start)
-        dtype = options.dtype or sufficient_dtype(self.smoother)
-        self.model = model.to(dtype=dtype, device=options.device)
-        self.rows = self.observations.to(dtype=dtype, device=options.device)
-        if free:
-            self.guide = Following(self.model, self.rows, self.smoother, len(self.centre))
-            base = LogParameters(problem.model.to(dtype=dtype, device=options.device), free)
-            self.target = Uncertain(base, self.centre, self.root)
-        else:
-            self.guide, self.target = Corrected(self.model, self.rows, self.smoother), self.model
+        self.dtype = options.dtype or sufficient_dtype(self.smoother)
+        self.model = model.to(dtype=self.dtype, device=options.device)
+        self.rows = self.observations.to(dtype=self.dtype, device=options.device)
 
-    def train(self, steps: int, learning_rate: float, report, checkpoint: Checkpoint | None) -> float:
+    @abstractmethod
+    def posterior(
+        self, seed: int, settings: dict, report: Report | None, smoothing: Report | None
+    ) -> tuple[az.InferenceData, list[dict]]:
+        """What the trained filters find; and what of the parameters is not identified."""
+
+    @abstractmethod
+    def bound(self, count: int) -> Tensor:
+        """Log of the weights' numerator over denominator, (M,), of ``count`` filters."""
+
+    def train(self, steps: int, learning_rate: float, report: Report | None, checkpoint: Checkpoint | None) -> float:
         """Ascend the bound; the parameters stay in Pyro's store. Returns the gain; 0 where it was undone."""
         if steps == 0:
             return 0.0
         slow = {"lr": learning_rate / 10, "lrd": 0.1 ** (1 / steps), "clip_norm": 100.0}
         fast = {**slow, "lr": learning_rate}
         own = (f"{self.guide.name}.loc", f"{self.guide.name}.root")
-        sizes = {"num_particles": min(self.options.num_particles, 50), "num_filters": 4}
         chunk = CHUNK if len(self.rows) > 2 * CHUNK else None
-        loss = VSMC_ELBO(**sizes, ess_threshold=self.options.ess_threshold, chunk=chunk)
+        particles = min(self.options.num_particles, 50)
+        loss = VSMC_ELBO(particles, num_filters=4, ess_threshold=self.options.ess_threshold, chunk=chunk)
         svi = SVI(self.target, self.guide, ClippedAdam(lambda name: fast if name in own else slow), loss=loss)
         seed = int(torch.randint(2**31, ()))
         before = self._pilot(seed)
@@ -171,35 +173,47 @@ class _Learner:
     def _pilot(self, seed: int) -> float:
         """The bound, by filters whose random numbers are the same before and after training."""
         with seeded(seed, self.options.device):
-            return self._run(PILOTS, None)[0].mean().item()
+            return self.bound(PILOTS).mean().item()
 
-    def _run(self, count: int, report) -> tuple[Tensor, FilterResult, Tensor | None]:
-        """Log of the weights' numerator over denominator (M,), the filters, and their φ (M, P), if any."""
-        if not hasattr(self, "log_parameters"):
-            result = self._filters(self.model, self.guide.sampled(self.model), count, report)
-            return result.log_evidence, result, None
-        loc, root = self.guide.location_and_root()
-        proposal = MultivariateStudentT(TAIL, loc, root)
-        u = proposal.sample((count,))
-        phi = self.target.phi(u)
-        result = self._each(phi, report)
-        ratio = self.target.prior.log_prob(u) - proposal.log_prob(u)
-        return result.log_evidence + ratio.to(result.log_evidence), result, phi
-
-    def _filters(self, model: StateSpaceModel, guide: Corrected, count: int, report) -> FilterResult:
+    def _filters(self, model: StateSpaceModel, guide: Corrected, count: int, report: Report | None) -> FilterResult:
         o = self.options
-        sizes = {"num_filters": count, "ess_threshold": o.ess_threshold, "resampling": o.resampling}
-        return ParticleFilter(model, guide, o.num_particles, **sizes).run(self.rows, progress=report)
+        filters = ParticleFilter(
+            model,
+            guide,
+            o.num_particles,
+            num_filters=count,
+            ess_threshold=o.ess_threshold,
+            resampling=o.resampling,
+        )
+        return filters.run(self.rows, progress=report)
 
     def settings(self, given: dict) -> dict:
         """What is recorded."""
         names = ("num_filters", "num_particles", "resampling")
         return {**given, **{name: getattr(self.options, name) for name in names}}
 
-    # -- parameters as they are ----------------------------------------------------------------
-    def at_parameters(self, seed: int, settings: dict, report, smoothing) -> az.InferenceData:
-        """Filters with the trained guide."""
-        _, result, _ = self._run(self.options.num_filters, report)
+
+class _AtParameters(_Learner):
+    """Parameters as they are: only the guide is learned."""
+
+    def __init__(
+        self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report: Report | None
+    ):
+        super().__init__(problem, options, problem.model.to(dtype=torch.float64), start)
+        self.guide, self.target = Corrected(self.model, self.rows, self.smoother), self.model
+
+    def bound(self, count: int) -> Tensor:
+        """The filters' evidence."""
+        return self._trained(count, None).log_evidence
+
+    def _trained(self, count: int, report: Report | None) -> FilterResult:
+        return self._filters(self.model, self.guide.sampled(self.model), count, report)
+
+    def posterior(
+        self, seed: int, settings: dict, report: Report | None, smoothing: Report | None
+    ) -> tuple[az.InferenceData, list[dict]]:
+        """Filters with the trained guide, smoothed."""
+        result = self._trained(self.options.num_filters, report)
         paths = backward_simulation(
             self.model,
             result,
@@ -208,14 +222,48 @@ class _Learner:
             smoother=self.smoother,
             progress=smoothing,
         )
-        return to_inference_data(
-            self.problem, paths, result, method="vsmc", seed=seed, settings=self.settings(settings)
-        )
+        own = self.settings(settings)
+        return to_inference_data(self.problem, paths, result, method="vsmc", seed=seed, settings=own), []
 
-    # -- parameters learned --------------------------------------------------------------------
-    def over_parameters(self, seed: int, settings: dict, report) -> tuple[az.InferenceData, list[dict]]:
+
+class _OverParameters(_Learner):
+    """Parameters learned: each filter has its own."""
+
+    guide: Following
+    target: Uncertain
+
+    def __init__(
+        self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report: Report | None
+    ):
+        model = problem.model.to(dtype=torch.float64)
+        found = fit(model, problem.observations.double(), free, start=start, progress=report)
+        self.log_parameters = LogParameters(model, free)
+        root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
+        centre = torch.as_tensor(found.phi)
+        super().__init__(problem, options, found.model, found.path)
+        self.guide = Following(self.model, self.rows, self.smoother, len(centre))
+        base = LogParameters(problem.model.to(dtype=self.dtype, device=options.device), free)
+        self.target = Uncertain(base, centre, root)
+
+    def bound(self, count: int) -> Tensor:
+        """The filters' evidence, each at parameters of its own, times p(φ)/q(φ)."""
+        return self._drawn(count, None)[0]
+
+    def _drawn(self, count: int, report: Report | None) -> tuple[Tensor, FilterResult, Tensor]:
+        """Log of the weights' numerator over denominator (M,), the filters, and their φ (M, P)."""
+        loc, root = self.guide.location_and_root()
+        proposal = MultivariateStudentT(TAIL, loc, root)
+        u = proposal.sample((count,))
+        phi = self.target.phi(u)
+        result = self._each(phi, report)
+        ratio = self.target.prior.log_prob(u) - proposal.log_prob(u)
+        return result.log_evidence + ratio.to(result.log_evidence), result, phi
+
+    def posterior(
+        self, seed: int, settings: dict, report: Report | None, smoothing: Report | None
+    ) -> tuple[az.InferenceData, list[dict]]:
         """Filters, each with parameters of its own; and what of them is not identified."""
-        evidence, result, phi = self._run(self.options.num_filters, report)
+        evidence, result, phi = self._drawn(self.options.num_filters, report)
         paths = genealogy(result, self.options.num_draws)
         found = unidentified(self.log_parameters, phi, evidence)
         settings = self.settings({**settings, "unidentified": found})
@@ -230,7 +278,7 @@ class _Learner:
         idata["constant_data"].update(constant)
         return idata, found
 
-    def _each(self, phi: Tensor, report) -> FilterResult:
+    def _each(self, phi: Tensor, report: Report | None) -> FilterResult:
         """Filter m at φ_m (M, P), its smoother and guide its own."""
         many = self.log_parameters.at(phi)
         start = self.smoother.path.expand(len(phi), -1, -1)
@@ -274,9 +322,10 @@ class _Learner:
 def _of_set(smoothers: GaussianSmoother, m: int) -> GaussianSmoother:
     """Set m of a batch of smoothers."""
 
-    def pick(value):
+    def pick(value: Any) -> Any:
         if dataclasses.is_dataclass(value):
-            return type(value)(**{f.name: pick(getattr(value, f.name)) for f in dataclasses.fields(value)})
+            kind: Any = type(value)
+            return kind(**{f.name: pick(getattr(value, f.name)) for f in dataclasses.fields(value)})
         return None if value is None else value[m]
 
     return pick(smoothers)

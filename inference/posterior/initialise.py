@@ -11,15 +11,15 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 
 import math
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models import ArmModel, Body, Emission, TorqueProcess, dynamics_for
-from invdyn.models.articulated.start import link_angle_sd
+from invdyn.models import ArmModel, ArticulatedBody, Body, Encoders, Keypoints, Observation, TorqueProcess, dynamics_for
+from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -51,7 +51,7 @@ class Problem:
 
 def arm_problem(
     recording: Recording,
-    body: Body,
+    body: ArticulatedBody,
     *,
     torque: TorqueProcess | None = None,
     integrator: str = "rk4",
@@ -66,7 +66,7 @@ def arm_problem(
     """Bind a body to a recording.
 
     Args:
-        recording: planar keypoints among the body's tips, encoder angles, or both.
+        recording: keypoints among the body's sites, encoder angles, or both.
         body: lengths in the recording's length unit.
         torque: torque process; Ornstein–Uhlenbeck by default.
         integrator, substeps: of the dynamics; sub-steps are chosen from the error when not given.
@@ -79,7 +79,7 @@ def arm_problem(
 
     Raises InputError when the recording does not fit the body.
     """
-    tips = _tips(recording, body)
+    sites = _sites(recording, body)
     joints = body.num_joints
     angles = _in_order(recording, body, recording.angles, "angles")
     command = None if hide_torque else _in_order(recording, body, recording.torques, "commanded torques")
@@ -91,7 +91,7 @@ def arm_problem(
             f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
             "fill it in, or pass --hide-torque to treat torques as unknown"
         )
-    columns = [recording.keypoints[:, p] for p, _ in tips]
+    columns = [recording.keypoints[:, p] for p, _ in sites]
     rows = [np.concatenate(columns, axis=1)] if columns else []
     if angles is not None:
         rows.append(angles)
@@ -102,22 +102,26 @@ def arm_problem(
             f"got {', '.join(recording.keypoint_names) or 'none'}"
         )
     observations = torch.as_tensor(np.concatenate(rows, axis=1))
-    confidence = None if recording.confidence is None else recording.confidence[:, [p for p, _ in tips]]
+    confidence = None if recording.confidence is None else recording.confidence[:, [p for p, _ in sites]]
     if confidence is not None and not (
         np.isfinite(confidence).any() and np.ptp(confidence[np.isfinite(confidence)]) > 0
     ):
         confidence = None  # a constant confidence says nothing
-    emission = Emission([tip for _, tip in tips], 0 if angles is None else joints, family=family, confidence=confidence)
+    sensors = [Keypoints([site for _, site in sites], confidence)] if sites else []
+    sensors += [] if angles is None else [Encoders()]
+    observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
+        if not isinstance(body, Body):
+            raise InputError(f"expected a chain in the plane to learn lengths of, got '{body.name}': give its lengths")
         body = body.with_values(length=observed_lengths(recording, body))
-    values = {**_start_values(body, recording.time, observations, emission), **(parameters or {})}
-    options = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
+    options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
-        model = ArmModel(body, recording.time, emission, substeps=substeps or 1, **options)
+        model = ArmModel(body, recording.time, observation, substeps=substeps or 1, **options)
     except (KeyError, ValueError) as error:
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
-        model = ArmModel(body, recording.time, emission, substeps=sufficient_substeps(model, observations), **options)
+        model = model.in_substeps(sufficient_substeps(model, observations))
     return Problem(model, observations, recording, None if truth is None else truth.at(recording.time))
 
 
@@ -134,25 +138,26 @@ def observed_lengths(recording: Recording, body: Body) -> list[float]:
     return lengths
 
 
-def _tips(recording: Recording, body: Body) -> list[tuple[int, int]]:
-    """Pairs (keypoint in the recording, link of the body)."""
-    if recording.keypoints.shape[-1] != 2 and recording.keypoint_names:
+def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:
+    """Pairs (keypoint in the recording, site of the body)."""
+    if recording.keypoints.shape[-1] != body.space and recording.keypoint_names:
+        where = {2: "moves in a plane", 3: "moves in space"}.get(body.space, f"has {body.space} dimensions")
         raise InputError(
             f"{recording.name}: keypoints have {recording.keypoints.shape[-1]} coordinates, but body "
-            f"'{body.name}' moves in a plane"
+            f"'{body.name}' {where}"
         )
-    known = (body.base_keypoint, *body.keypoint_names)
+    names = body.keypoint_names
+    known = names if body.base_keypoint is None else (body.base_keypoint, *names)
     strange = [name for name in recording.keypoint_names if name not in known]
     if strange:
         raise InputError(
             f"{recording.name}: keypoint {strange[0]!r} is not of body '{body.name}', "
             f"which has {', '.join(known)}: rename the body's tips or leave the keypoint out"
         )
-    names = body.keypoint_names
     return [(p, names.index(name)) for p, name in enumerate(recording.keypoint_names) if name in names]
 
 
-def _in_order(recording: Recording, body: Body, values: np.ndarray | None, what: str) -> np.ndarray | None:
+def _in_order(recording: Recording, body: ArticulatedBody, values: np.ndarray | None, what: str) -> np.ndarray | None:
     """Columns (T, K) in the body's order of joints; None when there are none."""
     if values is None or not np.isfinite(values).any():
         return None
@@ -164,37 +169,59 @@ def _in_order(recording: Recording, body: Body, values: np.ndarray | None, what:
     return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
 
-def _start_values(body: Body, time: np.ndarray, observations: Tensor, emission: Emission) -> dict[str, object]:
+def _start_values(
+    body: ArticulatedBody, time: np.ndarray, observations: Tensor, observation: Observation
+) -> dict[str, object]:
     """Observation noise and the first frame's angles and velocities."""
-    parameters = body.parameters()
-    reach = parameters.length.sum().item()
-    values: dict[str, object] = {}
+    numbers, dynamics = body.parameters(), dynamics_for(body)
+    reach = dynamics.reach(numbers).item()
     rows = observations.numpy()
-    points = 2 * len(emission.tips)
-    if emission.tips:
-        noise = jitter(rows[:, :points]).reshape(-1, 2).max(axis=1)
-        values["emission.keypoint_scale"] = np.clip(noise, 1e-5 * reach, 0.3 * reach)
-    if emission.num_encoders:
-        sd = values["emission.angle_scale"] = np.clip(jitter(rows[:, points:]), 1e-5, 0.1)
+    values: dict[str, object] = {}
+    for sensor in observation.sensors:
+        values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
+    if observation.encoders:
+        sd = values["emission.angle_scale"]
+    elif observation.keypoints:
+        noise = jitter(rows[:, observation.part(observation.keypoints)])
+        sd = np.clip(1.5 * noise.max() / dynamics.levers(numbers).numpy(), 1e-6, 1.0)
     else:
-        sd = np.clip(1.5 * noise.max() / parameters.length.numpy(), 1e-6, 1.0)
+        sd = np.ones(body.num_joints)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
     values["noise.velocity"] = 1e-3
-    candidates = joint_angle_candidates(time, observations, emission, parameters, sd)
+    candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
         speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])
         values["initial.angle"] = middle[0]
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
-        if emission.tips:
+        if (keypoints := observation.keypoints) is not None:
             # What rigid links cannot explain is observation noise to begin with.
-            tips = dynamics_for(body.num_joints).keypoints(torch.as_tensor(middle), parameters)
-            off = rows[:, :points] - tips[:, emission.tips].flatten(-2).numpy()
-            misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).reshape(-1, 2).max(axis=1)
-            values["emission.keypoint_scale"] = np.clip(misfit, noise, 0.3 * reach)
+            sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()
+            off = observation.points(rows) - sites
+            misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
+            least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
+            values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
+            if keypoints.confidence is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
     return values
+
+
+def confidence_drop(off: np.ndarray, drop: np.ndarray, least: float = 0.1, most: float = 8.0) -> np.ndarray:
+    """Start of δ of each keypoint, (P,): by how much its doubtful rows' misfits are larger, in logarithms per drop.
+
+    From misfits (T, P, d) and drops (T, P) of the confidence. Where lost points begin as good ones, the mode runs
+    through them, and the search for parameters ends there.
+    """
+    start = np.full(drop.shape[1], least)
+    for p, (size, d) in enumerate(zip(np.linalg.norm(off, axis=-1).T, drop.T, strict=True)):
+        low = np.isfinite(size) & (d > 0.5)
+        high = np.isfinite(size) & (d <= 0.5)
+        if low.any() and high.any() and np.median(size[high]) > 0:
+            ratio = np.median(size[low]) / np.median(size[high])
+            start[p] = np.clip(np.log(max(ratio, 1.0)) / (np.median(d[low]) - np.median(d[high])), least, most)
+    return start
 
 
 def jitter(columns: np.ndarray) -> np.ndarray:
@@ -239,15 +266,13 @@ def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.
     paths = model.initial_paths(observations)
     path = paths[len(paths) // 2]
     rows = torch.arange(1, model.num_steps)
-    joints = model.body.num_joints
-    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
-    tried, ends = copy(model), {}
+    limit = model.parameters["noise.angle"] + 0.1 * torch.as_tensor(joint_angle_sd(model, model.body_parameters()))
+    ends: dict[int, Tensor] = {}
 
     def angles(count: int) -> Tensor:
         """At the ends of all rows, in so many sub-steps."""
         if count not in ends:
-            tried.substeps = count
-            ends[count] = tried.transition_mean(path[:-1], rows)[:, -2 * joints : -joints]
+            _, ends[count], _ = model.split(model.in_substeps(count).transition_mean(path[:-1], rows))
         return ends[count]
 
     with torch.no_grad():

@@ -11,18 +11,21 @@ With D(θ), c(θ), h(θ, θ̇) of the body's equation of motion D θ̈ + h + c =
     power             τ θ̇     [chain, draw, time, joint]           W
 """
 
+from typing import Any
+
 import arviz as az
 import numpy as np
 import torch
 import xarray as xr
 
-from invdyn.models import BodyParameters, dynamics_for
-
-PARTS = ("length", "mass", "com", "inertia", "gravity", "base")
+from invdyn.models import ArticulatedBody, BodyParameters, dynamics_for, planar_dynamics
 
 
-def mechanics(idata: az.InferenceData) -> xr.Dataset:
-    """Compute the table above from ``idata`` (posterior angles, velocities and torques, and the body's constants)."""
+def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> xr.Dataset:
+    """Compute the table above from ``idata`` (posterior angles, velocities and torques, and the body's constants).
+
+    ``body`` is whose posterior it is; where it is not given, a chain in the plane.
+    """
     posterior, constants = idata["posterior"], idata["constant_data"]
 
     def tensor(variable: xr.DataArray) -> torch.Tensor:
@@ -32,12 +35,13 @@ def mechanics(idata: az.InferenceData) -> xr.Dataset:
 
     def constant(part: str) -> torch.Tensor:
         if part in posterior:  # an uncertain body: its scalars differ between draws
-            return tensor(posterior[part].transpose("chain", "draw", "link")).unsqueeze(-2)
+            return tensor(posterior[part].transpose("chain", "draw", "link", ...)).unsqueeze(2)
         return tensor(constants[part])
 
-    body = BodyParameters(*(constant(part) for part in PARTS))
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
-    dynamics = dynamics_for(q.shape[-1])
+    numbers = BodyParameters if body is None else type(body.parameters())
+    dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
+    body = numbers(*(constant(part) for part in numbers._fields))
     unit = idata.attrs.get("length_unit", "m")
     si = unit == "m"
     torque, energy = ("N·m", "J") if si else (f"kg·({unit})²/s²",) * 2
@@ -54,7 +58,7 @@ def mechanics(idata: az.InferenceData) -> xr.Dataset:
         "potential_energy": (frame, dynamics.potential_energy(q, body), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),
     }
-    coords = {name: posterior[name] for name in joint}
+    coords: dict[str, Any] = {name: posterior[name] for name in joint}
     coords["joint_2"] = posterior["joint"].values
     return xr.Dataset(
         {name: (dims, np.asarray(v), {"units": u}) for name, (dims, v, u) in values.items()}, coords=coords

@@ -22,6 +22,7 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -35,10 +36,10 @@ from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.recordings import InputError, atomic_path
-from invdyn.recordings.errors import first_line
-
-GROUPS = ("posterior", "sample_stats", "constant_data")
+from invdyn.inference.posterior.layout import check_layout, check_size
+from invdyn.models.bodies.protocol import axes
+from invdyn.recordings import InputError, atomic_path, check_readable, resolved
+from invdyn.recordings.errors import about, first_line
 
 
 def to_inference_data(
@@ -91,24 +92,14 @@ def to_inference_data(
         residual = paths[..., : body.num_joints]
         posterior["residual_torque"] = (["chain", "draw", "time", "joint"], residual)
     rows = torch.arange(model.num_steps)
-    emission = model.emission_model
     sampled = model.emission(paths, rows).sample()
-    points = 2 * len(emission.tips)
-    tracked = [body.keypoint_names[tip] for tip in emission.tips]
-    predictive, observed = {}, {}
-    if emission.tips:
-        shape = (len(emission.tips), 2)
-        predictive["position"] = (
-            ["chain", "draw", "time", "tracked", "space"],
-            sampled[..., :points].unflatten(-1, shape),
-        )
-        observed["position"] = (
-            ["time", "tracked", "space"],
-            problem.observations[:, :points].unflatten(-1, shape),
-        )
-    if emission.num_encoders:
-        predictive["angle"] = (["chain", "draw", "time", "joint"], sampled[..., points:])
-        observed["angle"] = (["time", "joint"], problem.observations[:, points:])
+    predictive, observed, seen = {}, {}, {}
+    for sensor in model.observation.sensors:
+        dims = list(sensor.coords)
+        predictive[sensor.name] = (["chain", "draw", "time", *dims], model.observation.of(sensor, sampled))
+        observed[sensor.name] = (["time", *dims], model.observation.of(sensor, problem.observations))
+        units |= {sensor.name: recording.length_unit if sensor.unit == "length" else sensor.unit}
+        seen |= {dim: list(names) for dim, names in sensor.coords.items()}
     stats = {"log_evidence": (["chain"], each), "log_weight": (["chain"], outer.log_weights)}
     if result is not None:
         stats |= {
@@ -119,18 +110,15 @@ def to_inference_data(
     coords = {
         "time": recording.time,
         "joint": list(body.joint_names),
-        "space": ["x", "y"],
-        "link": [link.name for link in body.links],
+        "space": axes(body),
+        "link": list(body.link_names),
+        "keypoint": list(body.keypoint_names),
     }
 
-    def dataset(variables: dict, keypoint: list[str] | None = None) -> xr.Dataset:
-        renamed = {
-            name: ([d.replace("tracked", "keypoint") for d in dims], np.asarray(values))
-            for name, (dims, values) in variables.items()
-        }
-        used = {d for dims, _ in renamed.values() for d in dims}
-        own = {**coords, "keypoint": keypoint or list(body.keypoint_names)}
-        out = xr.Dataset(renamed, coords={k: v for k, v in own.items() if k in used})
+    def dataset(variables: dict, own: dict[str, list[str]] | None = None) -> xr.Dataset:
+        arrays = {name: (dims, np.asarray(values)) for name, (dims, values) in variables.items()}
+        used = {d for dims, _ in arrays.values() for d in dims}
+        out = xr.Dataset(arrays, coords={k: v for k, v in {**coords, **(own or {})}.items() if k in used})
         for dim in ("chain", "draw"):
             if dim in used:
                 out = out.assign_coords({dim: np.arange(out.sizes[dim])})
@@ -140,11 +128,11 @@ def to_inference_data(
             out["time"].attrs["units"] = "s"
         return out
 
-    groups = {
+    groups: dict[str, Any] = {
         "posterior": dataset(posterior),
-        "posterior_predictive": dataset(predictive, tracked),
+        "posterior_predictive": dataset(predictive, seen),
         "sample_stats": dataset(stats),
-        "observed_data": dataset(observed, tracked),
+        "observed_data": dataset(observed, seen),
         "constant_data": dataset(_constants(problem)),
     }
     # netCDF knows no booleans.
@@ -172,9 +160,7 @@ def _units(length: str) -> dict[str, str]:
 
 def _constants(problem: Problem) -> dict:
     model, truth = problem.model, problem.truth
-    body = model.body_parameters()
-    constants = {name: (["link"], getattr(body, name).detach()) for name in ("length", "mass", "com", "inertia")}
-    constants |= {name: (["space"], getattr(body, name).detach()) for name in ("base", "gravity")}
+    constants = dict(model.body.described(model.body_parameters()))
     if model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
     if truth is not None:
@@ -209,17 +195,17 @@ def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
 def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
     """One posterior from several sets of filters of one recording, chains in order, outer weights made anew.
 
-    Where the parts' bodies differ, their length, mass, com and inertia become variables of the posterior.
+    Where the parts' bodies differ, their links' numbers become variables of the posterior.
     """
-    body = ("length", "mass", "com", "inertia")
-    varies = any(not part["constant_data"][list(body)].equals(parts[0]["constant_data"][list(body)]) for part in parts)
-    groups = {}
+    body = [str(name) for name, each in parts[0]["constant_data"].data_vars.items() if "link" in each.dims]
+    varies = any(not part["constant_data"][body].equals(parts[0]["constant_data"][body]) for part in parts)
+    groups: dict[str, Any] = {}
     for group in ("posterior", "posterior_predictive", "sample_stats"):
         pieces = []
         for part in parts:
             piece = part[group]
             if group == "posterior" and varies:
-                constant = part["constant_data"][list(body)]
+                constant = part["constant_data"][body]
                 over = {dim: piece.sizes[dim] for dim in ("chain", "draw")}
                 piece = piece.merge(constant.expand_dims(over))
             pieces.append(piece)
@@ -262,16 +248,20 @@ def save_posterior(idata: az.InferenceData, path: str | Path) -> None:
 def load_posterior(path: str | Path) -> az.InferenceData:
     """Read what :func:`save_posterior` wrote.
 
-    Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours.
+    Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours, with which of its
+    variables is not as :mod:`.posterior_layout` has it.
     """
-    if not Path(path).exists():
+    if not resolved(path).exists():
         raise FileNotFoundError(2, "no such posterior", str(path))
+    check_readable(path)
     try:
         idata = az.from_netcdf(str(path), engine="h5netcdf")
+        check_size(idata, path)
         idata.load()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # a broken file fails anywhere inside HDF5, xarray or ArviZ
         raise InputError(f"{path} is damaged or not netCDF: {first_line(error)}") from error
-    missing = [group for group in GROUPS if group not in idata.groups()]
-    if missing or "torque" not in idata["posterior"]:
-        raise InputError(f"{path} is no posterior of invdyn: it lacks {', '.join(missing) or 'torques'}")
+    with about(path):
+        check_layout(idata)
     return idata

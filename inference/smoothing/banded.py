@@ -15,17 +15,17 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from invdyn.inference.smoothing.square_root import apply
+from invdyn.models.divergence import Singular
 
 REFINEMENTS, SETTLED = 2, 1e-7
 """Steps of refinement, and the relative size of the last one above which there are no digits to trust."""
 
 
-class Singular(ArithmeticError):
-    """The chain has no band Cholesky factor: a state without noise, or a condition beyond repair."""
-
-
 def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np.ndarray, m0: np.ndarray) -> np.ndarray:
-    """Posterior mean path (T, D); raises :class:`Singular`."""
+    """Posterior mean path (T, D).
+
+    Raises Singular where there is no band Cholesky factor: a state without noise, or a condition beyond repair.
+    """
     if not (np.diagonal(L, axis1=-2, axis2=-1) != 0).all():
         raise Singular("expected noise in every state; the recursions of square_root.py take chains without")
     inverse = np.linalg.inv(L)

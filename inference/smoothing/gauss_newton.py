@@ -24,9 +24,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.smoothing.banded import Singular, chain_mean
+from invdyn.inference.smoothing.banded import chain_mean
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, deviations, linearise, log_joint
 from invdyn.inference.smoothing.square_root import BackwardFactors, backward, forward_covariance, forward_mean
+from invdyn.models.divergence import Diverged, Singular
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
@@ -56,9 +57,9 @@ class GaussianSmoother:
         return torch.as_tensor(forward_covariance(self.factors))
 
 
-def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None):
-    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) is given."""
-    if damping is not None:
+def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None) -> BackwardFactors:
+    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) and ``scale`` are given."""
+    if damping is not None and scale is not None:
         linear = _damped(linear, damping, scale)
     return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
 
@@ -98,7 +99,7 @@ def gauss_newton(
             those of one of them, as slopes are most of a step's work. What is found is nearly the mode.
 
     Raises TypeError for a transition or emission that has no Gaussian approximation here, and
-    ValueError when the starting path has no finite density.
+    Diverged when the starting path has no finite density.
     """
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
@@ -154,7 +155,7 @@ def _ascend(
     here, linear = deviations(model, path, observations), None
     merit = log_joint(here)
     if not np.isfinite(merit).any():
-        raise ValueError("the starting path has no finite density: check noise scales and units")
+        raise Diverged("the starting path has no finite density: check noise scales and units")
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
         linear = linear or linearise(model, path, observations, here, slopes)

@@ -12,6 +12,7 @@ one model, each with its own path. All in float64.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,7 +142,7 @@ def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
     return _differences(transition, path[..., :-1, :], nudges), H
 
 
-def _differences(function, x: Tensor, nudges: Tensor, central: bool = True) -> Tensor:
+def _differences(function: Callable[[Tensor], Tensor], x: Tensor, nudges: Tensor, central: bool = True) -> Tensor:
     """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by D ``nudges`` (D, D), a multiple of I each."""
     steps = nudges.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
     ends = x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])])

@@ -13,14 +13,16 @@ which is what lowers the variance of log Ẑ in noisy settings.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.smoothing.square_root import apply, forward_mean
+from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
@@ -41,8 +43,9 @@ def posterior_linearisation(
     change = math.inf
     for _ in range(iterations):
         try:
-            refined = _one_pass(model, observations, smoother)
-        except (np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            with diverging():
+                refined = _one_pass(model, observations, smoother)
+        except Singular:
             break  # a covariance that overflowed: the previous pass is the better answer
         moved = (refined.log_evidence - smoother.log_evidence).abs().max().item()
         if not moved <= change:
@@ -88,10 +91,11 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     residual = torch.where(torch.isnan(observations), 0.0, observations - h).unsqueeze(-1)
     e = (whitening @ residual).squeeze(-1)
     pieces = (F, predicted - path[..., 1:, :], L, whitening @ H, e, m0, constant.sum(-1), V)
-    return Linearisation(*(piece.detach().numpy() for piece in pieces))
+    F_, a, L_, E, e_, m0_, log_constant, V_ = (piece.detach().numpy() for piece in pieces)
+    return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
 
 
-def _regress(function, mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _regress(function: Callable[[Tensor], Tensor], mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D)."""
     dim = mean.shape[-1]
     columns = root.mT.movedim(-2, 0) * dim**0.5  # (D, …, D)
@@ -126,3 +130,9 @@ def _recentred(linear: Linearisation, shift: np.ndarray) -> Linearisation:
         log_constant=linear.log_constant,
         V=linear.V,
     )
+
+
+def gaussian_smoother(model: StateSpaceModel, observations: Tensor, start: Tensor | None = None) -> GaussianSmoother:
+    """Gauss–Newton from ``start`` (T, D), then linearised over the posterior; raises as :func:`gauss_newton` does."""
+    smoother = gauss_newton(model, observations, start=start)
+    return posterior_linearisation(model, observations, smoother)

@@ -76,9 +76,9 @@ def backward(
     V: np.ndarray | None = None,
 ) -> BackwardFactors:
     """Run the recursion from the last row to the first."""
-    *batch, steps, rows, dim = E.shape
-    batch = tuple(batch)
-    extra = 0 if V is None else V.shape[-1]
+    batch, (steps, rows, dim) = E.shape[:-3], E.shape[-3:]
+    V = np.zeros((*batch, steps - 1, dim, 0)) if V is None else V
+    extra = V.shape[-1]
     U, b = np.zeros((*batch, steps, dim, dim)), np.zeros((*batch, steps, dim))
     A, alpha = np.zeros_like(U), np.zeros_like(b)
     R, B, r = np.zeros_like(U), np.zeros_like(U), np.zeros_like(b)
@@ -147,7 +147,7 @@ def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, 
 def _triangle(stacked: np.ndarray) -> np.ndarray:
     """R of the QR decomposition of (…, P, N) matrices, (…, min(P, N), N)."""
     if stacked.ndim > 2:
-        return np.linalg.qr(stacked, mode="r")
+        return np.asarray(np.linalg.qr(stacked, mode="r"))
     # One matrix at a time, what numpy does around LAPACK takes three times as long as LAPACK.
     rows = min(stacked.shape)
     return dgeqrf(stacked)[0][:rows] * _upper(rows, stacked.shape[1])

@@ -20,7 +20,7 @@ Shapes: T rows, D states; particles (M, N, D).
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyro
@@ -36,7 +36,7 @@ from invdyn.inference.smoothing.square_root import eliminate
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
 
-def jacobian(function, x: Tensor, size: int) -> tuple[Tensor, Tensor]:
+def jacobian(function: Callable[[Tensor], Tensor], x: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """Values (…, P) and Jacobians (…, P, D) of a batched function (…, D) → (…, P = ``size``), by one backward pass."""
     with torch.enable_grad():
         copies = x.detach().expand(size, *x.shape).clone().requires_grad_()
@@ -95,7 +95,7 @@ class Affine(Proposal):
         """q(x_0)."""
         return Normal(self._offset[0], self._scale[0], validate_args=False).to_event(1)
 
-    def conditional(self, t: int, state: Tensor) -> Distribution:
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
         """q(x_t | x_{t−1} = state)."""
         loc = state @ self._matrix[t].mT + self._offset[t]
         return Normal(loc, self._scale[t], validate_args=False).to_event(1)
@@ -104,7 +104,7 @@ class Affine(Proposal):
         """Draw x_0, differentiable in the parameters, and log p(x_0)/q(x_0)."""
         return _weighed(self.model.initial(), self.conditional_initial().expand(torch.Size(shape)))
 
-    def propose(self, t: int, particles: Particles) -> tuple[Particles, Tensor]:
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw x_t, differentiable in the parameters, and log p/q."""
         return _weighed(self.model.transition(particles["x"], t), self.conditional(t, particles["x"]))
 
@@ -132,7 +132,7 @@ class Corrected(Controlled):
         self.name = name
         factors, L = self.smoother.factors, self.smoother.linearisation.L
 
-        def tensor(values) -> Tensor:
+        def tensor(values: np.ndarray | Tensor) -> Tensor:
             return torch.as_tensor(values).to(dtype=model.dtype, device=model.device)
 
         R, B, r, _, _ = eliminate(factors.U, factors.b, L)
@@ -180,10 +180,10 @@ class Corrected(Controlled):
             setattr(whole, name, rows(name).unsqueeze(-2))
         for name in ("_A", "_w_gain", "_w_root", "_noise"):
             setattr(whole, name, rows(name))
-        whole._log_det = rows("_log_det").unsqueeze(-1)
+        whole._log_det = rows("_log_det").unsqueeze(-1).unbind(0)
         return whole
 
-    def _propose(self, t: int, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
+    def _propose(self, t: int | Tensor, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
         noise = torch.randn_like(prediction)
         w = prediction @ self._w_gain[t] + noise @ self._w_root[t] + self._w_offset[t]
         particles = {"x": self.path[t] + prediction + w @ self._noise[t]}
@@ -195,7 +195,7 @@ class Corrected(Controlled):
             particles["log_twist"] = torch.zeros_like(log_ratio)
         return particles, log_ratio
 
-    def _conditional(self, t: int, prediction: Tensor) -> Distribution:
+    def _conditional(self, t: int | Tensor, prediction: Tensor) -> Distribution:
         w = prediction @ self._w_gain[t] + self._w_offset[t]
         root = (self._w_root[t] @ self._noise[t]).mT
         loc = self.path[t] + prediction + w @ self._noise[t]

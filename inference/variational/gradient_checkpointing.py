@@ -5,6 +5,7 @@ that is most of the memory, and its hooks double the time.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,7 +27,7 @@ class _Stretch(torch.autograd.Function):
     """Outputs of a function without its graph; backward calls it again, with the same random numbers."""
 
     @staticmethod
-    def forward(ctx, function, num_leaves: int, *tensors: Tensor):
+    def forward(ctx: Any, function: Callable[..., tuple[Tensor, ...]], num_leaves: int, *tensors: Tensor) -> Any:
         ctx.function, ctx.leaves = function, tensors[:num_leaves]
         ctx.save_for_backward(*tensors[num_leaves:])
         ctx.random = torch.get_rng_state()
@@ -37,7 +38,7 @@ class _Stretch(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, *gradients: Tensor):
+    def backward(ctx: Any, *gradients: Tensor) -> Any:
         inputs = [tensor.detach().requires_grad_() for tensor in ctx.saved_tensors]
         with torch.random.fork_rng(devices=[] if ctx.device is None else [ctx.device]), torch.enable_grad():
             torch.set_rng_state(ctx.random)

@@ -1,6 +1,7 @@
 """Pyro's pair of model and guide as a state-space model and its proposal, parameters looked up and drawn."""
 
 import copy
+from typing import Any
 
 import torch
 from pyro import poutine
@@ -24,7 +25,7 @@ def draw(guide: Proposal, t: int, particles: Particles, shape: tuple[int, ...]) 
     return guide.at(t, x), before.log_prob(x) - proposal.log_prob(x)
 
 
-def state_space_model(model) -> StateSpaceModel:
+def state_space_model(model: Any) -> StateSpaceModel:
     """The model behind what SVI was given: itself, or the owner of its method ``sequence``; TypeError for others."""
     owner = getattr(model, "__self__", model)
     if not isinstance(owner, StateSpaceModel) or (owner is not model and model.__name__ != "sequence"):

@@ -29,7 +29,7 @@ Shapes: M filters × N particles, weights and evidence in float64 as in :mod:`.p
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import torch
 from pyro import poutine
@@ -132,27 +132,27 @@ class VSMC_ELBO(ELBO):
 
     # -- Pyro's way in -------------------------------------------------------------------------
     @torch.no_grad()
-    def loss(self, model, guide: Proposal, observations: Tensor) -> float:
+    def loss(self, model: Any, guide: Proposal, observations: Tensor) -> float:
         """Minus the bound's estimate, in nats, without gradients."""
         return self.differentiable_loss(model, guide, observations).item()
 
-    def differentiable_loss(self, model, guide: Proposal, observations: Tensor) -> Tensor:
+    def differentiable_loss(self, model: Any, guide: Proposal, observations: Tensor) -> Tensor:
         """Minus the bound's estimate, a scalar whose gradient is the chosen one."""
         return -self.log_evidence(model, guide, observations).mean()
 
-    def loss_and_grads(self, model, guide: Proposal, observations: Tensor) -> float:
+    def loss_and_grads(self, model: Any, guide: Proposal, observations: Tensor) -> float:
         """Minus the bound's estimate; adds its gradient to every parameter's ``grad``."""
         loss = self.differentiable_loss(model, guide, observations)
         if loss.requires_grad:
             loss.backward()
         return loss.item()
 
-    def _get_trace(self, model, guide, args, kwargs):
+    def _get_trace(self, model: Any, guide: Any, args: Any, kwargs: Any) -> NoReturn:
         # Demanded by Pyro's class for losses that compare two traces; a filter's weights do without.
         raise NotImplementedError("VSMC_ELBO compares no traces; call loss, loss_and_grads or differentiable_loss")
 
     # -- the bound -----------------------------------------------------------------------------
-    def log_evidence(self, model, guide: Proposal, observations: Tensor) -> Tensor:
+    def log_evidence(self, model: Any, guide: Proposal, observations: Tensor) -> Tensor:
         """Log p̂(y), (M,) float64, of the filters; the mean is the bound's estimate."""
         model = state_space_model(model)
         latents, ratio = drawn_latents(model, guide)

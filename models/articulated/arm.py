@@ -1,10 +1,10 @@
-"""The arm: a planar chain driven by random torques and watched through keypoints or encoders.
+"""An articulated body as a state-space model: driven by random torques, and watched by sensors.
 
 Biderman et al. (2020), eqs. 1–5. State x = (z, θ, θ̇), with τ = z[:K] the joint torques
 (:mod:`invdyn.models.torques`):
 
     θ̈ = D(θ)⁻¹ (τ + u − c(θ) − h(θ, θ̇))
-    x_t = integrate(x_{t−1}, δ) + noise,   y_t ~ emission(θ_t)
+    x_t = integrate(x_{t−1}, δ) + noise,   y_t ~ observation(θ_t)
 
 u is the commanded torque, held between rows; without one, τ is the whole net torque. Effects
 (:mod:`invdyn.models.effects`), what a real arm has and an ideal one lacks, change any of it. The
@@ -13,42 +13,57 @@ deviations per step, as printed in the paper.
 
 Within a step the mechanical integrator sees the torque move on a straight line from z to its
 mean one step later; explicit Euler sees it held, as printed.
+
+The model is composed: :mod:`.timeline` the rows' clocks, :mod:`.drive` commands and motors, :mod:`.step` the mechanics
+of a row, :mod:`.transition` how states go on, made as :mod:`.state` says, :mod:`.sight` what is seen of them. Other
+circumstances of the same body, such as an effect or another command, are another model that shares the rest.
 """
 
+import copy
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, Normal
+from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.models.articulated.defaults import Value, default_parameters, shaped
+from invdyn.models.articulated.drive import Drive, Motors
+from invdyn.models.articulated.sight import Sight
 from invdyn.models.articulated.start import kinematic_paths
-from invdyn.models.articulated.step import ArmRow
-from invdyn.models.articulated.variants import ArmVariants
-from invdyn.models.bodies.body import Body, BodyParameters, Learned
+from invdyn.models.articulated.state import StateLayout
+from invdyn.models.articulated.step import Mechanics
+from invdyn.models.articulated.timeline import Row, Timeline
+from invdyn.models.articulated.transition import Transition
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition
-from invdyn.models.effects.effect_context import View
-from invdyn.models.effects.parameters import is_signed
-from invdyn.models.effects.scale import typical_torque
-from invdyn.models.observation.emission import Emission
-from invdyn.models.shapes import common, join
+from invdyn.models.effects.parameters import check_tracked, hidden_scales, is_signed, parameters_of
+from invdyn.models.effects.scale import Experience, Scale
+from invdyn.models.observation.keypoints import Keypoints
+from invdyn.models.observation.observation import Observation
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
-DERIVED = ("com", "inertia")
+DERIVED = ("layout", "mechanics", "_motors", "chain", "sight")
+"""What a model makes of its parts, once it is asked for."""
 
 
-class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
-    """Hidden Markov model of a planar arm on a given time grid.
+class ArmModel(StateSpaceModel):
+    """Hidden Markov model of an articulated body, an arm or any other, on a given time grid.
 
     Args:
-        body: links; scalars that are priors or learned are drawn by :meth:`sequence`, and stand
-            at their nominal values elsewhere.
+        body: a chain in the plane, or any :class:`.ArticulatedBody`; scalars that are priors or learned are drawn by
+            :meth:`sequence`, and stand at their nominal values elsewhere.
         time: (T,) s, increasing; need not be regular.
-        emission: what is observed.
+        observation: what is observed; by default keypoints at all sites.
         torque: torque process; Ornstein–Uhlenbeck by default.
         command: (T, K) N·m, held from each row to the next, or None.
         integrator: "rk4" (default), "euler" (as printed) or "semi_implicit".
@@ -59,215 +74,231 @@ class ArmModel(ArmRow, ArmVariants, StateSpaceModel):
             "initial.velocity_scale" (K,), "emission.…", "body.length" … (K,).
 
     Raises ValueError for an unknown integrator, times that do not increase, a command or a parameter of
-    the wrong shape; KeyError for an unknown parameter.
+    the wrong shape, and sensors that the body has no place for; KeyError for an unknown parameter.
     """
 
     def __init__(
         self,
-        body: Body,
+        body: ArticulatedBody,
         time: Sequence[float] | np.ndarray | Tensor,
-        emission: Emission | None = None,
+        observation: Observation | None = None,
         *,
         torque: TorqueProcess | None = None,
         command: np.ndarray | Tensor | None = None,
         integrator: str = "rk4",
         substeps: int = 1,
-        parameters: Mapping[str, Tensor | float | Sequence[float]] | None = None,
+        parameters: Mapping[str, Value] | None = None,
     ):
         if integrator not in INTEGRATORS:
             raise ValueError(f"expected an integrator among {', '.join(INTEGRATORS)}, got {integrator!r}")
-        joints = body.num_joints
-        self.body = body
-        self.emission_model = emission or Emission(range(joints))
+        self.body, self.dynamics = body, dynamics_for(body)
+        self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
-        self.integrator, self.substeps = integrator, substeps
-        self._abrupt = 1  # sub-steps that a force that jumps needs
-        self.dynamics = dynamics_for(joints)
-        # Of which links these follow from length and mass, for want of a number.
-        missing = {name: torch.tensor([getattr(link, name) is None for link in body.links]) for name in DERIVED}
-        self._derived = {name: which for name, which in missing.items() if bool(which.any())}
         self.effects = Composition()
-        self._motors: Command | None = None
-        self._finer: Command | None = None
-        self._anew: tuple[Tensor, Tensor] | None = None
-        self._motion: Tensor | None = None
-        self._range: Tensor | None = None
-        self.time = torch.as_tensor(np.asarray(time, dtype=np.float64))
-        if self.time.ndim != 1 or len(self.time) < 2 or bool((self.time.diff() <= 0).any()):
-            raise ValueError("expected at least two strictly increasing times, in seconds")
-        self.num_steps = len(self.time)
-        intervals = self.time.diff()
-        self._elapsed = self._since = self.time - self.time[0]
-        # dt[t] leads into row t; row 0 has no step of its own and stands for the stationary law.
-        self.dt = torch.cat([intervals.median().reshape(1), intervals])
-        self.command = None if command is None else torch.as_tensor(np.asarray(command, dtype=np.float64))
-        if self.command is not None and self.command.shape != (self.num_steps, joints):
-            raise ValueError(f"expected a command of shape {(self.num_steps, joints)}, got {self.command.shape}")
+        self.integrator, self.substeps = integrator, substeps
+        self.abrupt = 1
+        self.timeline = Timeline.of(time)
+        self.num_steps = len(self.timeline.time)
+        self.drive = Drive.held(command, (self.num_steps, body.num_joints))
+        self.experience = Experience()
+        self.torque_size = self.torque.size(body.num_joints)
+        self.observation_dim = self.observation.size
+        self._numbers = type(body.parameters())
+        super().__init__(default_parameters(body, self.dynamics, self.torque, self.observation))
+        self.state_dim = self.layout.size
+        self.parameters = self.replace(**shaped(parameters or {}, self.parameters)).parameters
 
-        self.torque_size = self.torque.size(joints)
-        self.state_dim = self.torque_size + 2 * joints
-        self.observation_dim = self.emission_model.size
-        super().__init__(self._defaults())
-        shaped = {}
-        for name, value in (parameters or {}).items():
-            if name in self.parameters:
-                value = torch.as_tensor(value, dtype=torch.float64)
-                own = self.parameters[name]
-                try:
-                    shaped[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
-                except RuntimeError:
-                    expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-                    raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
-            else:
-                shaped[name] = value  # replace() says which names exist
-        self.parameters = self.replace(**shaped).parameters
+    # -- parts ---------------------------------------------------------------------------------
+    @cached_property
+    def layout(self) -> StateLayout:
+        """What a state is made of."""
+        hidden = sum(each.states for each in self.effects.hidden)
+        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal)
 
-    def _defaults(self) -> dict[str, Tensor]:
-        body = self.body.parameters()
-        joints = self.body.num_joints
-        scale = typical_torque(body)
-        reach = body.length.sum().item()
+    @cached_property
+    def mechanics(self) -> Mechanics:
+        """The body with these effects and parameters."""
+        return Mechanics(self.body, self.dynamics, self.effects, self.integrator, self._numbers, self.parameters)
 
-        def constant(value: float) -> Tensor:
-            return torch.full((joints,), value, dtype=torch.float64)
+    @cached_property
+    def _motors(self) -> Motors:
+        return Motors(self.drive, self.timeline, self.effects, self.parameters, self.body.num_joints, self.dtype)
 
-        return {
-            **{f"body.{name}": value for name, value in body._asdict().items()},
-            **self.torque.defaults(scale),
-            "noise.angle": constant(1e-3),
-            "noise.velocity": constant(1e-2),
-            "initial.angle": constant(0.0),
-            "initial.angle_scale": constant(1.0),
-            "initial.velocity": constant(0.0),
-            "initial.velocity_scale": constant(3.0),
-            **self.emission_model.defaults(0.02 * reach),
-        }
+    @cached_property
+    def chain(self) -> Transition:
+        """How its states go on."""
+        return Transition(self.mechanics, self._motors, self.timeline, self.torque, self.layout, self.substeps_taken)
+
+    @cached_property
+    def sight(self) -> Sight:
+        """The body before its sensors."""
+        return Sight(self.mechanics, self._motors, self.timeline, self.observation, self.layout, self.substeps_taken)
 
     @property
-    def unconstrained(self) -> frozenset[str]:
-        """Parameters that may be negative."""
-        mine = {"initial.angle", "initial.velocity", "body.gravity", "body.base", "body.com"}
-        signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
-        return self.torque.unconstrained | mine | signed
+    def time(self) -> Tensor:
+        """(T,) s."""
+        return self.timeline.time
 
-    def body_parameters(self) -> BodyParameters:
-        """The links' current values, (..., K); defaulted com and inertia follow length and mass, effects come last."""
-        p = self.parameters
-        length, mass, com, inertia = (p[f"body.{name}"] for name in ("length", "mass", "com", "inertia"))
-        if "com" in self._derived:
-            com = torch.where(self._derived["com"], length / 2, com)
-        if "inertia" in self._derived:
-            inertia = torch.where(self._derived["inertia"], mass * length**2 / 12, inertia)
-        body = BodyParameters(length, mass, com, inertia, p["body.gravity"], p["body.base"])
-        return self.effects.body(p, body)
+    @property
+    def dt(self) -> Tensor:
+        """(T,) s; dt[t] leads into row t."""
+        return self.timeline.dt
 
-    def sampled(self) -> "ArmModel":
-        """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
-        drawn = self.body.sample(dtype=self.dtype, device=self.device)._asdict()
-        values = {}
-        for name in ("length", "mass", "com", "inertia"):
-            free = [isinstance(getattr(link, name), Distribution | Learned) for link in self.body.links]
-            if any(free):
-                # Plain numbers stand as the model has them: they may have been replaced.
-                free = torch.tensor(free, device=self.device)
-                values[f"body.{name}"] = torch.where(free, drawn[name], self.parameters[f"body.{name}"])
-        return super(ArmModel, self.replace(**values)).sampled()
+    @property
+    def command(self) -> Tensor | None:
+        """(T, K) N·m, or None."""
+        return self.drive.command
 
     @property
     def motors(self) -> Command:
         """The command as the actuators make it; zero without a command."""
-        if self._motors is None:
-            torque = self.time.new_zeros(self.num_steps, self.body.num_joints) if self.command is None else self.command
-            held = self._finer or Command.held(self.time, torque)
-            if self.effects.has_command:
-                # In float64, whatever the states' type: times are long and steps short.
-                held = self.effects.command({name: value.double() for name, value in self.parameters.items()}, held)
-            held = held if held.time is self.time else held.onto(self.time)
-            self._motors = Command(held.time, held.mean.to(self.dtype), held.slope.to(self.dtype))
-        return self._motors
+        return self._motors.made
+
+    @property
+    def substeps_taken(self) -> int:
+        """Integrator steps per row: ``substeps``, or more where an effect's force jumps."""
+        return max(self.substeps, self.abrupt)
+
+    @property
+    def scale(self) -> Scale:
+        """What is large and small for this body, which effects' priors follow."""
+        command = None if self.command is None else self.command.cpu()
+        seen = self.experience
+        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
+
+    @property
+    def unconstrained(self) -> frozenset[str]:
+        """Parameters that may be negative."""
+        mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
+        signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
+        return self.torque.unconstrained | mine | signed
+
+    def body_parameters(self) -> Any:
+        """The body's numbers, each (..., own shape); those that follow from others do, effects come last."""
+        return self.mechanics.body_parameters()
+
+    def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
+        return self.layout.split(state)
+
+    def net_torque(self, path: Tensor) -> Tensor:
+        """τ + u along paths (..., T, D), N·m: the torque that moved the body, (..., T, K)."""
+        torque = path[..., : self.body.num_joints]
+        return torque if self.command is None else torque + self.command.to(path)
 
     # -- the three distributions ---------------------------------------------------------------
     def initial(self) -> Distribution:
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
-        p = self.parameters
-        root = self.torque.stationary(self._interval(0), p)
-        sds = self._with_hidden("initial.hidden", p["initial.angle_scale"], p["initial.velocity_scale"])
-        moving = join(p["initial.angle"], p["initial.velocity"])
-        still = moving.new_zeros(*moving.shape[:-1], self.state_dim - moving.shape[-1])
-        return self._gaussian(join(still, moving), root, sds)
+        return self.chain.initial()
 
-    def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
+    def transition(self, state: Tensor, t: Row) -> Distribution:
         """x_t given x_{t−1} = ``state`` (..., D); event shape (D,)."""
-        p = self.parameters
-        root = self.torque.noise(self._step(t), p)
-        if (late := self.late(t)) is not None:
-            root = torch.hypot(root, late)
-        sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
-        moved = self._gaussian(self.transition_mean(state, t), root, sds)
-        return moved if self._anew is None else self._unless_anew(moved, t)
+        return self.chain.following(state, t)
 
-    def _unless_anew(self, moved: Distribution, t: int | Tensor) -> Distribution:
-        p = self.parameters
-        here, middle = (value[t] for value in self._anew)
-        sds = self._with_hidden("initial.hidden", torch.full_like(middle, np.pi), p["initial.velocity_scale"])
-        still = middle.new_zeros(*middle.shape[:-1], self.state_dim - 2 * self.body.num_joints)
-        start = self._gaussian(
-            join(still, middle, torch.zeros_like(middle)), self.torque.stationary(self._interval(0), p), sds
+    def emission(self, state: Tensor, t: Row) -> Distribution:
+        """What sensors show in row ``t`` given x_t = ``state``; event shape (O,)."""
+        return self.sight.emission(state, t)
+
+    def transition_mean(self, state: Tensor, t: Row) -> Tensor:
+        """E[x_t | x_{t−1} = state], shape (..., D)."""
+        return self.chain.mean(state, t)
+
+    def acceleration(self, state: Tensor, t: Row, body: Any) -> Tensor:
+        """θ̈ at row ``t`` in ``state``, (..., K), under the mean of the commands before and after it, which may jump."""
+        return self.sight.acceleration(state, t, body)
+
+    def late(self, t: Row) -> Tensor | None:
+        """Sd (..., K), N·m, of what late motors still do in the step into row ``t``; see :meth:`.Transition.late`."""
+        return self.chain.late(t)
+
+    # -- the same body under other circumstances -------------------------------------------------
+    def _with(self, **parts: object) -> "ArmModel":
+        """The model with other parts, and what follows from them made anew."""
+        other = copy.copy(self)
+        for name in DERIVED:
+            other.__dict__.pop(name, None)
+        other.__dict__.update(parts)
+        return other
+
+    def replace(self, **values: Tensor) -> "ArmModel":
+        """Other parameter values; see :meth:`StateSpaceModel.replace`."""
+        parameters = self._replaced(values)
+        device = next(iter(parameters.values())).device
+        if device == self.time.device:
+            return self._with(parameters=parameters)
+        # A row must not wait for the host: what it needs besides parameters is where they are.
+        parts = {"timeline": self.timeline, "observation": self.observation, "drive": self.drive}
+        return self._with(parameters=parameters, **{name: part.to(device) for name, part in parts.items()})
+
+    def sampled(self) -> "ArmModel":
+        """Draw the body's priors and every other Pyro site; see :meth:`StateSpaceModel.sampled`."""
+        drawn = {f"body.{name}": value for name, value in self.body.drawn(self.mechanics.given).items()}
+        return super(ArmModel, self.replace(**drawn)).sampled()
+
+    def with_effects(self, *effects: Effect) -> "ArmModel":
+        """The model of a body that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
+
+        Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,), with priors, so that
+        :meth:`sequence` draws them; until then they stand where the effect is absent (or, for those that are
+        never absent, in the middle of their grid or prior).
+
+        Hidden states (:mod:`.effects.hidden`) stand in the state before the angles, those of a hinge as
+        (z, ψ, ψ̇, θ, θ̇), what moves the body before what follows it, with the parameters "initial.hidden.<effect>" and
+        "noise.hidden.<effect>", standard deviations (H,) of ψ, rad, and ψ̇, rad/s.
+
+        Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place, for
+        one of the plane on a body in space, and for a second one with hidden states that move the body.
+        """
+        bound = tuple(effect.bound(self.body) for effect in effects)
+        check_tracked(bound, self.observation.tracked_names)
+        every = Composition((*self.effects, *bound))
+        starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
+        starts |= hidden_scales(bound, self.scale, self.dtype, self.device)
+        other = self._with(
+            effects=every,
+            abrupt=math.ceil(self.dt.median().item() / every.longest) if every.abrupt else self.abrupt,
+            parameters={**self.parameters, **starts},
+            priors={**self.priors, **priors},
         )
-        here = here.unsqueeze(-1)
-        if self.torque.diagonal:
-            loc, scale = (
-                torch.where(here, getattr(start.base_dist, name), getattr(moved.base_dist, name))
-                for name in ("loc", "scale")
-            )
-            return Normal(loc, scale, validate_args=False).to_event(1)
-        tril = torch.where(here.unsqueeze(-1), start.scale_tril, moved.scale_tril)
-        return MultivariateNormal(torch.where(here, start.loc, moved.loc), scale_tril=tril, validate_args=False)
+        other.state_dim = other.layout.size
+        return other
 
-    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
-        """Keypoints and encoder angles of row ``t`` given x_t = ``state``; event shape (O,)."""
-        z, q, qd = self.split(state)
-        body, p, effects = self.body_parameters(), self.parameters, self.effects
-        tips = effects.tips(p, q, z[..., self.torque_size :], body)
-        if not (effects.has_points or effects.has_angles or effects.has_noise or effects.has_mistakes):
-            return self.emission_model.distribution(tips, q, t, p)
-        elapsed = self._elapsed[t].to(state).unsqueeze(-1)
+    def in_substeps(self, count: int, abrupt: int | None = None) -> "ArmModel":
+        """The model in so many integrator steps a row; ``abrupt`` is what a force that jumps takes at least."""
+        return self._with(substeps=count, abrupt=self.abrupt if abrupt is None else abrupt)
 
-        def turned(seconds: Tensor) -> Tensor:
-            return self._ahead(state, t, body, seconds)
+    def observed_by(self, observation: Observation) -> "ArmModel":
+        """The model with the same sensors under other noise; they keep their parameters, and new ones begin."""
+        own = observation.bound(self.body)
+        like = self.parameters["noise.angle"]
+        begin = {name: value.to(like) for name, value in own.defaults(self.scale.reach).items()}
+        new = {name: value for name, value in begin.items() if name not in self.parameters}
+        return self._with(observation=own, parameters={**self.parameters, **new})
 
-        def ahead(seconds: Tensor) -> Tensor:
-            return self.dynamics.keypoints(turned(seconds), body) - self.dynamics.keypoints(q, body)
+    def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
+        """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
 
-        doubt = self.emission_model.doubted(t, q)
-        view = View(q, qd, lambda: self.acceleration(state, t, body), turned, ahead, body, elapsed, tips, doubt)
-        angles = effects.angles(p, view) if self.emission_model.num_encoders else q
-        view = effects.points(p, view)
-        noise = (lambda sd: effects.noise(p, view, sd)) if effects.has_noise else None
-        return self.emission_model.distribution(view.points, angles, t, p, noise, effects.mistakes(p, view))
+        ``command`` becomes its mean over each row. It may begin before the first row.
+        """
+        drive = self.drive.driven_by(time, torque, self.time)
+        return self._with(drive=drive, timeline=self.timeline.known_from(time[0]))
 
-    def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
-        joints = self.body.num_joints
-        return torch.split(state, [self.state_dim - 2 * joints, joints, joints], -1)
+    def moving(self, speed: Tensor) -> "ArmModel":
+        """The model of a body whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
+        return self._with(experience=replace(self.experience, motion=speed.detach().cpu().double()))
 
-    def net_torque(self, path: Tensor) -> Tensor:
-        """τ + u along paths (..., T, D), N·m: the torque that moved the arm, (..., T, K)."""
-        torque = path[..., : self.body.num_joints]
-        return torque if self.command is None else torque + self.command.to(path)
+    def turning(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
+        """The model of a body whose joints turn between two angles (K,) rad, where effects are looked for."""
+        turned = torch.stack([lowest, highest], -1).detach().cpu().double()
+        return self._with(experience=replace(self.experience, range=turned))
 
-    def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
-        return join(*(self.parameters[f"{name}.{each.key}"] for each in self.effects.hidden), angle, velocity)
+    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
+        """The model of several recordings one after another: at ``rows`` (R,) the body starts anew.
 
-    def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
-        if self.torque.diagonal:
-            scale = join(root, sds)
-            return Normal(mean, scale, validate_args=False).to_event(1)
-        shape = common(root.shape[:-2], sds.shape[:-1])
-        tril = mean.new_zeros(*shape, self.state_dim, self.state_dim)
-        tril[..., : self.torque_size, : self.torque_size] = root
-        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque_size :] = sds
-        return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+        There the state does not follow from the row before, but is drawn as the first one is, with angles within
+        about half a turn of ``angle`` (R, K) rad.
+        """
+        return self._with(timeline=self.timeline.starting_anew(rows, angle))
 
     # -- a start for linearisation -------------------------------------------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:

@@ -10,10 +10,12 @@ first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import pyro
 import pyro.distributions as dist
@@ -21,9 +23,13 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_mjcf, body_toml, body_urdf
+from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
+from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
+    KNOWN,
     QUANTITIES,
+    SMALLEST,
+    UNKNOWN,
     BodyError,
     Learned,
     Scalar,
@@ -35,9 +41,12 @@ from invdyn.models.bodies.scalars import (
     prior,
     vector,
 )
+from invdyn.models.bodies.whole_file import read_whole
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
+MAX_LINKS = 1000  # more is a slip, or a file made to keep a machine busy
+FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
 
@@ -90,8 +99,11 @@ class Link:
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
             )
-        if inertia + mass * com**2 == 0:
-            raise BodyError(f"{where}: com and inertia are both 0, so nothing would resist a torque")
+        about_joint = inertia + mass * com * com
+        if not math.isfinite(about_joint):
+            raise BodyError(f"{where}: its moment about the joint is too large for a number; are the units SI?")
+        if about_joint < SMALLEST["inertia"]:
+            raise BodyError(f"{where}: com and inertia are both 0, or nearly so: nothing would resist a torque")
 
     def nominal(self, quantity: str) -> float:
         """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
@@ -100,11 +112,11 @@ class Link:
             return nominal(value)
         if quantity == "com":
             return self.nominal("length") / 2
-        return self.nominal("mass") * self.nominal("length") ** 2 / 12
+        return self.nominal("mass") * self.nominal("length") * self.nominal("length") / 12
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(BodyBase):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
     Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and
@@ -116,6 +128,8 @@ class Body:
     gravity: Sequence[float] = (0.0, -9.81)
     base: Sequence[float] = (0.0, 0.0)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
+    space: ClassVar[int] = 2
+    signed: ClassVar[frozenset[str]] = frozenset({"com", "gravity", "base"})
 
     def __post_init__(self):
         check_name(self.name, "name of a body")
@@ -125,6 +139,8 @@ class Body:
         object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
+        if len(self.links) > MAX_LINKS:
+            raise BodyError(f"{where}: expected at most {MAX_LINKS} links, got {len(self.links)}")
         for key in ("name", "joint", "tip"):
             names = [getattr(link, key) for link in self.links]
             for name in names:
@@ -136,8 +152,11 @@ class Body:
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
         check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
-        if any(sd < 0 for sd in sds.values()):
-            raise BodyError(f"{where}: expected relative standard deviations ≥ 0 as uncertainty, got {sds}")
+        if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
+            raise BodyError(
+                f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
+                f"as uncertainty, got {sds}"
+            )
         object.__setattr__(self, "uncertainty", sds)
 
     @property
@@ -156,6 +175,11 @@ class Body:
         return tuple(link.joint for link in self.links)
 
     @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the K links, from the base outwards."""
+        return tuple(link.name for link in self.links)
+
+    @property
     def keypoint_names(self) -> tuple[str, ...]:
         """Names of the K tips, from the base outwards."""
         return tuple(link.tip for link in self.links)
@@ -164,6 +188,58 @@ class Body:
     def base_keypoint(self) -> str:
         """Name of the keypoint at the base: the first joint's."""
         return self.links[0].joint
+
+    @property
+    def learned(self) -> dict[str, tuple[int, ...]]:
+        """Links whose scalars are to be learned, by quantity."""
+        found = {
+            key: tuple(k for k, link in enumerate(self.links) if isinstance(getattr(link, key), Learned))
+            for key in QUANTITIES
+        }
+        return {key: links for key, links in found.items() if links}
+
+    @property
+    def hanging(self) -> list[float]:
+        """Angles at which it hangs; along the x axis without gravity."""
+        down = math.atan2(self.gravity[1], self.gravity[0]) if any(self.gravity) else 0.0
+        return [down] + [0.0] * (self.num_joints - 1)
+
+    def completed(self, numbers: BodyParameters) -> BodyParameters:
+        """The numbers with com and inertia following length and mass, of links that say neither."""
+        for key, which in self._left_out(numbers.length.device).items():
+            if key == "com":
+                numbers = numbers._replace(com=torch.where(which, numbers.length / 2, numbers.com))
+            else:
+                rod = numbers.mass * numbers.length**2 / 12
+                numbers = numbers._replace(inertia=torch.where(which, rod, numbers.inertia))
+        return numbers
+
+    def drawn(self, numbers: BodyParameters) -> dict[str, Tensor]:
+        """Scalars that are priors or learned, by `sample`; plain ones of the same quantity stand as in ``numbers``."""
+        own = self.sample(dtype=numbers.length.dtype, device=numbers.length.device)._asdict()
+        found = {}
+        for key in QUANTITIES:
+            free = [isinstance(getattr(link, key), dist.Distribution | Learned) for link in self.links]
+            if any(free):
+                which = torch.tensor(free, device=numbers.length.device)
+                found[key] = torch.where(which, own[key], getattr(numbers, key))
+        return found
+
+    def described(self, numbers: BodyParameters) -> dict[str, tuple[list[str], Tensor]]:
+        """Its numbers with their dims: links', and vectors of the plane."""
+        dims = {key: ["link"] if key in QUANTITIES else ["space"] for key in numbers._fields}
+        return {key: (dims[key], value.detach()) for key, value in numbers._asdict().items()}
+
+    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
+        """Of com and inertia which links (K,) leave them out; kept where they are asked for, as no row may wait."""
+        if device not in self._left_out_on:
+            missing = {key: torch.tensor([getattr(link, key) is None for link in self.links]) for key in FOLLOWING}
+            self._left_out_on[device] = {key: which.to(device) for key, which in missing.items() if bool(which.any())}
+        return self._left_out_on[device]
+
+    @cached_property
+    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
+        return {}
 
     def parameters(
         self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None, **given: Tensor
@@ -263,14 +339,20 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a body file of any kind: MJCF (.xml, .mjcf), URDF (.urdf), else TOML. Raises as they do."""
-        readers = {".xml": cls.from_mjcf, ".mjcf": cls.from_mjcf, ".urdf": cls.from_urdf}
-        return readers.get(Path(path).suffix.lower(), cls.from_toml)(path)
+        """Read a body file of any kind: MJCF (<mujoco>) or URDF (<robot>), whatever its name, else TOML.
+
+        Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
+        """
+        content = read_whole(path, body_xml.MOST)
+        if not body_xml.is_xml(content):
+            return cls._from_tables(body_toml.parse(content, str(path)), path)
+        root = body_xml.parse(content, str(path))
+        return cls._from_tables((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls._from_tables({"name": Path(path).stem, **body_toml.read(path)}, path)
+        return cls._from_tables(body_toml.read(path), path)
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Self:
@@ -282,7 +364,7 @@ class Body:
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
-        """Read a planar chain of revolute joints from URDF (extra `robots`); warns and raises as `from_mjcf`."""
+        """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
         return cls._from_tables(body_urdf.read(path), path)
 
     @classmethod

@@ -27,8 +27,9 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
+from invdyn.models.bodies.body_xml import MOST
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
-from invdyn.models.bodies.whole_file import write_whole
+from invdyn.models.bodies.whole_file import read_whole, write_whole
 
 BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
 REQUIRED = ("name", "joint", "tip", "length", "mass")
@@ -36,17 +37,27 @@ LINK_KEYS = (*REQUIRED, "com", "inertia")
 
 
 def read(path: str | Path) -> dict:
-    """Return the tables of a body file under the keys of `BODY_KEYS` that it has; `links` as a list of dicts.
+    """Return the tables of a body file under the keys of `BODY_KEYS`; `links` as a list of dicts.
 
-    A link's scalars come as float, prior or `Learned`. Raises `BodyError` for broken TOML, a TOML that
-    is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file cannot be read.
+    A link's scalars come as float, prior or `Learned`. A body without a name is called as its file. Raises `BodyError`
+    for broken TOML, a TOML that is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file
+    cannot be read.
     """
+    return parse(read_whole(path, MOST), str(path))
+
+
+def parse(content: bytes, path: str) -> dict:
+    """The tables of a body file's content; see :func:`read`."""
     try:
-        tables = tomllib.loads(Path(path).read_bytes().decode("utf-8"))
+        tables = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
     except tomllib.TOMLDecodeError as error:
         raise BodyError(f"{path}: broken TOML: {error}") from error
+    except RecursionError:
+        raise BodyError(f"{path}: expected a body, got TOML nested too deep for one") from None
+    except ValueError:  # Python turns no more than 4,300 digits into an integer
+        raise BodyError(f"{path}: expected a body, got TOML with an integer too long to be read") from None
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
@@ -58,17 +69,17 @@ def read(path: str | Path) -> dict:
         raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
     check_keys(tables, BODY_KEYS, str(path))
     tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
-    return tables
+    return {"name": Path(path).stem, **tables}
 
 
 def write(path: str | Path, tables: dict) -> None:
     """Write tables as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
-    lines = [f"{key} = {_toml(tables[key])}" for key in ("name", "gravity", "base")]
+    lines = [f"{key} = {literal(tables[key])}" for key in ("name", "gravity", "base")]
     for link in tables["links"]:
-        values = {key: _to_table(value, key) for key, value in link.items() if value is not None}
-        lines += ["", "[[links]]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+        values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
+        lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
     if tables["uncertainty"]:
-        lines += ["", "[uncertainty]", *(f"{k} = {_toml(v)}" for k, v in tables["uncertainty"].items())]
+        lines += ["", "[uncertainty]", *(f"{k} = {literal(v)}" for k, v in tables["uncertainty"].items())]
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -77,10 +88,11 @@ def _read_link(link: dict, where: str) -> dict:
     missing = [key for key in REQUIRED if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")
-    return {k: _from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
+    return {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
 
 
-def _from_table(value: object, what: str) -> object:
+def scalar_from_table(value: object, what: str) -> object:
+    """Return a scalar of a file: a table as prior or `Learned`, all else as it is. Raises `BodyError`."""
     if not isinstance(value, dict):
         return value  # a number, which `Link` checks
     if set(value) == {"start"}:
@@ -91,10 +103,14 @@ def _from_table(value: object, what: str) -> object:
     mean, sd = (number(value[key], f"{what}'s {key}") for key in ("mean", "sd"))
     if sd <= 0:
         raise BodyError(f"{what}: expected a positive sd, got {sd:g}; where it is known, write the number alone")
-    return prior(mean, sd)
+    try:
+        return prior(mean, sd)
+    except BodyError as error:
+        raise BodyError(f"{what}: {error}") from None
 
 
-def _to_table(value: str | Scalar, key: str) -> object:
+def scalar_to_table(value: str | Scalar, key: str) -> object:
+    """Return what a file says of a scalar. Raises `BodyError` for a prior that no file can express."""
     if isinstance(value, Learned):
         return {"start": value.start}
     if isinstance(value, dist.Distribution):
@@ -105,11 +121,14 @@ def _to_table(value: str | Scalar, key: str) -> object:
     return value
 
 
-def _toml(value: object) -> str:
+def literal(value: object) -> str:
+    """Return a value as TOML."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON's escapes are TOML's
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
+        return "[" + ", ".join(literal(item) for item in value) + "]"
     return repr(value)

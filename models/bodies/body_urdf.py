@@ -1,35 +1,195 @@
-"""Bodies out of URDF, by MuJoCo's reader of it: what is only looked at is dropped first, then as :mod:`.body_mjcf`.
+"""Bodies out of URDF: links and joints as the format defines them (wiki.ros.org/urdf/XML), then :mod:`.body_chain`.
 
-Meshes are named by packages that are not here, and a body needs none: inertial elements have its numbers. Frames on
-fixed joints are kept, because the last one is the tip.
+    frame of a child = frame of its parent · origin of the joint,    origin = (xyz, Rz(yaw) Ry(pitch) Rx(roll))
+    inertia in the world = R I Rᵀ, with R from the world to the inertial element's own origin
+
+A mass comes from `<inertial>` alone: shapes say how a link looks and what it touches. A link without one is a massless
+frame, lumped with what it is fixed to. Gravity is 9.81 m/s² downwards along z, which URDF leaves open.
 """
 
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
-from invdyn.models.bodies import body_mjcf
-from invdyn.models.bodies.scalars import BodyError
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from invdyn.models.bodies import body_xml
+from invdyn.models.bodies.body_chain import Hinge, Part, listed, tables
+from invdyn.models.bodies.scalars import BodyError, number
+from invdyn.models.bodies.whole_file import read_whole
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+HINGES = ("revolute", "continuous")
+TENSOR = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+KNOWN = ("link", "joint", "material")
+
+Frame = tuple[np.ndarray, np.ndarray]
+"""Rotation (3, 3) and place (3,)."""
 
 
 def read(path: str | Path) -> dict:
-    """Return name, gravity, base and links of a URDF file; warns and raises as :func:`.body_mjcf.read`."""
-    mujoco = body_mjcf.engine(path)
+    """Return name, gravity, base and links of a URDF file, as :func:`.body_toml.read` does.
+
+    Warns (UserWarning) of what is left out. Raises `BodyError` for what is no URDF, or no planar chain of hinges, and
+    `OSError` when the file cannot be read.
+    """
+    return of(body_xml.parse(read_whole(path, body_xml.MOST), str(path)), str(path))
+
+
+def of(robot: Element, where: str) -> dict:
+    """The tables of a parsed URDF; see :func:`read`."""
+    body_xml.check_root(robot, "robot", where)
+    if any(each.tag.startswith("xacro:") for each in robot.iter()):
+        raise BodyError(f"{where}: a xacro template is not read; expand it first: xacro FILE.xacro > FILE.urdf")
+    links = _named(robot, "link", where)
+    joints = _named(robot, "joint", where)
+    root, below = _tree(links, joints, where)
+    parts: list[Part] = []
+    todo = [(root, -1, None, (np.eye(3), np.zeros(3)))]
+    for name, parent, hinge, frame in todo:  # parents come before their children
+        parts.append(_part(links[name], name, parent, hinge, frame, where))
+        for joint, child in below.get(name, ()):
+            own = _moved(frame, joint, where)
+            todo.append((child, len(parts) - 1, _hinge(joint, own, where), own))
+    moving = [joint for joint in joints.values() if joint.get("type") != "fixed"]
+    return tables(parts, GRAVITY, _left_out(robot, moving, where), where)
+
+
+def _named(robot: Element, tag: str, where: str) -> dict[str, Element]:
+    found: dict[str, Element] = {}
+    for each in robot.findall(tag):
+        name = each.get("name", "")
+        if not name.strip() or name in found:
+            raise BodyError(f"{where}: expected a name of its own for each {tag}, got {name!r:.60}")
+        found[name] = each
+    return found
+
+
+def _tree(links: dict, joints: dict, where: str) -> tuple[str, dict[str, list[tuple[Element, str]]]]:
+    """The root link's name; and joint and child of every link that has some."""
+    below: dict[str, list[tuple[Element, str]]] = {}
+    children = set()
+    for name, joint in joints.items():
+        ends = [_attribute(joint, tag, "link") for tag in ("parent", "child")]
+        for tag, end in zip(("parent", "child"), ends, strict=True):
+            if end not in links:
+                raise BodyError(f"{where}: joint '{name}' has '{end or ''}' as its {tag}, which is no link of the file")
+        if ends[1] in children:
+            raise BodyError(f"{where}: link '{ends[1]}' is the child of two joints; expected a tree")
+        children.add(ends[1])
+        below.setdefault(ends[0], []).append((joint, ends[1]))
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        told = f"got {', '.join(roots[:4])}" if roots else "but the joints form a loop"
+        raise BodyError(f"{where}: expected one link that is no joint's child, {told}")
+    reached = {root := roots[0]}
+    todo = [root]
+    for name in todo:
+        after = [child for _, child in below.get(name, ())]
+        todo += after
+        reached.update(after)
+    if len(reached) < len(links):
+        raise BodyError(f"{where}: the joints of '{next(n for n in links if n not in reached)}' form a loop")
+    return root, below
+
+
+def _attribute(parent: Element, tag: str, key: str) -> str | None:
+    child = parent.find(tag)
+    return None if child is None else child.get(key)
+
+
+def _numbers(element: Element | None, key: str, default: str, where: str) -> np.ndarray:
+    """Numbers of an attribute, as many as in `default`. Raises `BodyError`."""
+    text = default if element is None else element.get(key, default)
+    words, count = text.split(), len(default.split())
     try:
-        robot = ElementTree.fromstring(Path(path).read_bytes())
-    except ElementTree.ParseError as error:
-        raise BodyError(f"{path}: broken XML: {error}") from error
-    if robot.tag != "robot":
-        raise BodyError(f"{path}: expected a URDF, with <robot> around it, got <{robot.tag}>")
-    for link in robot.iter("link"):
-        for seen in [each for tag in ("visual", "collision") for each in link.findall(tag)]:
-            if seen.find(".//mesh") is not None:
-                link.remove(seen)
-    for own in robot.findall("mujoco"):
-        robot.remove(own)
-    options = {"fusestatic": "false", "discardvisual": "false", "angle": "radian"}
-    ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", options)
-    try:
-        model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
-    except ValueError as error:
-        raise BodyError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
-    return body_mjcf.tables(model, str(path))
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise BodyError(f"{where}: expected {count} number{'s' * (count > 1)} as {key}, got {text!r:.60}")
+    return np.array([number(value, f"{where}: {key}") for value in values])
+
+
+def _moved(frame: Frame, element: Element, where: str) -> Frame:
+    """A frame moved by an element's `<origin>`, if it has one."""
+    origin = element.find("origin")
+    xyz, rpy = (_numbers(origin, key, "0 0 0", where) for key in ("xyz", "rpy"))
+    turn, place = frame
+    return turn @ Rotation.from_euler("xyz", rpy).as_matrix(), place + turn @ xyz
+
+
+def _hinge(joint: Element, frame: Frame, where: str) -> Hinge | None:
+    name, kind = joint.get("name", ""), joint.get("type", "")
+    if kind == "fixed":
+        return None
+    if kind not in HINGES:
+        raise BodyError(f"{where}: expected hinges alone (revolute, continuous), joint '{name}' is of type {kind:.60}")
+    axis = _numbers(joint.find("axis"), "xyz", "1 0 0", f"{where}: axis of joint '{name}'")
+    size = np.linalg.norm(axis)
+    if not 0 < size < np.inf:
+        raise BodyError(f"{where}: joint '{name}' has an axis without direction")
+    return Hinge(name, frame[1], frame[0] @ (axis / size))
+
+
+def _part(link: Element, name: str, parent: int, hinge: Hinge | None, frame: Frame, where: str) -> Part:
+    told = f"{where}: link '{name}'"
+    inertial = link.find("inertial")
+    mass, (turn, com), tensor = 0.0, frame, np.zeros((3, 3))
+    if inertial is not None:
+        turn, com = _moved(frame, inertial, told)
+        if inertial.find("mass") is None:
+            raise BodyError(f"{told}: its inertial element lacks a mass")
+        mass = float(_numbers(inertial.find("mass"), "value", "nan", told)[0])
+        own = inertial.find("inertia")
+        tensor = np.array([[_numbers(own, key, "0", told)[0] for key in row] for row in TENSOR])
+        if mass < 0:
+            raise BodyError(f"{told}: expected no negative mass, got {mass:g} kg")
+    return Part(name, parent, mass, com, turn @ tensor @ turn.T, frame[1], hinge, ends=_ends(link, frame, told))
+
+
+def _ends(link: Element, frame: Frame, where: str) -> list[np.ndarray]:
+    """Both ends of each shape along its longest axis; a sphere's centre; nothing of a mesh, which is not looked at."""
+    found = []
+    for shape in (*link.findall("collision"), *link.findall("visual")):
+        half = None
+        for tag, key, default in (("box", "size", "0 0 0"), ("cylinder", "length", "0"), ("capsule", "length", "0")):
+            if (solid := shape.find(f"geometry/{tag}")) is not None:
+                size = _numbers(solid, key, default, where)
+                longest = int(size.argmax()) if len(size) == 3 else 2
+                half = size.max() / 2 * np.eye(3)[longest]
+        if shape.find("geometry/sphere") is not None:
+            half = np.zeros(3)
+        if half is not None:
+            turn, centre = _moved(frame, shape, where)
+            found += [centre - turn @ half, centre + turn @ half]
+    return found
+
+
+def _left_out(robot: Element, moving: list[Element], where: str) -> list[str]:
+    """What the file says and a rigid body lacks."""
+
+    def having(tag: str, *keys: str) -> list[str]:
+        found = []
+        for joint in moving:
+            element, told = joint.find(tag), f"{where}: joint '{joint.get('name')}'"
+            if element is not None and (not keys or any(_numbers(element, key, "0", told)[0] for key in keys)):
+                found.append(joint.get("name", ""))
+        return found
+
+    followers = [
+        f"{joint.get('name')} follows {_attribute(joint, 'mimic', 'joint')}"
+        for joint in moving
+        if joint.find("mimic") is not None
+    ]
+    strange = sorted({each.tag for each in robot if each.tag not in KNOWN})
+    return [
+        *listed("damping", having("dynamics", "damping")),
+        *listed("dry friction", having("dynamics", "friction")),
+        *listed("limits", having("limit", "lower", "upper")),
+        *listed("limits of torque", having("limit", "effort")),
+        *listed("limits of speed", having("limit", "velocity")),
+        *listed("mimic, a joint that follows another", followers),
+        *listed("safety controllers", having("safety_controller")),
+        *listed("whatever stands in", [f"<{tag:.40}>" for tag in strange]),
+    ]

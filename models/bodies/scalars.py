@@ -11,6 +11,14 @@ import torch
 
 UNITS = {"length": "m", "mass": "kg", "com": "m", "inertia": "kg·m²"}
 QUANTITIES = tuple(UNITS)
+SMALLEST = {"length": 1e-6, "mass": 1e-9, "inertia": 1e-21}
+"""A micrometre, a microgram, and less than a fly's leg: what is smaller, but not 0, is a slip of the unit."""
+LARGEST = 1e7
+"""Of any number of a body, in its unit: products of a few of them stay within a float's range."""
+LARGEST_NAME = 100
+"""Characters."""
+KNOWN, UNKNOWN = 1e-7, 10.0
+"""Relative sd of a prior: below, the number is known; above, a log-normal has no middle."""
 
 
 class BodyError(ValueError):
@@ -35,7 +43,15 @@ def nominal(value: Scalar) -> float:
 
 
 def prior(mean: float, sd: float) -> dist.Distribution:
-    """A prior of that mean and sd: log-normal, or normal for a mean ≤ 0 (a com at or behind its joint)."""
+    """A prior of that mean and sd: log-normal, or normal for a mean ≤ 0 (a com at or behind its joint).
+
+    Raises `BodyError` for a sd that is no part of a positive mean from 10⁻⁷ to 10.
+    """
+    if mean > 0 and not KNOWN * mean <= sd <= UNKNOWN * mean:
+        raise BodyError(
+            f"expected a sd from {KNOWN:.0e} to {UNKNOWN:g} times the mean {mean:g}, got {sd:g}; "
+            "where the number is known, write it alone"
+        )
     mean, sd = torch.tensor(mean, dtype=torch.float64), torch.tensor(sd, dtype=torch.float64)
     if mean <= 0:
         return dist.Normal(mean, sd)
@@ -60,16 +76,19 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
         raise BodyError(f"{what}: expected no negative number, got {centre:g}")
     if centre == 0 and (quantity in ("length", "mass") or (quantity == "inertia" and isinstance(value, Learned))):
         raise BodyError(f"{what}: expected a positive number, got 0")
+    if 0 < abs(centre) < SMALLEST.get(quantity, 0):
+        raise BodyError(f"{what}: expected {SMALLEST[quantity]:.0e} or more, got {centre:g}; is the unit right?")
     return value
 
 
 def number(value: object, what: str) -> float:
-    """Return a finite real number as float. Raises `BodyError`, which begins with `what`."""
-    try:
-        if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
+    """Return a real number within ±`LARGEST` as float. Raises `BodyError`, which begins with `what`."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        if -LARGEST <= value <= LARGEST:
             return float(value)
-    except OverflowError:
-        pass  # an integer beyond every float
+        if math.inf > abs(value):  # an integer may be beyond every float, and too long to be shown
+            shown = "a larger one" if isinstance(value, int) else f"{value:g}"
+            raise BodyError(f"{what}: expected a number up to {LARGEST:.0e}, got {shown}; is the unit right?")
     raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
 
 
@@ -81,9 +100,11 @@ def vector(values: object, what: str) -> tuple[float, float]:
 
 
 def check_name(name: object, what: str) -> None:
-    """Raise `BodyError` unless `name` is a text that is not blank."""
+    """Raise `BodyError` unless `name` is a text of printed characters, not blank, and not long."""
     if not isinstance(name, str) or not name.strip():
         raise BodyError(f"{what}: expected a text that is not blank, got {name!r:.60}")
+    if not name.isprintable() or len(name) > LARGEST_NAME:
+        raise BodyError(f"{what}: expected up to {LARGEST_NAME} characters that can be printed, got {name!r:.60}")
 
 
 def check_keys(given: Iterable[str], known: Sequence[str], where: str) -> None:

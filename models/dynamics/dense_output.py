@@ -43,7 +43,8 @@ class Passage(NamedTuple):
 
     def only(self, coordinate: int) -> "Passage":
         """Of one coordinate, (..., 1)."""
-        return Passage(*(each[..., coordinate : coordinate + 1] for each in self[:-1]), self.h)
+        x0, v0, a0, x1, v1 = (each[..., coordinate : coordinate + 1] for each in self[:-1])
+        return Passage(x0, v0, a0, x1, v1, self.h)
 
     def reaches(self, stop: Tensor, where: Tensor) -> Tensor:
         """τ (..., 1) at which one coordinate, which ends beyond ``stop``, last passes it; one but for ``where``.

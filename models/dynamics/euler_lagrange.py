@@ -6,24 +6,30 @@ The generalised coordinates are the links' absolute angles φ = A θ (A: lower-t
 terms stay short: M(φ) φ̈ + b(φ, φ̇) + G(φ) = F, each term a number of the body × cosines or sines × velocities.
 Joint torques are τ = Aᵀ F, so D = Aᵀ M A, h = Aᵀ b, c = Aᵀ G. Units: SI and radians.
 
-Generated source is kept in the user's cache folder. A file that is broken, or of another version, is derived
-again, and a folder that cannot be written costs only the seconds of deriving.
+What is derived is kept as arithmetic (:mod:`.arithmetic`: data, and no program of anybody's) in a cache folder that is
+the user's alone. A file is believed when, at bodies and states drawn anew, it gives what the recursion along the chain
+does (:mod:`.planar_recursive`, which shares nothing with it); else it is derived again. A folder that cannot be written
+costs only the seconds of deriving.
 """
 
-import hashlib
-import inspect
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import platformdirs
 import torch
 
-from invdyn.models.bodies.whole_file import write_whole
+from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.whole_file import read_whole, write_whole
+from invdyn.models.dynamics.arithmetic import function
+from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
 
-DERIVATION = 2  # raise it whenever this file's output changes, so that old cache files are left alone
+DERIVATION = 3  # raise it whenever this file's output changes, so that old cache files are left alone
 
 # What each generated expression reads, in this order; `_symbols` has the scalars behind each word.
 ARGUMENTS = {
@@ -36,6 +42,10 @@ ARGUMENTS = {
     "keypoints": ("phi", "length", "base"),
 }
 MOVING = ("phi", "w")
+MOST = 2**18
+"""Bytes of a cache file; of four joints it has 5 kB."""
+AGREES = 1e-8
+"""Relative; rounding of both ways is 10⁻¹² of the largest term at most."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +61,18 @@ class Generated:
 
 @dataclass(frozen=True)
 class Equations:
-    """SymPy expressions of a chain of K links in absolute angles φ and angular velocities w = φ̇.
+    """SymPy expressions of a chain of K links in absolute angles φ and angular velocities w = φ̇; SymPy has no types.
 
     `symbols` maps "phi", "w", "length", "mass", "com", "inertia", "gravity", "base" to lists of symbols.
     """
 
     symbols: dict
-    inertia: object  # M, (K, K)
-    coriolis: object  # b, (K, 1)
-    gravity_load: object  # G, (K, 1)
-    kinetic_energy: object  # T
-    potential_energy: object  # V
-    keypoints: object  # tips, (K, 2)
+    inertia: Any  # M, (K, K)
+    coriolis: Any  # b, (K, 1)
+    gravity_load: Any  # G, (K, 1)
+    kinetic_energy: Any  # T
+    potential_energy: Any  # V
+    keypoints: Any  # tips, (K, 2)
 
     def in_joint_angles(self) -> tuple:
         """Return D (K, K), h (K, 1), c (K, 1) in the joint angles θ and velocities θ̇, and those symbols.
@@ -120,16 +130,16 @@ def torch_functions(num_joints: int, cache_dir: Path | str | None = None) -> dic
     """
     folder = Path(cache_dir or platformdirs.user_cache_dir("invdyn"))
     path = folder / f"planar_chain_{num_joints}_sympy_{version('sympy')}_v{DERIVATION}.json"
-    functions = _read_cache(path)
+    functions = _read_cache(path, num_joints)
     if functions is None:
-        sources = generate(num_joints)
-        _write_cache(path, sources)
-        functions = _compile(sources)
+        programs = generate(num_joints)
+        _write_cache(path, programs)
+        functions = _compile(programs, num_joints)
     return functions
 
 
-def generate(num_joints: int) -> dict[str, dict[str, str]]:
-    """Derive the chain and return the Python source of the functions of every name in `ARGUMENTS`."""
+def generate(num_joints: int) -> dict[str, dict[str, dict]]:
+    """Derive the chain and return the programs of `arithmetic` of every name in `ARGUMENTS`."""
     eq = derive(num_joints)
     M = [eq.inertia[i, j] for i in range(num_joints) for j in range(i, num_joints)]
     outputs = {
@@ -141,22 +151,19 @@ def generate(num_joints: int) -> dict[str, dict[str, str]]:
         "potential_energy": [eq.potential_energy],
         "keypoints": list(eq.keypoints),
     }
-    sources = {}
-    for name, words in ARGUMENTS.items():
+    programs = {}
+    for name in ARGUMENTS:
         body, numbers, steps, results = _share(outputs[name], eq.symbols)
-        moving, still = ([eq.symbols[word] for word in words if (word in MOVING) == moves] for moves in (True, False))
-        sources[name] = {
-            "numbers": _source(still, body, list(numbers.values())),
-            "values": _source([*moving, list(numbers)], steps, results),
-        }
-    return sources
+        programs[name] = {"numbers": _program(body, list(numbers.values())), "values": _program(steps, results)}
+    return programs
 
 
-def _source(arguments: list, steps: list, results: list) -> str:
-    import sympy as sp
+def _program(steps: list, results: list) -> dict:
+    from sympy.printing.pycode import PythonCodePrinter
 
-    # a flat list of scalars: a Matrix would become torch.tensor([[…]]), which drops gradients
-    return inspect.getsource(sp.lambdify(arguments, results, modules="torch", cse=lambda _: (steps, results)))
+    printer = PythonCodePrinter({"fully_qualified_modules": False})
+    named = {str(symbol): printer.doprint(expression) for symbol, expression in steps}
+    return {"steps": named, "results": [printer.doprint(expression) for expression in results]}
 
 
 def _symbols(K: int) -> dict[str, list]:
@@ -176,9 +183,9 @@ def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, dict, lis
     """
     import sympy as sp
 
-    names = {}  # coefficient → symbol
+    names: dict[Any, Any] = {}  # coefficient → symbol
 
-    def named(coefficient):
+    def named(coefficient: Any) -> Any:
         sign = -1 if coefficient.could_extract_minus_sign() else 1
         coefficient = sp.factor(sign * coefficient)
         number, coefficient = coefficient.as_coeff_Mul()
@@ -202,31 +209,66 @@ def _share(expressions: list, symbols: dict[str, list]) -> tuple[list, dict, lis
     return body, dict(zip(names.values(), numbers, strict=True)), steps, results
 
 
-def _compile(sources: dict[str, dict[str, str]]) -> dict[str, Generated]:
-    return {name: Generated(*(_function(sources[name][part]) for part in ("numbers", "values"))) for name in ARGUMENTS}
+def _compile(programs: dict[str, dict[str, dict]], num_joints: int) -> dict[str, Generated]:
+    names = {word: [f"{word}{k}" for k in range(1, num_joints + 1)] for word in ("phi", "w", *BodyParameters._fields)}
+    names |= {word: [f"{word}_x", f"{word}_y"] for word in ("gravity", "base")}
+    made = {}
+    for name, words in ARGUMENTS.items():
+        numbers, values = programs[name]["numbers"], programs[name]["values"]
+        coefficients = [f"p{place}" for place in range(len(numbers["results"]))]
+        moving, still = ([names[word] for word in words if (word in MOVING) == moves] for moves in (True, False))
+        made[name] = Generated(function(still, numbers), function([*moving, coefficients], values))
+    return made
 
 
-def _function(source: str) -> Callable[..., list]:
-    namespace = {"cos": torch.cos, "sin": torch.sin, "torch": torch}
-    exec(source, namespace)
-    return namespace["_lambdifygenerated"]
+def _right(functions: dict[str, Generated], num_joints: int) -> bool:
+    """Whether they give what the recursion does, for bodies and states that nobody knows beforehand."""
+    generator = np.random.default_rng()  # no result depends on it, and no file can be written for it
+
+    def drawn(*shape: int) -> torch.Tensor:
+        return torch.tensor(generator.normal(size=shape))
+
+    sizes = [drawn(4, num_joints).exp() for _ in range(4)]
+    body = BodyParameters(*sizes, 10 * drawn(4, 2), drawn(4, 2))
+    phi, w = 3 * drawn(4, num_joints), 3 * drawn(4, num_joints)
+    A = torch.ones(num_joints, num_joints, dtype=torch.float64).tril()
+    back = torch.linalg.inv(A)
+    q, qd = phi @ back.T, w @ back.T
+    chain, upper = RecursiveDynamics(num_joints), torch.triu_indices(num_joints, num_joints)
+    M = (back.T @ chain.inertia_matrix(q, body) @ back)[:, upper[0], upper[1]]
+    b, G = (force @ back for force in (chain.coriolis(q, qd, body), chain.gravity_load(q, body)))
+    expected = {
+        "inertia": M,
+        "coriolis": b,
+        "gravity_load": G,
+        "system": torch.cat([M, b + G], -1),
+        "kinetic_energy": chain.kinetic_energy(q, qd, body)[:, None],
+        "potential_energy": chain.potential_energy(q, body)[:, None],
+        "keypoints": chain.keypoints(q, body).flatten(-2),
+    }
+    given = {"phi": phi, "w": w, **body._asdict()}
+    for name, words in ARGUMENTS.items():
+        moving, still = ([given[w].unbind(-1) for w in words if (w in MOVING) == moves] for moves in (True, False))
+        found = functions[name].values(*moving, functions[name].numbers(*still))
+        found = torch.stack([torch.as_tensor(x, dtype=torch.float64).expand(4) for x in found], -1)
+        right = expected[name]
+        if found.shape != right.shape or not (found - right).abs().max() <= AGREES * (1 + right.abs().max()):
+            return False
+    return True
 
 
-def _digest(sources: dict[str, dict[str, str]]) -> str:
-    return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
-
-
-def _read_cache(path: Path) -> dict[str, Generated] | None:
+def _read_cache(path: Path, num_joints: int) -> dict[str, Generated] | None:
     try:
-        cached = json.loads(path.read_text(encoding="utf-8"))
-        return _compile(cached["sources"]) if cached["sha256"] == _digest(cached["sources"]) else None
-    except (OSError, ValueError, KeyError, TypeError, SyntaxError):
-        return None  # absent or broken: derive again
+        functions = _compile(json.loads(read_whole(path, MOST)), num_joints)
+        return functions if _right(functions, num_joints) else None
+    except Exception:  # absent, broken or planted, whatever comes of it: derive again
+        return None
 
 
-def _write_cache(path: Path, sources: dict[str, dict[str, str]]) -> None:
+def _write_cache(path: Path, programs: dict[str, dict[str, dict]]) -> None:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps({"sha256": _digest(sources), "sources": sources}))
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        os.chmod(path.parent, 0o700)
+        write_whole(path, json.dumps(programs))
     except OSError:
         pass  # read-only home: the next process derives again

@@ -8,7 +8,7 @@ recording's axes. For a link of absolute angle φ, with α = φ̈, ω = φ̇ and
     ⊥ turns a vector by +90°, so a force f at r has the moment r⊥·f
 
 Gravity enters as an acceleration −g of the base. Inside, the batch comes last: scalars (batch), vectors
-(2, batch), matrices (2, 2, batch). Interface, shapes and units: `planar.py`.
+(2, batch), matrices (2, 2, batch). Interface, shapes and units: `interface.py`.
 """
 
 from itertools import accumulate
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_symbolic import Dynamics
+from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.shapes import common
 
 
@@ -31,7 +31,7 @@ class _Link(NamedTuple):
     l_turned: Tensor  # l⊥
 
 
-class RecursiveDynamics(Dynamics):
+class RecursiveDynamics(PlanarDynamics):
     """A planar chain of any number of joints; interface, shapes and units as in `Dynamics`.
 
     Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
@@ -50,7 +50,9 @@ class RecursiveDynamics(Dynamics):
             force = link.mass * (acceleration + alpha * link.r_turned - omega**2 * link.r)
             inertial.append((force, link.inertia * alpha + _dot(link.r_turned, force)))
             acceleration = acceleration + alpha * link.l_turned - omega**2 * link.l
-        tau, outer_force, moment = [], torch.zeros_like(acceleration), 0.0
+        tau: list[Tensor] = []
+        outer_force: Tensor = torch.zeros_like(acceleration)
+        moment: Tensor | float = 0.0
         for link, (force, own_moment) in zip(reversed(links), reversed(inertial), strict=True):
             moment = moment + own_moment + _dot(link.l_turned, outer_force)
             outer_force = outer_force + force
@@ -68,8 +70,9 @@ class RecursiveDynamics(Dynamics):
     def inertia_matrix(self, q: Tensor, p: BodyParameters) -> Tensor:
         """D(θ), kg·m², (..., K, K): joint j moves all that is further out as one composite body."""
         p, (q,) = self._batch(p, q=q)
-        links, D = _links(q, p), {}
-        mass, inertia = 0.0, 0.0  # Σm, and ΣI + m r² about joint j
+        links, D = _links(q, p), dict[tuple[int, int], Tensor]()
+        mass: Tensor | float = 0.0
+        inertia: Tensor | float = 0.0  # Σm, and ΣI + m r² about joint j
         moment = lever = torch.zeros_like(links[0].r)  # Σm r
         for j in reversed(range(self.num_joints)):
             link = links[j]
@@ -99,7 +102,8 @@ class RecursiveDynamics(Dynamics):
         p, (q, qd, tau) = self._batch(p, q=q, qd=qd, tau=tau)
         links, omegas, taus = _links(q, p), _absolute(qd), tau.unbind(-1)
         unit = torch.eye(2, dtype=q.dtype, device=q.device).reshape(2, 2, *[1] * (q.ndim - 1))
-        B, e, outer_tau, solved = torch.zeros_like(unit), torch.zeros_like(links[0].r), 0.0, []
+        B, e, solved = torch.zeros_like(unit), torch.zeros_like(links[0].r), []
+        outer_tau: Tensor | float = 0.0
         for link, omega, own_tau in zip(reversed(links), reversed(omegas), reversed(taus), strict=True):
             Bl = _times(B, link.l_turned)
             e = e - omega**2 * _times(B, link.l)
@@ -110,7 +114,8 @@ class RecursiveDynamics(Dynamics):
             e = e - omega**2 * link.mass * link.r + u * (T / J)
             outer_tau = own_tau
             solved.append((J, u, T))
-        acceleration, inner, qdd = -_vector(p.gravity), 0.0, []
+        acceleration, qdd = -_vector(p.gravity), []
+        inner: Tensor | float = 0.0
         for link, omega, (J, u, T) in zip(links, omegas, reversed(solved), strict=True):
             alpha = (T - _dot(u, acceleration)) / J
             acceleration = acceleration + alpha * link.l_turned - omega**2 * link.l
@@ -121,7 +126,8 @@ class RecursiveDynamics(Dynamics):
     def kinetic_energy(self, q: Tensor, qd: Tensor, p: BodyParameters) -> Tensor:
         """½ θ̇ᵀ D θ̇, J, (...)."""
         p, (q, qd) = self._batch(p, q=q, qd=qd)
-        velocity, energy = 0.0, 0.0
+        velocity: Tensor | float = 0.0
+        energy = torch.zeros_like(q[..., 0])
         for link, omega in zip(_links(q, p), _absolute(qd), strict=True):
             com_velocity = velocity + omega * link.r_turned
             energy = energy + (link.mass * _dot(com_velocity, com_velocity) + link.inertia * omega**2) / 2
@@ -131,7 +137,7 @@ class RecursiveDynamics(Dynamics):
     def potential_energy(self, q: Tensor, p: BodyParameters) -> Tensor:
         """V(θ) = −Σ m g·r, J, zero at the origin of the frame, (...)."""
         p, (q,) = self._batch(p, q=q)
-        joint, energy = _vector(p.base), 0.0
+        joint, energy = _vector(p.base), torch.zeros_like(q[..., 0])
         for link in _links(q, p):
             energy = energy - link.mass * _dot(_vector(p.gravity), joint + link.r)
             joint = joint + link.l

@@ -5,9 +5,10 @@ from invdyn.models.effects.base import Effect, Parameter, Values, effect_name
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import PREFIX, Composition, own_values
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, HiddenHinge
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 _CLASSES = {kind.__name__: kind for kind in EFFECTS.values()}
 

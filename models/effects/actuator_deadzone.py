@@ -2,6 +2,7 @@
 
 import torch
 from pyro.distributions import HalfNormal
+from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
 from invdyn.models.effects.command import Command
@@ -28,7 +29,7 @@ class ActuatorDeadzone(Effect):
         """U − clip(u, ±d)."""
         j, width = self.place[0], p["width"]
 
-        def shrunk(torque):
+        def shrunk(torque: Tensor) -> Tensor:
             own = torque[..., j : j + 1]
             return with_entry(torque, j, own - torch.maximum(torch.minimum(own, width), -width))
 

@@ -32,7 +32,8 @@ from torch import Tensor
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import Dynamics, dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -100,7 +101,7 @@ class Backlash(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        arm, dt = _Mechanics(self, row, dynamics_for(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
+        arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
         j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         none, tight = half <= 0, None
@@ -141,8 +142,8 @@ class Backlash(HiddenHinge):
             qd_free, rate_free = self.gathered(torch.where(struck, rates - back * answer * speed, rates))
 
             gap = torch.where(pushes, psi, torch.where(struck, stop, gap).clamp(-half, half))
-            after = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
-            after = (*after, gap, torch.where(pushes, 0.0, rate_free))
+            joints = torch.where(pushes, q_held, q_free), torch.where(pushes, qd_held, qd_free)
+            after = (*joints, gap, torch.where(pushes, 0.0, rate_free))
             q, qd, psi, rate = (torch.where(going, *each) for each in zip(after, (q, qd, psi, rate), strict=True))
             early = taken + release * contact * parts * part
             taken = torch.where(loosened | hit, early, torch.where(going, begun + 1, taken))
@@ -151,7 +152,8 @@ class Backlash(HiddenHinge):
         loose = (join(psi, rate), q, qd)
         if tight is None:
             return loose
-        return tuple(torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))
+        state, q, qd = (torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))
+        return state, q, qd
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,9 @@ class _Mechanics:
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""
         still = torch.zeros_like(psi)
-        motion = [self.hinge.spread(value, gap) for value, gap in ((q, psi), (qd, still), (qdd, still))]
-        needed = self.whole.inverse(*motion, self.links) - self.row.pull(*motion[:2], s)
+        spread = self.hinge.spread
+        angles, rates = spread(q, psi), spread(qd, still)
+        needed = self.whole.inverse(angles, rates, spread(qdd, still), self.links) - self.row.pull(angles, rates, s)
         return needed[..., self.hinge.place[0] + 1, None]
 
     def impact(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:

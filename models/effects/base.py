@@ -4,15 +4,15 @@ An effect is one file and one class, named as in the catalogue (:mod:`.catalogue
 link, a keypoint, a pair of joints or the whole arm), which parameters it has, with prior, unit and the value at which
 it is absent, and overrides those hooks that it changes; the others pass on what they are given.
 
-    body       the links' numbers                                   BodyParameters → BodyParameters
+    body       the body's numbers                                   its own named tuple → the same
     command    what the motors make of the command                  Command → Command
     force      a generalised force on the joints, N·m               Situation → (..., K)
     friction   how large dry friction at its joint can get, N·m     Situation → (..., 1)
     inertia    a joint's own inertia, on the diagonal, kg·m²        → (..., K)
     interval   the time that a step really takes, s                 (...) → (...)
-    points     where the camera sees the links' tips, m             View → (..., K, 2)
+    points     where the camera sees the sites, m                    View → (..., S, d)
     angles     what the encoders show, rad                          View → (..., K)
-    noise      the keypoints' standard deviations, m                View, (..., K, 2) → (..., K, 2)
+    noise      the keypoints' standard deviations, m                View, (..., S, d) → (..., S, d)
     mistake    what the tracker gets wrong now and then             → Stray, Swap, Shift or None
 
 An effect with a coordinate of its own that nobody sees is a :class:`.hidden.HiddenHinge`.
@@ -29,18 +29,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.view import View
 
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
@@ -94,6 +96,8 @@ class Effect(ABC):
     """"dynamics" for what moves the arm, "observation" for what only the camera sees."""
     site: ClassVar[str] = "joint"
     """"joint", "link", "keypoint", "pair" (of joints), "keypoints" (a pair) or "arm"."""
+    planar: ClassVar[bool] = False
+    """Whether it is of a chain in the plane: it speaks of x and y, or of a link's length."""
     needs_command: ClassVar[bool] = False
     """Whether it changes a commanded torque, and nothing without one."""
     order: ClassVar[int] = 0
@@ -181,15 +185,20 @@ class Effect(ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(map(repr, self.where))})"
 
-    def bound(self, body: Body) -> Self:
-        """Return the effect with its places looked up in ``body``; raises ValueError for names that it lacks."""
+    def bound(self, body: ArticulatedBody) -> Self:
+        """Return the effect with its places looked up in ``body``.
+
+        Raises ValueError for names that it lacks, and for an effect of the plane on a body in space.
+        """
+        if self.planar and not isinstance(body, Body):
+            raise ValueError(f"{self.name}: expected a chain in the plane, got '{body.name}'; leave the effect out")
         return self._bound(body, self.where if self.form is None else self.where[:-1])
 
-    def _bound(self, body: Body, where: Sequence[str]) -> Self:
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         names = {
             "joint": body.joint_names,
             "pair": body.joint_names,
-            "link": [link.name for link in body.links],
+            "link": body.link_names,
             "keypoint": body.keypoint_names,
             "keypoints": body.keypoint_names,
             "arm": (),
@@ -204,17 +213,24 @@ class Effect(ABC):
         return other
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One instance for every place of ``body`` at which the effect can act, in every form; ``keypoints`` are those
         tracked.
         """
-        places = {
+        if cls.planar and not isinstance(body, Body):
+            return []
+        places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
             "pair": list(pairwise(body.joint_names)),
             "keypoint": [(name,) for name in keypoints],
-            "link": [(link.name,) for link in body.links],
-        }.get(cls.site, [(name,) for name in body.joint_names])
-        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
+            "link": [(name,) for name in body.link_names],
+        }
+        joints: list[tuple[str, ...]] = [(name,) for name in body.joint_names]
+        return [
+            cls(*place, *form)
+            for form in ((), *((word,) for word in cls.forms))
+            for place in places.get(cls.site, joints)
+        ]
 
     @abstractmethod
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -252,8 +268,8 @@ class Effect(ABC):
         return dict(ideal)
 
     # -- hooks ---------------------------------------------------------------------------------
-    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
-        """The links' numbers, (..., K)."""
+    def body(self, p: Values, body: Any) -> Any:
+        """The body's numbers."""
         return body
 
     def command(self, p: Values, command: Command) -> Command:
@@ -290,7 +306,7 @@ class Effect(ABC):
         return dt
 
     def points(self, p: Values, view: View) -> Tensor:
-        """Where the camera sees the tips, (..., K, 2) m; ``view.points`` is what earlier effects made of them."""
+        """Where the camera sees the tips, (..., S, d) m; ``view.points`` is what earlier effects made of them."""
         return view.points
 
     def angles(self, p: Values, view: View) -> Tensor:
@@ -298,7 +314,7 @@ class Effect(ABC):
         return view.q
 
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
-        """Standard deviation of each tip's coordinates, (..., K, 2) m."""
+        """Standard deviation of each tip's coordinates, (..., S, d) m."""
         return sd
 
     def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:

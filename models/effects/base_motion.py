@@ -7,8 +7,9 @@ from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 from invdyn.models.shapes import join, joined_by_column
 
 LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at most
@@ -24,6 +25,7 @@ class BaseMotion(Effect):
     meaning = "a base that moves"
     shown_by = "tracking the base and a point of the background"
 
+    planar = True
     site = "arm"
     pulls = True
     dated = True

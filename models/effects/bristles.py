@@ -14,11 +14,13 @@ like that has bent them as far as they go.
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Self
 
 import torch
 from pyro.distributions import LogNormal
 from torch import Tensor
 
+from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Hidden
@@ -46,7 +48,11 @@ class BristleFriction(Hidden):
 
     def __init__(self, of: Effect):
         self.of, self.where, self.form, self.place = of, of.where, of.form, of.place
-        self.contains = of.contains
+
+    @property
+    def contains(self) -> Mapping[str, Mapping[str, str]]:  # type: ignore[override]  # of whichever friction it softens
+        """The friction's."""
+        return self.of.contains
 
     @property
     def name(self) -> str:
@@ -58,7 +64,7 @@ class BristleFriction(Hidden):
         """Beyond a friction that creeps."""
         return 2
 
-    def bound(self, body) -> "BristleFriction":
+    def bound(self, body: BodyBase) -> Self:
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
 
@@ -91,7 +97,10 @@ class BristleFriction(Hidden):
 
     def level(self, p: Values, now: Situation) -> Tensor:
         """L, (..., 1) N·m."""
-        return self.of.friction(p, now)
+        level = self.of.friction(p, now)
+        if level is None:
+            raise TypeError(f"{self.of.name} is no dry friction")
+        return level
 
     def bending(self, p: Values, s: Tensor, speed: Tensor, level: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
         """Friction (..., 1) N·m, and ṡ rad/s, at a joint's ``speed`` in a sub-step of ``step`` s."""
@@ -107,7 +116,7 @@ class BristleFriction(Hidden):
         """S, q and q̇ one row of ``dt`` s later, in ``n`` sub-steps of Runge–Kutta of order 4."""
         h = dt / n
         for i in range(n):
-            x, slopes = (s, q, qd), []
+            x, slopes = (s, q, qd), list[tuple[Tensor, Tensor, Tensor]]()
             for share, ahead in ((0.0, 0.0), (0.5, 0.5), (0.5, 0.5), (1.0, 1.0)):
                 here = x if not slopes else tuple(a + ahead * h * b for a, b in zip(x, slopes[-1], strict=True))
                 bent, rate = moving(here[1], here[2], (i + share) / n, here[0])

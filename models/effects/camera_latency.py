@@ -14,8 +14,8 @@ from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class CameraLatency(Effect):

@@ -11,6 +11,7 @@ the one before it. Before the first row the command was what it is there.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -52,7 +53,8 @@ class Command:
         """Mean and slope of the row that leads into row ``t``, (..., K), beside states (..., K)."""
         rows = [value.movedim(-1, 0)[..., t - 1].movedim(0, -1) for value in (self.mean, self.slope)]
         single = isinstance(t, int) or t.ndim == 0
-        return tuple(row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
+        mean, slope = (row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
+        return mean, slope
 
     def split(self, parts: int) -> "Command":
         """The same lines in rows a ``parts``-th as long."""
@@ -62,7 +64,7 @@ class Command:
         slope = (self.slope / parts).unsqueeze(-2).expand(mean.shape)
         return Command(time.flatten(), mean.flatten(-3, -2), slope.flatten(-3, -2))
 
-    def changed(self, function) -> "Command":
+    def changed(self, function: Callable[[Tensor], Tensor]) -> "Command":
         """``function(torque)`` for what acts at once, such as a gain; its line in a row by three points of Gauss."""
         before, middle, after = (function(self.mean + s * self.slope) for s in (-GAUSS, 0.0, GAUSS))
         return replace(self, mean=(5 * before + 8 * middle + 5 * after) / 18, slope=(after - before) / (2 * GAUSS))

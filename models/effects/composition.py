@@ -4,23 +4,28 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
-from invdyn.models.effects.effect_context import Situation, View
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.view import View
 
 PREFIX = "effect."
 PARTS = 8
 """Of a row, each with a line of its own, where a lagging command is changed further."""
+
+
+class NotTogether(ValueError):
+    """Effects that no model has at once."""
 
 
 class Composition:
@@ -28,12 +33,14 @@ class Composition:
 
     Args:
         effects: in any order; hooks run by :attr:`Effect.order`.
+
+    Raises NotTogether for an effect twice at a place, and for two whose hidden states move the arm.
     """
 
     def __init__(self, effects: tuple[Effect, ...] = ()):
         keys = [effect.key for effect in effects]
         if twice := {key for key in keys if keys.count(key) > 1}:
-            raise ValueError(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
+            raise NotTogether(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
         self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
         self.yields = any(effect.yields for effect in effects)
@@ -54,11 +61,12 @@ class Composition:
         self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
         self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
+        self.seen = self.has_points or self.has_angles or self.has_noise or self.has_mistakes
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
         if len(movers) > 1:
-            keys = " and ".join(effect.key for effect in movers)
-            raise ValueError(f"expected at most one effect whose hidden states move the arm, got {keys}")
+            both = " and ".join(effect.key for effect in movers)
+            raise NotTogether(f"expected at most one effect whose hidden states move the arm, got {both}")
         mover = movers[0] if movers else None
         self.hinge = mover if isinstance(mover, HiddenHinge) else None
         self.bristles = mover if isinstance(mover, BristleFriction) else None
@@ -75,8 +83,8 @@ class Composition:
         for effect in self.effects:
             yield effect, own_values(effect, parameters)
 
-    def body(self, parameters: Mapping[str, Tensor], body: BodyParameters) -> BodyParameters:
-        """The links as all effects leave them."""
+    def body(self, parameters: Mapping[str, Tensor], body: Any) -> Any:
+        """The body's numbers as all effects leave them."""
         for effect, p in self._each(parameters):
             body = effect.body(p, body)
         return body
@@ -90,9 +98,8 @@ class Composition:
 
     def late(self, parameters: Mapping[str, Tensor], elapsed: Tensor, joints: int) -> Tensor:
         """Largest share of what motors were told before a recording that still acts after ``elapsed`` (..., 1) s."""
-        shares = [effect.late(p, elapsed, joints) for effect, p in self._each(parameters)]
-        shares = [share for share in shares if share is not None]
-        return reduce(torch.maximum, shares)
+        shares = (effect.late(p, elapsed, joints) for effect, p in self._each(parameters))
+        return reduce(torch.maximum, [share for share in shares if share is not None])
 
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Sum of the generalised forces, (..., K) N·m; softer stops take what all other forces press into them."""
@@ -105,8 +112,8 @@ class Composition:
 
     def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Of these forces those on points of the links."""
-        forces = [effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls]
-        return sum(forces, start=torch.zeros_like(now.q))
+        forces = (effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls)
+        return sum((force for force in forces if force is not None), start=torch.zeros_like(now.q))
 
     def friction(
         self,
@@ -139,15 +146,15 @@ class Composition:
             times = effect.settling(p)
             if times is not None:
                 joint = effect.place[0]
-                pairs = zip(settling.get(joint, times), times, strict=True)
-                settling[joint] = tuple(torch.maximum(one, other) for one, other in pairs)
+                rest, creep = settling.get(joint, times)
+                settling[joint] = torch.maximum(rest, times[0]), torch.maximum(creep, times[1])
         changing = held and self.has_changing_friction
         return dry_friction(levels(now), now, torque, own, levels_at if changing else None, settling, held)
 
     def inertia(self, parameters: Mapping[str, Tensor], joints: int) -> Tensor | None:
         """Sum of the joints' own inertias, (..., K) kg·m²; None where no effect has any."""
-        own = [effect.inertia(p, joints) for effect, p in self._each(parameters)]
-        own = [inertia for inertia in own if inertia is not None]
+        each = (effect.inertia(p, joints) for effect, p in self._each(parameters))
+        own = [inertia for inertia in each if inertia is not None]
         return sum(own[1:], start=own[0]) if own else None
 
     def interval(self, parameters: Mapping[str, Tensor], dt: Tensor) -> Tensor:
@@ -170,7 +177,7 @@ class Composition:
         return view.q
 
     def noise(self, parameters: Mapping[str, Tensor], view: View, sd: Tensor) -> Tensor:
-        """Standard deviations of the tips' coordinates, (..., K, 2) m."""
+        """Standard deviations of the tips' coordinates, (..., S, d) m."""
         for effect, p in self._each(parameters):
             sd = effect.noise(p, view, sd)
         return sd
@@ -180,16 +187,20 @@ class Composition:
         sizes = [effect.states for effect in self.hidden]
         return dict(zip((effect.key for effect in self.hidden), hidden.split(sizes, -1), strict=True))
 
-    def tips(self, parameters: Mapping[str, Tensor], q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
-        """The K tips, or what is seen as them, in hidden states (..., H): (..., K, 2) m."""
+    def sites(
+        self, parameters: Mapping[str, Tensor], dynamics: Dynamics, q: Tensor, hidden: Tensor, body: Any
+    ) -> Tensor:
+        """The S sites, or what is seen as them, in hidden states (..., H): (..., S, d) m."""
+        if not self.hidden:
+            return dynamics.keypoints(q, body)
         own, hinge = self.shares(hidden), self.hinge
         if hinge is None:
-            tips = dynamics_for(q.shape[-1]).keypoints(q, body)
+            points = dynamics.keypoints(q, body)
         else:
-            tips = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
+            points = hinge.tips(own_values(hinge, parameters), q, own[hinge.key], body)
         for follower in self.followers:
-            tips = follower.shown(tips, own[follower.key])
-        return tips
+            points = follower.shown(points, own[follower.key])
+        return points
 
     def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap | Shift]:
         """What the tracker gets wrong now and then."""

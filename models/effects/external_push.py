@@ -24,6 +24,7 @@ class ExternalPush(Effect):
     meaning = "a force from outside, for a short while"
     shown_by = "the same motion again, untouched"
 
+    planar = True
     site = "keypoint"
     located = ("moment", "duration")
     pulls = True
@@ -58,4 +59,4 @@ class ExternalPush(Effect):
         edges = p["moment"] - duration / 2, p["moment"] + duration / 2
         on, off = (((now.time - edge) / now.step + 0.5).clamp(0.0, 1.0) for edge in edges)
         force = torch.cat(torch.broadcast_tensors(p["impulse_x"], p["impulse_y"]), -1) / duration
-        return now.at_tip(self.place[0], force) * (on - off)
+        return now.at_site(self.place[0], force) * (on - off)

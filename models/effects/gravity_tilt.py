@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 from pyro.distributions import Normal
 
 from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values, turned
 from invdyn.models.effects.scale import Scale
 
@@ -21,12 +22,13 @@ class GravityTilt(Effect):
     shown_by = "a plumb line in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
+    planar = True
     site = "arm"
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One, where there is gravity."""
-        return [cls()] if any(body.gravity) else []
+        return [cls()] if isinstance(body, Body) and any(body.gravity) else []
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle, rad."""

@@ -14,13 +14,14 @@ The other effects act on the K joints; forces on points of the arm (:attr:`.Effe
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, overload
 
 import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import Dynamics, dynamics_for
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column
@@ -72,8 +73,10 @@ class Hidden(Effect):
 class Follower(Hidden):
     """Base of what follows the arm's motion and has no part in it."""
 
+    planar = True
+
     @abstractmethod
-    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt: Tensor) -> Tensor:
         """States (..., H) a row of ``dt`` s later, between what the K tips do at its two ends."""
 
     @abstractmethod
@@ -84,6 +87,7 @@ class Follower(Hidden):
 class HiddenHinge(Hidden):
     """Base of the effects with a hidden hinge, of states ψ, rad, and ψ̇, rad/s."""
 
+    planar = True
     states = 2
 
     @abstractmethod
@@ -105,6 +109,12 @@ class HiddenHinge(Hidden):
         """
         return self.gathered(angles)[0]
 
+    @overload
+    def on_joints(self, values: Tensor) -> Tensor: ...
+
+    @overload
+    def on_joints(self, values: Tensor | None) -> Tensor | None: ...
+
     def on_joints(self, values: Tensor | None) -> Tensor | None:
         """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
         if values is None:
@@ -121,7 +131,7 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = dynamics_for(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
         return self._tracked(points)
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
@@ -149,7 +159,7 @@ def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:
     return join(values[..., :k], inner, outer, values[..., k + 1 :])
 
 
-def substeps_for(dt, frequency: float, n: int) -> int:
+def substeps_for(dt: Tensor | float, frequency: float, n: int) -> int:
     """Sub-steps in which Runge–Kutta of order 4 follows an oscillation of ``frequency`` Hz: a radian each at most."""
     longest = dt.max().item() if isinstance(dt, Tensor) else dt
     return max(n, math.ceil(longest * 2 * math.pi * frequency))

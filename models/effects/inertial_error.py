@@ -22,6 +22,7 @@ class InertialError(Effect):
     meaning = "a link whose mass, centre of mass or inertia is not as stated"
     shown_by = "two postures held still, then fast motion"
 
+    planar = True
     site = "link"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

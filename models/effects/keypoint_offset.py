@@ -4,8 +4,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class KeypointOffset(Effect):
@@ -18,6 +18,7 @@ class KeypointOffset(Effect):
     meaning = "a marker that sits beside its joint"
     shown_by = "a measured length of the link"
 
+    planar = True
     side, site = "observation", "keypoint"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

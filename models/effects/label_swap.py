@@ -6,11 +6,11 @@ from typing import Self
 
 from pyro.distributions import Beta
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Swap
+from invdyn.models.observation.view import View
 
 
 class LabelSwap(Effect):
@@ -26,7 +26,7 @@ class LabelSwap(Effect):
     side, site = "observation", "keypoints"
 
     @classmethod
-    def everywhere(cls, body: Body, keypoints: Sequence[str]) -> list[Self]:
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """Every pair of tracked keypoints."""
         return [cls(*pair) for pair in combinations(keypoints, 2)]
 
@@ -36,4 +36,5 @@ class LabelSwap(Effect):
 
     def mistake(self, p: Values, view: View) -> Swap:
         """The pair, exchanged with probability ρ."""
-        return Swap(*self.place, p["rate"])
+        one, other = self.place
+        return Swap(one, other, p["rate"])

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale
@@ -105,10 +105,10 @@ class LinkFlexibility(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        links, whole = self.chain(p, row.body), dynamics_for(q.shape[-1] + 1)
+        links, whole = self.chain(p, row.body), planar_dynamics(q.shape[-1] + 1)
         stiff = torch.isinf(p["stiffness"])
 
-        def held(q, qd, s):
+        def held(q: Tensor, qd: Tensor, s: float) -> Tensor:
             torque, own = row.net(q, qd, s)
             return row.rigid.forward(q, qd, torque, row.body, own)
 
@@ -121,7 +121,7 @@ class LinkFlexibility(HiddenHinge):
         angles = self.spread(q, hidden[..., :1])
         stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
 
-        def bending(angles, rates, s):
+        def bending(angles: Tensor, rates: Tensor, s: float) -> Tensor:
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
             torque, own = row.net(q, qd, s)
             turning = self.spread(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
@@ -132,9 +132,10 @@ class LinkFlexibility(HiddenHinge):
         bent = (join(hinge, rate), q, qd)
         if locked is None:
             return bent
-        return tuple(torch.where(stiff, rigid, own) for rigid, own in zip(locked, bent, strict=True))
+        state, q, qd = (torch.where(stiff, rigid, own) for rigid, own in zip(locked, bent, strict=True))
+        return state, q, qd
 
-    def _resolved(self, p: Values, inertia: Tensor, step) -> tuple[Tensor, Tensor]:
+    def _resolved(self, p: Values, inertia: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
         """Stiffness and damping, no larger than sub-steps of this length, s, are stable with."""
         k = self.place[0] + 1
         unit = torch.zeros_like(inertia[..., :1])

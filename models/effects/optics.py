@@ -9,8 +9,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class Optics(Effect):
@@ -19,6 +19,7 @@ class Optics(Effect):
     Where a frame has its origin is up to who calibrates it; what a lens is centred on, is not.
     """
 
+    planar = True
     side, site, order = "observation", "arm", 2
     softens: ClassVar[bool] = True
     form_words: ClassVar[Mapping[str, str]] = {

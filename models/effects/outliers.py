@@ -5,9 +5,9 @@ import math
 from pyro.distributions import Beta, LogNormal
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Stray
+from invdyn.models.observation.view import View
 
 
 class Outliers(Effect):

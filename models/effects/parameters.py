@@ -9,6 +9,7 @@ from torch.distributions import constraints
 
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import PREFIX
+from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.scale import Scale
 
 
@@ -29,6 +30,17 @@ def parameters_of(
             starts[name] = torch.full((1,), start, dtype=dtype, device=device)
             priors[name] = _of_dtype(parameter.prior, dtype).expand((1,)).to_event(1)
     return starts, priors
+
+
+def hidden_scales(
+    effects: Sequence[Effect], scale: Scale, dtype: torch.dtype, device: torch.device
+) -> dict[str, Tensor]:
+    """Standard deviations (H,) of hidden states in the first row, and from row to row, by dotted name."""
+    found = {}
+    for effect in (each for each in effects if isinstance(each, Hidden)):
+        spread = torch.tensor(effect.hidden_scale(scale), dtype=dtype, device=device)
+        found |= {f"initial.hidden.{effect.key}": spread, f"noise.hidden.{effect.key}": 1e-4 * spread}
+    return found
 
 
 def check_tracked(effects: Sequence[Effect], tracked: Sequence[str]) -> None:

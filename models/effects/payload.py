@@ -17,6 +17,7 @@ class Payload(Effect):
     meaning = "a mass at the tip that the simulation does not carry"
     shown_by = "two postures and two speeds"
 
+    planar = True
     site = "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -44,7 +44,7 @@ class Rubbing(Effect):
         "bristle_stiffness": "softer than the ideal law, it springs back by a little before it slips",
     }
 
-    def softened(self) -> Self | BristleFriction | None:
+    def softened(self) -> Self | BristleFriction | None:  # type: ignore[override]  # its softest form is a class of its own
         """The ideal law's is soft, and that one's has bristles."""
         return BristleFriction(self.ideal()) if self.soft else super().softened()
 

@@ -4,8 +4,8 @@ from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class RollingShutter(Effect):
@@ -20,6 +20,7 @@ class RollingShutter(Effect):
     meaning = "rows of the picture that are seen at different times"
     shown_by = "the same motion with the camera turned upside down"
 
+    planar = True
     side, site, order = "observation", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -29,7 +30,7 @@ class RollingShutter(Effect):
     def points(self, p: Values, view: View) -> Tensor:
         """p(t + τ)."""
         readout = p["readout"].unsqueeze(-1)
-        stretch = (1 - readout * view.tip_velocity[..., 1:]).clamp_min(0.2)
+        stretch = (1 - readout * view.velocity[..., 1:]).clamp_min(0.2)
         delay = readout * view.points[..., 1:] / stretch
         missed = readout * view.later(delay)[..., 1:] - delay
         return view.later(delay + missed / stretch)

@@ -1,7 +1,7 @@
 """What is large and what is small for a body: the scales that the effects' priors follow.
 
-A mouse limb and an industrial arm have the same catalogue; only these numbers differ. Per joint, with the chain
-beyond it stretched out:
+A mouse limb and an industrial arm have the same catalogue; only these numbers differ. Per joint, with what
+is beyond it stretched out:
 
     inertia   Σ I + m r² about the joint                            kg·m²
     torque    the gravity load held level, or, without gravity, what turns it by a radian in a fifth of a second   N·m
@@ -10,31 +10,30 @@ beyond it stretched out:
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.dynamics.interface import Dynamics
 
 
-def typical_torque(body: BodyParameters) -> Tensor:
+def typical_torque(dynamics: Dynamics, body: Any) -> Tensor:
     """Torques (K,) that a body needs, N·m; see the top of the file."""
-    load = torch.stack([(mass * reach).sum() for mass, reach, _ in _beyond(body)]) * body.gravity.norm()
-    return torch.maximum(load, 5.0 * typical_inertia(body))
+    return torch.maximum(dynamics.typical_load(body), 5.0 * dynamics.typical_inertia(body))
 
 
-def typical_inertia(body: BodyParameters) -> Tensor:
-    """Inertia (K,) about each joint, stretched out, kg·m²."""
-    return torch.stack([(inertia + mass * reach**2).sum() for mass, reach, inertia in _beyond(body)])
+@dataclass(frozen=True, eq=False)
+class Experience:
+    """What has been seen of a body's motion.
 
+    Attributes:
+        motion: (K,) rad/s, rms velocity of each joint, or None.
+        range: (K, 2) rad, between which each joint turns, or None.
+    """
 
-def _beyond(body: BodyParameters) -> list[tuple[Tensor, Tensor, Tensor]]:
-    """Mass, reach of the centre of mass and inertia of the links from each joint outwards."""
-    pieces = []
-    for k in range(len(body.length)):
-        reach = torch.stack([body.length[k:j].sum() + body.com[j] for j in range(k, len(body.length))])
-        pieces.append((body.mass[k:], reach, body.inertia[k:]))
-    return pieces
+    motion: Tensor | None = None
+    range: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -42,14 +41,16 @@ class Scale:
     """Scales of a body on a time grid.
 
     Attributes:
-        body: nominal parameters, single (no batch dimensions).
+        dynamics: of the body.
+        body: its nominal numbers, single (no batch dimensions).
         time: (T,) s.
         command: (T, K) N·m, or None.
         motion: (K,) rad/s, rms velocity of each joint where it has been seen, or None.
         range: (K, 2) rad, between which each joint has been seen to turn, or None.
     """
 
-    body: BodyParameters
+    dynamics: Dynamics
+    body: Any
     time: Tensor
     command: Tensor | None = None
     motion: Tensor | None = None
@@ -58,7 +59,7 @@ class Scale:
     @cached_property
     def torque(self) -> list[float]:
         """Per joint, N·m; a body that no gravity loads has the size of its commands to go by, where there are any."""
-        torque = typical_torque(self.body)
+        torque = typical_torque(self.dynamics, self.body)
         if self.command is not None and not bool(self.body.gravity.any()):
             given = 2 * self.command.square().mean(0).sqrt().to(torque)
             torque = torch.where(given > 0, given, torque)
@@ -67,7 +68,7 @@ class Scale:
     @cached_property
     def inertia(self) -> list[float]:
         """Per joint, kg·m²."""
-        return typical_inertia(self.body).tolist()
+        return self.dynamics.typical_inertia(self.body).tolist()
 
     @cached_property
     def speed(self) -> list[float]:
@@ -79,8 +80,8 @@ class Scale:
 
     @cached_property
     def reach(self) -> float:
-        """Sum of the links' lengths, m."""
-        return self.body.length.sum().item()
+        """How far it reaches, m: of a chain the sum of the links' lengths."""
+        return self.dynamics.reach(self.body).item()
 
     @cached_property
     def duration(self) -> float:

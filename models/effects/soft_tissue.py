@@ -16,9 +16,9 @@ from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.hidden import Follower, Motion
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 STIFFEST = 1e-8
 """s², least κ that is none at all: a frequency of 1.6 kHz."""
@@ -42,6 +42,7 @@ class SoftTissue(Effect):
         "sliding": "that slides as the joint turns",
     }
 
+    planar = True
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)
     softens: ClassVar[bool] = True
@@ -76,7 +77,7 @@ class SoftTissue(Effect):
         """The tip moved."""
         k = self.place[0]
         if self.form is None:
-            return view.moved(k, -p["kappa"] * view.tip_acceleration[..., k, :])
+            return view.moved(k, -p["kappa"] * view.site_acceleration[..., k, :])
         joint = min(k + 1, view.q.shape[-1] - 1)
         angle = view.q[..., joint : joint + 1]
         along, across = (p[way] + p[f"{way}_per_rad"] * angle for way in ("along", "across"))
@@ -100,7 +101,7 @@ class Wobble(SoftTissue, Follower):
         fast = far * scale.speed[self.place[0]] / 0.1**0.5
         return far, far, fast, fast
 
-    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt) -> Tensor:
+    def follow(self, p: Values, hidden: Tensor, before: Motion, after: Motion, dt: Tensor) -> Tensor:
         """See :meth:`Follower.follow`; damping ratios are below one."""
         k = self.place[0]
         (p0, v0), (p1, v1) = ((x[..., k, :], v[..., k, :]) for x, v in (before, after))
@@ -111,7 +112,7 @@ class Wobble(SoftTissue, Follower):
         omega = kappa.rsqrt()
         rate, turning = ratio * omega, omega * (1 - ratio**2).sqrt()
 
-        def steady(t) -> Tensor:
+        def steady(t: Tensor | float) -> Tensor:
             return kappa * (2 * rate * kappa * b - a - b * t)
 
         x, v = (state - rest for state, rest in zip(hidden.chunk(2, -1), (steady(0.0), -kappa * b), strict=True))

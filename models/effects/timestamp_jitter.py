@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pyro.distributions import HalfNormal, Uniform
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Shift
+from invdyn.models.observation.view import View
 
 FARTHEST = 5.0
 """Frames, standard deviation."""
@@ -42,5 +42,5 @@ class TimestampJitter(Effect):
     def mistake(self, p: Values, view: View) -> Shift:
         """(1 − ρ) N(h, σ²) + ρ N(h, σ² + s_δ² ṗ ṗᵀ + ¾ s_δ⁴ p̈²), s_δ = s/√ρ: the second order by its mean square."""
         each = (p["sd"] / p["rate"].clamp_min(1e-9).sqrt()).unsqueeze(-1)  # none is mistimed at a rate of 0
-        beside = 0.75**0.5 * each**2 * view.tip_acceleration.abs()
-        return Shift(p["rate"], each * view.tip_velocity, beside)
+        beside = 0.75**0.5 * each**2 * view.site_acceleration.abs()
+        return Shift(p["rate"], each * view.velocity, beside)

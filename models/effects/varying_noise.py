@@ -7,8 +7,8 @@ from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import View
 from invdyn.models.effects.scale import Scale
+from invdyn.models.observation.view import View
 
 
 class VaryingNoise(Effect):
@@ -45,5 +45,5 @@ class VaryingNoise(Effect):
         if self.form:
             return sd if view.doubt is None else sd * (1 + p["slope"].unsqueeze(-1) * view.doubt.unsqueeze(-1))
         # a floor on the root keeps the gradient at rest finite
-        speed = (view.tip_velocity.square().sum(-1, keepdim=True) + 1e-12 * view.body.length.sum() ** 2).sqrt()
+        speed = (view.velocity.square().sum(-1, keepdim=True) + 1e-12 * view.dynamics.reach(view.body) ** 2).sqrt()
         return sd * (1 + p["slope"].unsqueeze(-1) * speed)

@@ -11,7 +11,7 @@ import torch
 from pyro.distributions import Distribution, Independent, MultivariateNormal
 from torch import Tensor
 
-from invdyn.models.observation.mixture import MistakenRows
+from invdyn.models.observation.row_distribution import RowDistribution
 
 
 def observe(name: str, emission: Distribution, observation: Tensor) -> None:
@@ -20,7 +20,7 @@ def observe(name: str, emission: Distribution, observation: Tensor) -> None:
     if bool(seen.all()):
         pyro.sample(name, emission, obs=observation)
     elif bool(seen.any()):
-        if isinstance(emission, MistakenRows):
+        if isinstance(emission, RowDistribution):
             pyro.sample(name, emission, obs=observation)  # which leaves out what is missing by itself
         elif isinstance(emission, Independent):
             filled = _filled(emission, observation, seen)
@@ -40,7 +40,7 @@ def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor 
         seen = ~torch.isnan(observation)
         if bool(seen.all()):
             return emission.log_prob(observation)
-    if isinstance(emission, MistakenRows):
+    if isinstance(emission, RowDistribution):
         return emission.log_prob(observation)
     if isinstance(emission, Independent):
         # The fill-in must be finite, or its gradient would be NaN even where masked.
@@ -85,7 +85,7 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
     Raises TypeError for other families.
     """
     seen = ~torch.isnan(observation)
-    if isinstance(emission, MistakenRows):
+    if isinstance(emission, RowDistribution):
         whitening, _, constant = emission.gaussian_rows(observation)
         return whitening, constant
     if isinstance(emission, torch.distributions.MultivariateNormal):
@@ -110,7 +110,7 @@ def explained(emission: Distribution, observation: Tensor) -> Tensor:
 
     A detection that another keypoint explains better stands, in that share, where it belongs.
     """
-    return emission.gaussian_rows(observation)[1] if isinstance(emission, MistakenRows) else observation
+    return emission.gaussian_rows(observation)[1] if isinstance(emission, RowDistribution) else observation
 
 
 def times(whitening: Tensor, rows: Tensor) -> Tensor:

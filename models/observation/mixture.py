@@ -14,7 +14,8 @@ Several effects that stray make one width: ρ and s of independent errors, in tu
 
 A missing coordinate, NaN, drops out.
 
-Shapes: rows (..., O) = P keypoints' (x, y), then E encoder angles, which are never mistaken; ρ, s (..., 1).
+Shapes: rows (..., O) = P keypoints' d coordinates, then E other entries, encoders', which are never mistaken; ρ, s
+(..., 1).
 """
 
 import math
@@ -23,10 +24,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import torch
-from pyro.distributions import TorchDistribution
 from torch import Tensor
-from torch.distributions import constraints
 
+from invdyn.models.observation.row_distribution import RowDistribution
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.shapes import common
 
@@ -38,8 +38,8 @@ class _Alternative:
     Attributes:
         log_density: (...) of the row's detections and this.
         order: whose detection stands at each place.
-        precision: (..., P, 2) of each detection, by its place.
-        pull: (..., P, 2) u, if the detections are correlated, whose precision is then diag(precision) − u uᵀ.
+        precision: (..., P, d) of each detection, by its place.
+        pull: (..., P, d) u, if the detections are correlated, whose precision is then diag(precision) − u uᵀ.
     """
 
     log_density: Tensor
@@ -48,24 +48,20 @@ class _Alternative:
     pull: Tensor | None = None
 
 
-class MistakenRows(TorchDistribution):
+class MistakenRows(RowDistribution):
     """Distribution of observation rows; see the top of the file.
 
     Args:
         loc, scale: (..., O) mean and standard deviations of a row without mistakes.
-        points: P.
+        shape: (P, d).
         strays, swaps, shift: what may go wrong; the keypoints of swaps by their place in the row.
     """
-
-    support = constraints.real_vector
-    has_rsample = False
-    arg_constraints: dict = {}  # noqa: RUF012
 
     def __init__(
         self,
         loc: Tensor,
         scale: Tensor,
-        points: int,
+        shape: tuple[int, int],
         strays: Sequence[Stray],
         swaps: Sequence[Swap],
         shift: Shift | None = None,
@@ -73,14 +69,19 @@ class MistakenRows(TorchDistribution):
         rates = [mistake.rate[..., 0] for mistake in (*strays, *swaps, *([shift] if shift else []))]
         batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
-        self.points, self.strays, self.swaps, self.shift = points, tuple(strays), tuple(swaps), shift
+        self.shape, self.strays, self.swaps, self.shift = shape, tuple(strays), tuple(swaps), shift
         super().__init__(batch, loc.shape[-1:], validate_args=False)
 
     def expand(self, batch_shape, _instance=None):
         """See :class:`torch.distributions.Distribution`."""
         size = self.loc.shape[-1]
         loc, scale = (value.expand(*batch_shape, size) for value in (self.loc, self.scale))
-        return MistakenRows(loc, scale, self.points, self.strays, self.swaps, self.shift)
+        return MistakenRows(loc, scale, self.shape, self.strays, self.swaps, self.shift)
+
+    @property
+    def points(self) -> int:
+        """P."""
+        return self.shape[0]
 
     # -- the alternatives ----------------------------------------------------------------------
     @property
@@ -98,7 +99,7 @@ class MistakenRows(TorchDistribution):
         return [_log(none), *map(_log, rates)]
 
     def _widths(self, scale: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Log-probability (..., 1) and deviations (..., P, 2) of every combination of strays."""
+        """Log-probability (..., 1) and deviations (..., P, d) of every combination of strays."""
         widths = [(torch.zeros_like(scale[..., 0]), scale)]
         for stray in self.strays:
             hit = [(weight + _log(stray.rate), torch.hypot(sd, stray.scale.expand_as(sd))) for weight, sd in widths]
@@ -106,8 +107,9 @@ class MistakenRows(TorchDistribution):
         return widths
 
     def _split(self, row: Tensor) -> tuple[Tensor, Tensor]:
-        """A row as keypoints (..., P, 2) and angles (..., E)."""
-        return row[..., : 2 * self.points].unflatten(-1, (self.points, 2)), row[..., 2 * self.points :]
+        """A row as keypoints (..., P, d) and angles (..., E)."""
+        mistakable = math.prod(self.shape)
+        return row[..., :mistakable].unflatten(-1, self.shape), row[..., mistakable:]
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-density (...) over the coordinates that are not NaN."""
@@ -221,7 +223,7 @@ def _normal(y: Tensor, loc: Tensor, scale: Tensor) -> Tensor:
 
 
 def _shifted(y: Tensor, loc: Tensor, width: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
-    """Log N(y; loc, diag(width²) + v vᵀ) (...) of (..., P, 2) that are not missing, v = ``along``; u of its precision.
+    """Log N(y; loc, diag(width²) + v vᵀ) (...) of (..., P, d) that are not missing, v = ``along``; u of its precision.
 
     By Sherman and Morrison, with S = diag(width²): (S + v vᵀ)⁻¹ = S⁻¹ − u uᵀ, u = S⁻¹ v / √(1 + vᵀ S⁻¹ v).
     """
@@ -234,7 +236,7 @@ def _shifted(y: Tensor, loc: Tensor, width: Tensor, along: Tensor) -> tuple[Tens
 
 
 def _whitened(weight: Tensor, pulled: Tensor, known: Tensor, given: Tensor) -> tuple[Tensor, Tensor]:
-    """W and ỹ (..., O) from keypoints' precisions (..., 2P) and their pulls, and angles' 1/σ and values (..., E)."""
+    """W and ỹ (..., O) from keypoints' precisions (..., P·d) and their pulls, and angles' 1/σ and values (..., E)."""
     aim = torch.where(weight > 0, pulled / weight.clamp_min(torch.finfo(weight.dtype).tiny), 0.0)
     return torch.cat([weight.sqrt(), known], -1), torch.cat([aim, given], -1)
 
@@ -242,7 +244,7 @@ def _whitened(weight: Tensor, pulled: Tensor, known: Tensor, given: Tensor) -> t
 def _whitened_together(
     weight: Tensor, pulled: Tensor, known: Tensor, given: Tensor, joint: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """W (..., O, O) and ỹ (..., O) where the keypoints' precision is diag(weight) − ``joint`` (..., 2P, 2P)."""
+    """W (..., O, O) and ỹ (..., O) where the keypoints' precision is diag(weight) − ``joint`` (..., P·d, P·d)."""
     there = weight > 0
     # What is missing stands by itself, and is then struck out.
     tril = torch.linalg.cholesky(torch.diag_embed(torch.where(there, weight, 1.0)) - joint)

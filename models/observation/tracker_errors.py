@@ -1,6 +1,6 @@
 """What a tracker gets wrong now and then in a row of detections; :mod:`.mixture` makes a distribution of it.
 
-Shapes: P keypoints; leading dimensions are parameter sets.
+Shapes: P keypoints in d dimensions; leading dimensions are parameter sets.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from torch import Tensor
 class Stray:
     """Detections from elsewhere: probability (..., 1) of each keypoint in each row, and width, m.
 
-    The width is (..., 1, 1) for all alike, or (..., P, 2) for each coordinate.
+    The width is (..., 1, 1) for all alike, or (..., P, d) for each coordinate.
     """
 
     rate: Tensor
@@ -23,7 +23,7 @@ class Stray:
 class Shift:
     """All keypoints of a row off together: probability (..., 1) of each row.
 
-    By ξ ``along`` (..., P, 2) m, ξ ~ N(0, 1), and each coordinate by ``beside`` (..., P, 2) m more, its own deviation.
+    By ξ ``along`` (..., P, d) m, ξ ~ N(0, 1), and each coordinate by ``beside`` (..., P, d) m more, its own deviation.
     """
 
     rate: Tensor

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from invdyn.blindcheck.camera import film
+from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.equivalence import NUMBERS, exactly_alike, stand_ins
-from invdyn.blindcheck.mechanisms import MECHANISMS
 from invdyn.blindcheck.simulator import World
 from invdyn.diagnosis.hypotheses.period_equivalents import equivalents, factor
 from invdyn.diagnosis.problem.diagnosis_problem import setting

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from invdyn.blindcheck.effects.disturbances import external_push
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
-from invdyn.blindcheck.mechanisms import external_push
 from invdyn.blindcheck.simulator import World
 from invdyn.models import Body, Link
 

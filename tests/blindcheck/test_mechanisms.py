@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.blindcheck import mechanisms as m
-from invdyn.blindcheck.camera import OBSERVATIONS
-from invdyn.blindcheck.effect_sizes import SIZES, UNITS
+from invdyn.blindcheck.effects import EFFECTS as INJECTED
+from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.simulator import World
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.effects import EFFECTS, Backlash
 
 pytest.importorskip("mujoco")
@@ -35,7 +34,7 @@ def moved(*effect, body=ARM):
     """A world with one effect, its motion, and the torque that the motion needed beyond the command."""
     world = World(body)
     name, *where, parameters = effect
-    m.MECHANISMS[name](world, *where, **parameters)
+    MECHANISMS[name](world, *where, **parameters)
     real = world.run(ROWS, swing, *START)
     return world, real, *residual(real, World(body))
 
@@ -98,8 +97,8 @@ def test_dry_friction_when_it_slides(name):
 def test_dry_friction_holds_at_rest():
     level = Body("arm", ARM.links, gravity=(0, 0))
     world = World(level)
-    m.coulomb_friction(world, 0, 0.5)
-    m.coulomb_friction(world, 1, 0.5)
+    MECHANISMS["coulomb_friction"](world, 0, 0.5)
+    MECHANISMS["coulomb_friction"](world, 1, 0.5)
     real = world.run(ROWS, lambda *_: np.array([0.4, -0.4]), [0.0, 0.0], [0.0, 0.0])
     assert np.abs(real.q[-1]).max() < 1e-3  # free, it would have turned by radians
 
@@ -108,7 +107,7 @@ def test_dry_friction_turns_around_with_the_motion():
     """A rod thrown against a torque: MuJoCo's friction creeps through the turn for no more than two steps."""
     inertia, level, push = 1.0 * 0.3**2 / 3, 0.3, -0.6
     world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
-    m.coulomb_friction(world, 0, level)
+    MECHANISMS["coulomb_friction"](world, 0, level)
     real = world.run(ROWS, lambda *_: np.array([push]), [0.0], [6.0])
     stop = 6.0 * inertia / (level - push)
     after = (push + level) / inertia * (real.time - stop)
@@ -154,7 +153,7 @@ def test_gain_saturation_and_deadzone():
 def given(name, parameters):
     """Torque that the elbow's motor gave, by time."""
     world = World(ARM)
-    m.MECHANISMS[name](world, 1, **parameters)
+    MECHANISMS[name](world, 1, **parameters)
     seen = []
     world.on_step(lambda t, model, data: seen.append((t, data.qfrc_actuator[1])))
     real = world.run(ROWS, swing, *START)
@@ -180,7 +179,7 @@ def test_lag_filters_the_command():
 
 def test_lag_has_the_time_constant_that_it_was_given():
     world = World(ARM)
-    m.actuator_lag(world, 1, 0.05)
+    MECHANISMS["actuator_lag"](world, 1, 0.05)
     world.run(ROWS[:6], lambda row, t, q, qd: np.array([0.0, float(row > 0)]), *START)
     np.testing.assert_allclose(world.data.act, [-np.expm1(-0.08 / 0.05)], rtol=1e-9)  # filtered for four rows
 
@@ -241,8 +240,8 @@ def hinges(world):
 @pytest.mark.parametrize("link", [0, 1])
 def test_a_flexible_link_is_two_halves_and_a_spring(link):
     world, halves = World(ARM), World(ARM)
-    m.link_flexibility(world, link, 20.0, 0.05)
-    m.link_flexibility(halves, link, 0.0, 0.0)
+    MECHANISMS["link_flexibility"](world, link, 20.0, 0.05)
+    MECHANISMS["link_flexibility"](halves, link, 0.0, 0.0)
     straight = halves.inertia(np.array([0.3, 0.0, -0.8]) if link == 0 else np.array([0.3, -0.8, 0.0]))
     driven = [0, 2] if link == 0 else [0, 1]
     np.testing.assert_allclose(straight[np.ix_(driven, driven)], World(ARM).inertia(np.array([0.3, -0.8])), rtol=1e-9)
@@ -258,7 +257,7 @@ def test_a_flexible_link_is_two_halves_and_a_spring(link):
 
 def test_backlash_lets_the_link_move_by_its_width():
     world = World(ARM)
-    m.backlash(world, 1, 0.02)
+    MECHANISMS["backlash"](world, 1, 0.02)
     seen = hinges(world)
     world.run(ROWS, swing, *START)
     play = np.array(seen)[:, 2]
@@ -266,7 +265,7 @@ def test_backlash_lets_the_link_move_by_its_width():
     assert play.min() < -0.0095
     assert play.max() > 0.0095
     tight = World(ARM)
-    m.backlash(tight, 1, 1e-5)
+    MECHANISMS["backlash"](tight, 1, 1e-5)
     ideal = World(ARM).run(ROWS, swing, *START)
     assert np.abs(tight.run(ROWS, swing, *START).q - ideal.q).max() < 2e-3
 
@@ -297,14 +296,14 @@ def test_what_a_joint_has_of_its_own_is_on_the_motor_s_side_of_its_play(name):
     rows, width = 0.005 * np.arange(101), 0.06
     commands = np.stack([1.5 * np.sin(5 * rows) + 1, 1.5 * np.cos(9 * rows)], axis=-1)
     world, rigid = World(ARM), World(ARM)
-    model = ArmModel(ARM, rows, emission=Emission(range(2), 0), command=commands)
+    model = ArmModel(ARM, rows, observation=Observation(Keypoints(range(2))), command=commands)
     given = {Backlash("elbow"): {"width": width}}
     if name != "nothing":
-        m.MECHANISMS[name](world, *where, **parameters)
-        m.MECHANISMS[name](rigid, *where, **parameters)
+        MECHANISMS[name](world, *where, **parameters)
+        MECHANISMS[name](rigid, *where, **parameters)
         at, values = STATED.get(name, (("elbow",), parameters))
         given[EFFECTS[name](*at)] = values
-    m.backlash(world, 1, width)
+    MECHANISMS["backlash"](world, 1, width)
     real, ideal = (each.run(rows, lambda row, *_: commands[row], *START) for each in (world, rigid))
     values = {f"effect.{effect.key}.{key}": [v] for effect, own in given.items() for key, v in own.items()}
     model = model.with_effects(*given)
@@ -318,9 +317,9 @@ def test_what_a_joint_has_of_its_own_is_on_the_motor_s_side_of_its_play(name):
 
 
 def test_every_effect_has_units_and_sizes():
-    assert set(SIZES) == set(UNITS) == {*m.MECHANISMS, *OBSERVATIONS}
-    for name, function in m.MECHANISMS.items():
+    assert all(effect.units and effect.size for effect in INJECTED.values())
+    for name, function in MECHANISMS.items():
         parameters = [
             p for p in inspect.signature(function).parameters if p not in ("world", "joint", "link", "keypoint")
         ]
-        assert parameters == list(UNITS[name])
+        assert parameters == list(INJECTED[name].units)

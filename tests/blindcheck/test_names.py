@@ -4,14 +4,20 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.blindcheck.camera import OBSERVATIONS
-from invdyn.blindcheck.effect_sizes import UNITS
-from invdyn.blindcheck.injected_effects import CATALOGUE, OF_KEYPOINT, OF_LINK, OF_WHOLE, Present, named
+from invdyn.blindcheck.effects import EFFECTS as INJECTED
+from invdyn.blindcheck.effects import OBSERVATIONS
+from invdyn.blindcheck.injected_effects import CATALOGUE, Present, named
 from invdyn.blindcheck.motion import random_body
+from invdyn.models import planar_dynamics
 from invdyn.models.effects import EFFECTS, BaseMotion, Scale, TorqueRipple
 
 BODY = random_body(np.random.default_rng(1), 3, False)
-SCALE = Scale(BODY.parameters(), torch.arange(0, 3, 0.01, dtype=torch.float64), torch.ones(300, 3, dtype=torch.float64))
+SCALE = Scale(
+    planar_dynamics(BODY.num_joints),
+    BODY.parameters(),
+    torch.arange(0, 3, 0.01, dtype=torch.float64),
+    torch.ones(300, 3, dtype=torch.float64),
+)
 
 
 def reported(effect):
@@ -38,14 +44,17 @@ def test_names_units_side_and_place(name):
     # reality plays one form of each, the catalogue's first
     effect = [e for e in kind.everywhere(BODY, BODY.keypoint_names) if e.form is None][-1].bound(BODY)
     ideal, *softer = (reported(form) for form in forms(effect))
+    units = INJECTED[name].units
     # and of some a softer form, whose parameters are those of the ideal one and more
-    assert UNITS[name] == ideal or (UNITS[name] in softer and ideal.items() < UNITS[name].items())
-    assert (UNITS[name] != ideal) == (name in ("stribeck_friction", "soft_tissue", "camera_yaw", "lens_distortion"))
+    assert INJECTED[name].units == ideal or (
+        INJECTED[name].units in softer and ideal.items() < INJECTED[name].units.items()
+    )
+    assert (units != ideal) == (name in ("stribeck_friction", "soft_tissue", "camera_yaw", "lens_distortion"))
     assert (kind.side == "observation") == (name in OBSERVATIONS)
-    site = "link" if name in OF_LINK else "keypoint" if name in OF_KEYPOINT else "arm" if name in OF_WHOLE else "joint"
+    site = INJECTED[name].site
     assert {"pair": "joint", "keypoints": "keypoint"}.get(kind.site, kind.site) == site
     place = None if site == "arm" else 2
-    entry = named(Present(name, place, dict.fromkeys(UNITS[name], 1.0)), BODY, 0.0, 0.0)
+    entry = named(Present(name, place, dict.fromkeys(units, 1.0)), BODY, 0.0, 0.0)
     told = {str(entry[key]) for key in ("joint", "link", "keypoint", "partner", "stop") if key in entry}
     assert told == set(effect.where) or (name == "joint_limit" and told < {*effect.where, "upper"})
 

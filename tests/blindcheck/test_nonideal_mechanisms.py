@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from invdyn.blindcheck.mechanisms import stribeck_friction
+from invdyn.blindcheck.effects.joints import stribeck_friction
 from invdyn.blindcheck.simulator import World
 from invdyn.models import Body, Link
 

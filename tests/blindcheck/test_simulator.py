@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.blindcheck.mechanisms import MECHANISMS
+from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.motion import LEAD, play, random_body, random_plan, replay
 from invdyn.blindcheck.simulator import World
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 
 pytest.importorskip("mujoco")
 
 
 def ideal(body, trajectory, row, rows):
     """Angles after each of so many rows from `row` on, by invdyn's dynamics under the trajectory's commands."""
-    dynamics, p = dynamics_for(body.num_joints), body.parameters()
+    dynamics, p = planar_dynamics(body.num_joints), body.parameters()
     per_row = (len(trajectory.time) - 1) // (len(trajectory.command) - 1)
     q, qd = (torch.tensor(state[row * per_row]) for state in (trajectory.q, trajectory.qd))
     dt = trajectory.command_time[1] - trajectory.command_time[0]
@@ -41,7 +41,7 @@ def test_no_effect_is_the_ideal_body(joints, horizontal, passive):
     for row in range(0, len(real.command) - rows, 3 * rows):
         path, per_row = ideal(body, real, row, rows)
         after = slice((row + 1) * per_row, (row + rows) * per_row + 1, per_row)
-        tips = dynamics_for(joints).keypoints(path, body.parameters()).numpy()
+        tips = planar_dynamics(joints).keypoints(path, body.parameters()).numpy()
         reach = sum(link.length for link in body.links)
         assert np.abs(tips - real.points[after, 1:]).max() < 1e-5 * reach  # noise is 1e-3 and more
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pendulum import ARM
 
-from invdyn.blindcheck.effect_sizes import scene
 from invdyn.blindcheck.motion import play, random_plan
+from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 

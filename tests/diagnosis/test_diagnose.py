@@ -13,7 +13,7 @@ from pendulum import ARM, MANY, PENDULUM, recording_of
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.assemble import _ambiguous, _unseen
 from invdyn.diagnosis.assessment.result import Cause, Finding
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
@@ -68,7 +68,7 @@ def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
     def fails(bound, none, cause, other):
         if cause.effects and len(failed) < times:
             failed.append(cause.key)
-            raise InputError("cannot follow it")
+            raise CannotFollow("cannot follow it")
         return unseen(bound, none, cause, other)
 
     monkeypatch.setattr(ROOM, "unseen", fails)
@@ -76,7 +76,7 @@ def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
     named = diagnose(recording, PENDULUM)
     assert failed == [effect.key for effect in named.causes[0].effects] == ["viscous_friction.pivot"]
     times = 3
-    with pytest.raises(InputError, match="cannot follow it"):
+    with pytest.raises(CannotFollow, match="cannot follow it"):
         diagnose(recording, PENDULUM)
 
 

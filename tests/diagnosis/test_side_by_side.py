@@ -1,8 +1,8 @@
 """Parts in processes of their own: order, failures, and a diagnosis that is the same to the byte."""
 
 import json
+import multiprocessing
 import os
-import time
 from functools import partial
 
 import pytest
@@ -26,20 +26,32 @@ def test_results_come_in_order(workers):
     assert side_by_side([], workers) == []
 
 
-def slow_pid():
-    time.sleep(0.5)
+FORK = multiprocessing.get_context("fork")  # what it makes, the copies share
+
+
+def pid_once(until):
+    """This process's number, once `until()` has returned."""
+    until()
     return os.getpid()
 
 
 def test_each_but_the_first_runs_elsewhere():
-    here, *others = side_by_side([slow_pid] * 3, 3)
+    """None goes on before all have begun."""
+    here, *others = side_by_side([partial(pid_once, FORK.Barrier(3).wait)] * 3, 3)
     assert here == os.getpid()
     assert len({here, *others}) == 3
-    assert side_by_side([slow_pid] * 3, 1) == [here] * 3
+    assert side_by_side([os.getpid] * 3, 1) == [here] * 3
 
 
 def test_who_is_free_takes_the_next_part():
-    here, *others = side_by_side([slow_pid, *[os.getpid] * 6], 2)
+    """The first part lasts until the others are done."""
+    done = FORK.Semaphore(0)
+
+    def all_others():
+        for _ in range(6):
+            done.acquire()
+
+    here, *others = side_by_side([partial(pid_once, all_others), *[partial(pid_once, done.release)] * 6], 2)
     assert here not in others
 
 
@@ -53,8 +65,14 @@ def test_what_a_part_raises_is_raised(workers):
 
 
 def test_a_process_that_dies_is_one_line():
+    begun = FORK.Event()
+
+    def dies():
+        begun.set()
+        os._exit(9)
+
     with pytest.raises(RuntimeError, match="ended with code 9: too little memory"):
-        side_by_side([slow_pid, partial(os._exit, 9)], 2)
+        side_by_side([partial(pid_once, begun.wait), dies], 2)
 
 
 def test_a_diagnosis_is_the_same_whatever_the_number_of_workers():

@@ -48,9 +48,9 @@ def blind(tmp_path, monkeypatch, run):
     (tmp_path / "method.py").write_text(METHOD)
     command = f"{shlex.quote(sys.executable)} {shlex.quote(str(tmp_path / 'method.py'))} {{recording}} {{body}} {{out}}"
 
-    def call(*more, seed=11):
-        kinds = ("--kinds", "none=2,commanded=1", "--workers", 1)
-        return run("blind", "--out", "run", "--seed", seed, *kinds, "--method-command", command, *more)
+    def call(*more, seed=("--seed", 11)):
+        kinds = ("--kinds", "none=2,commanded=1", "--workers", 1, "--no-confine")
+        return run("blind", "--out", "run", *seed, *kinds, "--method-command", command, *more)
 
     return call
 
@@ -59,7 +59,9 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
     (tmp_path / "fail").touch()
     outcome = blind()
     assert outcome.exit_code == 0, outcome.output
-    first, *_ = outcome.stdout.splitlines()
+    kept, first, *_ = outcome.stdout.splitlines()
+    assert "in the open, as your own user" in kept
+    assert "warning: the seed stands on the command line" in outcome.stderr
     commitment = first.rpartition(" ")[2]
     assert first.startswith("sealed answers, SHA-256")
     answers = read_opened("run/answers.json", commitment)
@@ -72,9 +74,11 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
     assert Path("run/blind.html").read_text().startswith("<!doctype html>")
 
     (tmp_path / "fail").unlink()
-    again = blind()
+    (tmp_path / "seed.txt").write_text("11\n")
+    again = blind(seed=("--seed-file", "seed.txt"))
     assert again.exit_code == 0, again.output
-    assert again.stdout.splitlines()[0] == first  # the same cases, the same seal
+    assert again.stdout.splitlines()[1] == first  # the same cases, the same seal
+    assert "command line" not in again.stderr
     assert Path("log.txt").read_text().split() == ["case-0000", "case-0001", "case-0002", "case-0001"]
     scores = json.loads(Path("run/scores.json").read_text())
     figures = {(kind, m["name"]): m["value"] for kind, all_ in scores["measures"].items() for m in all_}
@@ -84,7 +88,7 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
     assert not Path("run/diagnoses/case-0001/failed.txt").exists()
 
     before = {path: path.read_bytes() for path in Path("run").rglob("*") if path.is_file()}
-    other = blind(seed=12)
+    other = blind(seed=("--seed", 12))
     assert other.exit_code == 2
     assert "other cases" in other.stderr
     assert {path: path.read_bytes() for path in Path("run").rglob("*") if path.is_file()} == before
@@ -153,6 +157,14 @@ BAD = {
     "no words": (("--method-command", "prog 'x {out}"), "expected words as in a shell"),
     "no such program": (("--method-command", "no-such-program {out}"), "no-such-program"),
     "no cases": (("--cases", "0"), "--cases"),
+    "two seeds": (("--seed", "1", "--seed-file", "seed.txt"), "expected one of them"),
+    "no seed file": (("--seed-file", "none.txt"), "none.txt"),
+    "a negative seed": (("--seed", "-1"), "one whole number from 0"),
+    "a seed in words": (("--seed", "many"), "one whole number from 0"),
+    "a large seed": (("--seed", "9" * 5000), "one whole number from 0"),
+    "nothing on standard input": (("--seed", "-"), "standard input: expected a seed"),
+    "a user and no method": (("--method-user", "nobody"), "--method-command"),
+    "no such user": (("--method-command", "true {out}", "--method-user", "no such"), "expected a user of this machine"),
 }
 
 

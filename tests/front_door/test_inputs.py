@@ -34,8 +34,9 @@ def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
 def test_a_tracked_base_in_three_dimensions_is_one_line(tmp_path):
     points = np.zeros((30, 2, 3))
     points[:, 1, :2] = TIP
+    points[:, 1, 2] = 0.01 * TIME
     file = tmp_path / "rec.csv"
     write_keypoint_csv(Recording(TIME, points, ("pivot", "tip")), file)
     body = replace(Body("arm", [ROD]), base=(0.4, -0.2))
-    with pytest.raises(InputError, match=r"rec\.csv: expected keypoints of 2 coordinates, .* got 3"):
+    with pytest.raises(InputError, match=r"rec\.csv: .* three coordinates .* --plane xy"):
         load_recording(str(file), body, "pivot", False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, Link, dynamics_for
+from invdyn.models import Body, Link, planar_dynamics
 from invdyn.recordings import InputError
 from invdyn.simulate import paper_arm, random_arm, record
 
@@ -14,7 +14,7 @@ BODY = Body(
     "arm",
     (Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)),
 )
-DYNAMICS, PARAMETERS = dynamics_for(2), BODY.parameters()
+DYNAMICS, PARAMETERS = planar_dynamics(2), BODY.parameters()
 
 
 def test_truth_obeys_the_equations_of_motion():

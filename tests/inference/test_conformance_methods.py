@@ -29,7 +29,7 @@ from invdyn.models import (
     OrnsteinUhlenbeck,
     RandomWalk,
     Recurrent,
-    dynamics_for,
+    planar_dynamics,
 )
 from invdyn.recordings import InputError, Recording
 
@@ -58,7 +58,7 @@ def problem(joints):
     arm = body(joints)
     rng = np.random.default_rng(joints)
     angle = np.array([-1.2, 0.8])[:joints] + 0.5 * np.sin(np.array([2.0, 3.0])[:joints] * TIME[:, None])
-    tips = dynamics_for(joints).keypoints(torch.as_tensor(angle), arm.parameters()).numpy()
+    tips = planar_dynamics(joints).keypoints(torch.as_tensor(angle), arm.parameters()).numpy()
     tips = tips + 0.01 * rng.normal(size=tips.shape)
     commanded = joints == 2
     if commanded:

@@ -1,10 +1,10 @@
 """Long runs and other machines: no waiting for the device, checkpoints, compiled rows."""
 
 import inspect
+import os
 import signal
 import subprocess
 import sys
-import time
 import warnings
 
 import oracles
@@ -20,7 +20,7 @@ from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.filters import compiled as compiled_module
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.vsmc import GRADIENTS, VSMC_ELBO
-from invdyn.models import ArmModel, Body, Emission, LinearGaussian, Link
+from invdyn.models import ArmModel, Body, Keypoints, LinearGaussian, Link, Observation
 from invdyn.recordings import InputError
 
 STEPS = 12
@@ -31,7 +31,7 @@ def arm():
     """A two-joint arm with gaps among its keypoints, one row of them wholly missing."""
     links = [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)]
     body = Body("arm", links, gravity=(0.0, -9.81))
-    model = ArmModel(body, 0.02 * torch.arange(STEPS), Emission([0, 1])).to(torch.float32)
+    model = ArmModel(body, 0.02 * torch.arange(STEPS), Observation(Keypoints([0, 1]))).to(torch.float32)
     torch.manual_seed(0)
     y = model.simulate()[1]
     y[3] = torch.nan
@@ -205,21 +205,25 @@ def test_another_filters_checkpoint_is_refused(chain, tmp_path, change, named):
         ParticleFilter(model, Bootstrap(model), **arguments).run(y + 1, checkpoint=Checkpoint(tmp_path))
 
 
-def linear(wait=0.0, folder=None):
-    """A filter of 400 rows that takes ``wait`` seconds for each; log-evidence and states."""
+def linear(killed_at=None, folder=None):
+    """A filter of 400 rows; log-evidence and states. The process kills itself after the row ``killed_at``."""
     one = torch.eye(2, dtype=torch.float64)
     model = LinearGaussian(0.9 * one, one, one, one, 0 * one[0], one, 400)
     torch.manual_seed(1)
     y = torch.randn(400, 2, dtype=torch.float64)
     checkpoint = None if folder is None else Checkpoint(folder)
-    result = ParticleFilter(model, Bootstrap(model), 50, num_filters=2).run(
-        y, checkpoint=checkpoint, every=20, progress=lambda *_: time.sleep(wait)
-    )
+
+    def progress(done, _):
+        if done == killed_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    particle_filter = ParticleFilter(model, Bootstrap(model), 50, num_filters=2)
+    result = particle_filter.run(y, checkpoint=checkpoint, every=20, progress=progress)
     return result.log_evidence, result.states
 
 
 PROGRAM = """
-import sys, time, torch
+import os, signal, sys, torch
 from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.models import LinearGaussian
@@ -228,14 +232,10 @@ from invdyn.models import LinearGaussian
 
 def test_a_killed_filter_goes_on_to_the_same_answer(tmp_path):
     pytest.importorskip("safetensors")
-    program = PROGRAM + inspect.getsource(linear) + "linear(0.02, sys.argv[1])"
-    killed = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "manifest.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    killed.send_signal(signal.SIGKILL)
-    killed.wait()
-    assert 20 <= Checkpoint(tmp_path).load()[1]["step"] < 400
+    program = PROGRAM + inspect.getsource(linear) + "linear(130, sys.argv[1])"
+    killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
+    assert killed.returncode == -signal.SIGKILL
+    assert Checkpoint(tmp_path).load()[1]["step"] == 120
     for found, expected in zip(linear(folder=tmp_path), linear(), strict=True):
         assert torch.equal(found, expected)
 

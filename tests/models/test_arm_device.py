@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Emission, Link, Matern32
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Matern32, Observation
 from invdyn.models.effects import ActuatorLag, ViscousFriction
 
 ROWS = 8
@@ -17,7 +17,7 @@ def arm():
     return ArmModel(
         Body("arm", links),
         0.02 * np.arange(ROWS),
-        Emission([0, 1], 2, confidence=confidence),
+        Observation(Keypoints([0, 1], confidence=confidence), Encoders()),
         torque=Matern32(),
         command=np.ones((ROWS, 2)),
     )
@@ -36,5 +36,5 @@ def test_every_distribution_of_a_row(arm):
 
 def test_the_model_that_was_moved_stays_where_it_was(arm):
     arm.to(device="meta")
-    assert arm.time.device.type == arm.emission_model.doubt.device.type == arm.command.device.type == "cpu"
+    assert arm.time.device.type == arm.observation.data()[0].device.type == arm.command.device.type == "cpu"
     assert arm.to(dtype=torch.float32).time is arm.time

@@ -18,7 +18,17 @@ from pyro import poutine
 from pyro.infer import MCMC, NUTS, SVI, SMCFilter, Trace_ELBO
 from pyro.infer.autoguide import AutoDelta
 
-from invdyn.models import INTEGRATORS, TORQUE_PROCESSES, ArmModel, Body, Emission, Link, OrnsteinUhlenbeck
+from invdyn.models import (
+    INTEGRATORS,
+    TORQUE_PROCESSES,
+    ArmModel,
+    Body,
+    Encoders,
+    Keypoints,
+    Link,
+    Observation,
+    OrnsteinUhlenbeck,
+)
 from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
@@ -37,12 +47,12 @@ def emissions(joints):
     tips = range(joints)
     confidence = np.random.default_rng(0).uniform(size=(STEPS, joints))
     return {
-        "keypoints": Emission(tips),
-        "encoders": Emission([], joints),
-        "both": Emission(tips, joints),
-        "student": Emission(tips, joints, family="student_t"),
-        "confidence": Emission(tips, 0, confidence=confidence),
-        "last tip": Emission([joints - 1], 0, family="student_t", confidence=confidence[:, -1:]),
+        "keypoints": Observation(Keypoints(tips)),
+        "encoders": Observation(Encoders()),
+        "both": Observation(Keypoints(tips), Encoders()),
+        "student": Observation(Keypoints(tips), Encoders(), family="student_t"),
+        "confidence": Observation(Keypoints(tips, confidence=confidence)),
+        "last tip": Observation(Keypoints([joints - 1], confidence=confidence[:, -1:]), family="student_t"),
     }
 
 
@@ -265,7 +275,7 @@ def test_gradients_reach_every_parameter(model):
     # com and inertia that follow length and mass do not use the numbers that are stored for them, and
     # encoders do not see where the base is
     idle = {"body.com", "body.inertia"}
-    if isinstance(model, ArmModel) and not model.emission_model.tips:
+    if isinstance(model, ArmModel) and not model.observation.tracked:
         idle.add("body.base")
     for name, leaf in leaves.items():
         if name not in idle:
@@ -325,7 +335,7 @@ def test_learned_parameters_are_pyro_params_that_svi_moves(model):
     store = pyro.get_param_store()
     for name in names:
         assert torch.isfinite(store[name]).all(), name
-        if name == "body.base" and not model.emission_model.tips:
+        if name == "body.base" and not model.observation.tracked:
             continue
         assert not torch.equal(store[name], model.parameters[name]), name
         if name not in model.unconstrained | model.roots:

@@ -6,7 +6,7 @@ import torch
 from chains import BOTH, F64, JOINTS, assert_close, random_case
 
 from invdyn.models.dynamics import euler_lagrange
-from invdyn.models.dynamics.interface import SymbolicDynamics
+from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
 
 
 class MuJoCo:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import SymbolicDynamics
+from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
 
 cases = given(K=st.integers(1, 4), seed=st.integers(0, 10**6))
 

@@ -11,11 +11,10 @@ from nbclient import NotebookClient
 from invdyn.inference import METHODS
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
-SECONDS = 240  # a cell, on a busy machine; a whole notebook takes about half a minute on a quiet one
 
 
 def run(notebook, **environment: str):
-    client = NotebookClient(notebook, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": FOLDER}})
+    client = NotebookClient(notebook, timeout=None, kernel_name="python3", resources={"metadata": {"path": FOLDER}})
     client.execute(env={**os.environ, "OMP_NUM_THREADS": "1", **environment})
     return notebook
 

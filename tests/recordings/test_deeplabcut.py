@@ -1,4 +1,3 @@
-import sys
 import warnings
 
 import numpy as np
@@ -121,10 +120,3 @@ def test_broken_h5(tmp_path):
     frame = pd.DataFrame({"a": [1.0, 2.0]})
     with pytest.raises(InputError, match="no levels bodyparts"):
         load(save_h5(frame, path), units="px", fps=30)
-
-
-def test_the_missing_extra_is_named(tmp_path, monkeypatch):
-    path = save_h5(table(), tmp_path / "rec.h5")
-    monkeypatch.setitem(sys.modules, "tables", None)
-    with pytest.raises(InputError, match=r"pip install 'invdyn\[tracks\]'"):
-        load(path, units="px", fps=30)

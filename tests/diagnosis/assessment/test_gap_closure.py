@@ -15,7 +15,7 @@ from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import Search
 from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, CannotFollow, setting
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -201,7 +201,7 @@ def test_what_was_refined_is_not_refined_again(monkeypatch):
     assert list(by_effect(here, known, both, there, None, 0)) == [SPRING.key]
 
     def astray(*_):
-        raise InputError("astray")
+        raise CannotFollow("astray")
 
     monkeypatch.setattr(room, "_fitted_before", astray)
     assert by_effect(here, known, both, there, None, 0) == {}

@@ -201,7 +201,7 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
         arm = random_arm(PENDULUM, duration=4.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=1)
         command = 0.6 * torch.sin(5 * arm.time) + 0.4 * torch.sin(11 * arm.time + 1)
         parameters = arm.parameters
-        arm = ArmModel(PENDULUM, arm.time, arm.emission_model, command=command[:, None], parameters=parameters)
+        arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command[:, None], parameters=parameters)
         recording = record(arm, 1)[0]
     bound = setting(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
     assert bound.regime == "unknown_torque"

@@ -1,11 +1,13 @@
 """A formula for what the catalogue lacks."""
 
+import re
+
 import numpy as np
 import pytest
 from pendulum import ARM, recording_of
 from pyro.distributions import Normal
 
-from invdyn.diagnosis.assessment.symbolic_regression import _library, describe
+from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, describe
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
@@ -75,3 +77,48 @@ def test_a_rotor_follows_the_acceleration():
     assert unit == "N·m·s²/rad"
     assert formula.variables[0] == "acceleration:elbow"
     assert inertia / 2 < -coefficient < 2 * inertia  # terms beside it take a part
+
+
+def test_a_part_of_the_command_is_named_as_the_torque_alone():
+    """Of a motor that gives a third less, a share −1/3 of its command is missing: u, no angle, and no unit."""
+    weak = recording_of(EFFECTS["actuator_gain"]("elbow"), ARM, rows=150, effort=1.0, gain=-1 / 3)
+    formula, *_ = described(weak)
+    first, (coefficient, _, unit) = next(iter(formula.terms.items()))
+    assert (first, unit) == ("u[elbow] on elbow", "1")
+    assert coefficient == pytest.approx(-1 / 3, abs=0.05)
+    assert formula.text.startswith("-0.3")
+    assert " × u[elbow] on elbow" in formula.text
+    assert " 1 " not in formula.text
+
+
+class Offset(Effect):
+    """A constant torque at a joint: in no catalogue."""
+
+    def parameters(self, scale):
+        return (Parameter("torque", "N·m", Normal(0.0, 1.0)),)
+
+    def force(self, p, now):
+        return now.at(self.place[0], p["torque"].expand_as(now.q[..., :1]))
+
+
+def test_a_constant_torque_is_a_number_of_newton_metres():
+    formula, *_ = described(recording_of(Offset("elbow"), ARM, rows=100, effort=1.0, torque=0.4))
+    coefficient, _, unit = formula.terms["constant on elbow"]
+    assert (coefficient, unit) == (pytest.approx(0.4, abs=0.02), "N·m")
+    first = formula.text.split("; ")[0]
+    assert re.fullmatch(r"\+0\.[34]\d* ± \S+ N·m on elbow", first)
+
+
+def test_every_term_says_what_its_function_reads():
+    """Changing the command changes the terms in u alone; changing angles, those in θ alone."""
+    rng = np.random.default_rng(1)
+    q, qd, qdd, u = rng.normal(size=(4, 30, 2))
+    t = np.arange(30.0)
+    base = Motion(q, qd, qdd, u, t)
+    moved = Motion(q + 1, qd + 1, qdd + 1, u, t)
+    pushed = Motion(q, qd, qdd, u + 1, t)
+    for pattern, (variable, unit, function) in LIBRARY.items():
+        assert unit
+        assert ("{q}" in pattern) != np.array_equal(function(base, 0), function(moved, 0)), pattern
+        assert ("{u}" in pattern) != np.array_equal(function(base, 0), function(pushed, 0)), pattern
+        assert (variable == "") == (pattern == "constant")

@@ -115,7 +115,7 @@ def test_the_noise_goes_with_its_keypoint():
         here, other = setting(first, body), setting(second, body)
         carried = refine(here, (), {}, path_of(here), LOOSE, rounds=1).carried_to(other)
         return [
-            dict(zip(model.emission_model.tips, model.parameters[name].tolist(), strict=True))
+            dict(zip(model.observation.tracked, model.parameters[name].tolist(), strict=True))
             for model in (here.model, other.model, carried)
         ]
 

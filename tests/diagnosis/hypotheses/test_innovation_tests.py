@@ -84,7 +84,7 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     """Under the torque that has the highest evidence its errors are alike, by .28; under an ample one they are not."""
     arm = random_arm(PENDULUM, duration=4.0, fps=50, noise=5e-5, torque_scale=0.5, commanded=True, seed=1)
     command, given = torch.sin(2 * arm.time)[:, None], arm.parameters
-    arm = ArmModel(PENDULUM, arm.time, arm.emission_model, command=command, parameters=given)
+    arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command, parameters=given)
     here = setting(replace(record(arm, 1)[0], torques=None), PENDULUM)
     none = refine(here, (), {}, data_path(here)[0], here.loose)
     alike, sd = correlation(prediction_errors(here, none))

@@ -21,7 +21,7 @@ from invdyn.simulate import random_arm, record
 def seen() -> Recording:
     """An arm that nothing is missing from, by an integrator that hardly errs."""
     arm = random_arm(ARM, duration=6.0, fps=50, noise=0.0003, torque_scale=0.3, commanded=True, seed=0)
-    arm.substeps = 64
+    arm = arm.in_substeps(64)
     return record(arm, 0)[0]
 
 

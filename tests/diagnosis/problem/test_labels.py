@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pendulum import ARM, PENDULUM
 
 from invdyn.diagnosis.problem.labels import FAR, relabelled
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
 
 LINKS = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=x, mass=1.0) for k, x in enumerate((0.3, 0.25, 0.2))]
 LONG = Body("long", LINKS, base=(0.1, -0.2))
@@ -17,7 +17,7 @@ ROWS, NOISE = 200, 0.002
 
 def seen(body=ARM, tips=(0, 1), encoders=0, noise=NOISE, seed=0):
     """A model, and its keypoints along a smooth motion, (T, O); encoders behind them."""
-    model = ArmModel(body, 0.01 * np.arange(ROWS), Emission(tips, encoders))
+    model = ArmModel(body, 0.01 * np.arange(ROWS), Observation(Keypoints(tips), Encoders()))
     rng = np.random.default_rng(seed)
     time = np.linspace(0, 2, ROWS)[:, None]
     q = torch.as_tensor(np.sin(time * rng.uniform(2, 5, body.num_joints)) + rng.uniform(-2, 2, body.num_joints))

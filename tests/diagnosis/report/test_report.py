@@ -42,8 +42,8 @@ from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
-from invdyn.diagnosis.report.sentences import kind, left, verdict
-from invdyn.models import Body, Link
+from invdyn.diagnosis.report.sentences import details, kind, left, verdict
+from invdyn.models import Body, Link, planar_dynamics
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
 
@@ -129,6 +129,39 @@ def test_verdict(case, answer, says):
     sentence = verdict(case()).replace("\u00a0", " ")
     assert says in sentence
     assert sentence.count(". ") == 0
+
+
+def test_where_something_is_left_what_explains_most_comes_first():
+    """How far it closes the gap, how probable it is in part, and the rest in N·m, or that the rest is tolerated."""
+    d = replace(outside(), causes=(replace(friction(probability=0.05), in_part=0.9),))
+    limits = dict.fromkeys(d.gap.residual_torque_rms, 0.04)
+    shrinkage = replace(d.shrinkage, gap_closed=0.97, residual_torque_rms_after=dict.fromkeys(limits, 0.05))
+    d = replace(d, gap=replace(d.gap, tolerated_torque=limits), shrinkage=shrinkage)
+    most = "There is a gap at the shoulder; most of it is viscous friction at the shoulder (90 % probable): "
+    most += "adding it closes 97 % of the gap; "
+    assert kind(d) == "outside"
+    assert plainly(verdict(d)) == f"{most}no effect in the catalogue explains the rest, 0.050 N·m at the shoulder."
+    small = replace(d, shrinkage=replace(shrinkage, residual_torque_rms_after=dict.fromkeys(limits, 0.03)))
+    assert plainly(verdict(small)) == f"{most}the rest, 0.030 N·m at the shoulder, is less than is tolerated."
+    stopped = replace(d, not_looked_at=7)
+    assert "no effect that the search came to explains the rest" in verdict(stopped)
+    assert "The search stopped at the budget; 7 candidates not looked at (--budget gives more)." in details(stopped)
+    little = replace(d, shrinkage=replace(shrinkage, gap_closed=0.2))
+    assert "; a part of it is viscous friction" in verdict(little)
+
+
+def test_a_gap_that_does_not_matter_is_told_with_its_size():
+    d = diagnosis()
+    limits = {name: 10 * rms for name, rms in d.gap.residual_torque_rms.items()}
+    d = replace(d, gap=replace(d.gap, detected=False, matters=False, tolerated_torque=limits))
+    assert kind(d) == "none"
+    assert plainly(verdict(d)).startswith("No gap that matters: what the simulation lacks, ")
+    assert "where " in verdict(d)
+    assert any(s.startswith("The little that there is looks most like viscous friction") for s in details(d))
+
+
+def plainly(sentence):
+    return sentence.replace("\u00a0", " ")
 
 
 def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
@@ -218,7 +251,7 @@ def test_what_cannot_be_seen_is_by_one_measure():
 def test_a_softer_form_is_said_to_be_one():
     """By a parameter that the ideal form lacks."""
     arm = Body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
-    scale = Scale(arm.parameters(), torch.arange(9.0))
+    scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))
     for each in EFFECTS.values():
         ideal = each.everywhere(arm, arm.keypoint_names)[0].bound(arm)
         for effect in (ideal, ideal.softened()):

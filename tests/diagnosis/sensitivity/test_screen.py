@@ -51,7 +51,7 @@ def test_half_the_sub_steps_do_for_what_is_changed():
     gains = []
     for count in (2, 8):
         model = copy(here.model)
-        model.substeps = count
+        model = model.in_substeps(count)
         screened = {s.effect and s.effect.key: s for s in screen(here, model, path, effects, common, common.mean)}
         gains.append({key: s.log_evidence - screened[None].log_evidence for key, s in screened.items()})
         assert screened["viscous_friction.pivot"].values["damping"] == pytest.approx(0.05, rel=0.1)

@@ -1,12 +1,14 @@
 """Products of whitened columns, all of them or those that are wanted."""
 
+import sys
+
 import numpy as np
 from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import setting
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
-from invdyn.diagnosis.sensitivity.whiten import filter_of, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, products, sizes, whiten
 
 
 def test_products_within_groups_are_those_of_all():
@@ -39,3 +41,19 @@ def test_a_column_that_runs_away_is_infinite_without_a_warning():
     gram = whiten(here, about, Columns(g, d)).gram
     assert not np.isfinite(gram[0, 2, 2])
     np.testing.assert_allclose(gram[:, :2, :2], whiten(here, about, Columns(g[..., :1], d[..., :1])).gram, rtol=1e-9)
+
+
+def test_products_of_many_numbers_are_those_of_all_sizes_at_once(monkeypatch):
+    here = setting(recording_of(body=ARM), ARM)
+    path, _ = data_path(here)
+    about = filter_of(here, here.model, path, sizes(here.regime))
+    rng = np.random.default_rng(0)
+    columns = Columns(rng.normal(size=(len(path) - 1, path.shape[1], 5)), rng.normal(size=(len(path), 4, 5)))
+    groups = [slice(1, 3), slice(3, 5)]
+    whole = products(here, about, columns, groups)
+    assert whole.columns.shape[-1] == 6
+    monkeypatch.setattr(sys.modules[products.__module__], "LARGE", 0)
+    one_by_one = products(here, about, columns, groups)
+    np.testing.assert_allclose(one_by_one.gram, whole.gram, rtol=1e-9, atol=1e-9 * np.abs(whole.gram).max())
+    np.testing.assert_array_equal(one_by_one.log_det, whole.log_det)
+    assert one_by_one.count == whole.count

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -12,9 +11,11 @@ import torch
 
 from invdyn.inference.execution import checkpoint as checkpoint_module
 from invdyn.inference.execution.checkpoint import Checkpoint, digest, random_state, restore_random_state
+from invdyn.inference.execution.distribute import inside
 from invdyn.recordings import InputError
 
 pytest.importorskip("safetensors")
+from safetensors.torch import load_file, save_file
 
 RUN = {"seed": 3, "particles": 100}
 
@@ -65,6 +66,12 @@ def _cut(folder):
     file.write_bytes(file.read_bytes()[:-5])
 
 
+def _rewrite(folder, change):
+    """Well-formed tensors, but others."""
+    file = next(folder.glob("*.safetensors"))
+    save_file({name: change(value) for name, value in load_file(file).items()}, file)
+
+
 def _change(folder, **entries):
     path = folder / "manifest.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | entries))
@@ -75,12 +82,18 @@ def _change(folder, **entries):
     [
         (lambda folder: (folder / "manifest.json").write_bytes(b'{"schema": 1, "st'), "is no JSON"),
         (lambda folder: (folder / "manifest.json").write_bytes(b"\xff\xfe"), "is no JSON"),
-        (lambda folder: (folder / "manifest.json").write_text("[]"), "schema 1, got None"),
-        (lambda folder: (folder / "manifest.json").write_text('{"schema": 1}'), "no entry 'fingerprint'"),
-        (lambda folder: _change(folder, schema=9), "schema 1, got 9"),
-        (lambda folder: _change(folder, tensors="../../other.safetensors"), "not what this program writes"),
+        (lambda folder: (folder / "manifest.json").write_bytes(b"[" * 100_000), "is no JSON"),
+        (lambda folder: (folder / "manifest.json").write_text("[]"), "schema 2, got None"),
+        (lambda folder: (folder / "manifest.json").write_text('{"schema": 2}'), "not what this program wrote"),
+        (lambda folder: _change(folder, schema=1), "schema 2, got 1"),
+        (lambda folder: _change(folder, step=4), "not what this program wrote"),
+        (lambda folder: _change(folder, state={"loss": 3}), "not what this program wrote"),
+        (lambda folder: _change(folder, seal=None), "not what this program wrote"),
+        (lambda folder: _change(folder, tensors="../../other.safetensors"), "not what this program wrote"),
         (lambda folder: next(folder.glob("*.safetensors")).unlink(), "which is missing"),
-        (_cut, "cannot be read"),
+        (_cut, "which is not what was written"),
+        (lambda folder: _rewrite(folder, lambda x: x * torch.nan), "which is not what was written"),
+        (lambda folder: _rewrite(folder, lambda x: x[:-1]), "which is not what was written"),
     ],
 )
 def test_broken_files_are_named_in_one_line(tmp_path, damage, message):
@@ -91,6 +104,26 @@ def test_broken_files_are_named_in_one_line(tmp_path, damage, message):
         checkpoint.load()
     assert str(tmp_path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_part_in_another_ones_place_is_refused(tmp_path):
+    for name in ("part-0", "part-1"):
+        inside(Checkpoint(tmp_path, RUN), name).save({"x": torch.ones(2)})
+    (tmp_path / "part-0").rename(tmp_path / "aside")
+    (tmp_path / "part-1").rename(tmp_path / "part-0")
+    with pytest.raises(InputError, match="is of the part 'part-1', expected 'part-0'"):
+        inside(Checkpoint(tmp_path, RUN), "part-0").load()
+
+
+def test_a_manifest_of_another_save_is_refused(tmp_path):
+    """As when a folder is put together from two copies of it."""
+    checkpoint = Checkpoint(tmp_path, RUN)
+    checkpoint.save({"x": torch.ones(2)}, step=1)
+    earlier = next(tmp_path.glob("*.safetensors")).read_bytes()
+    checkpoint.save({"x": torch.zeros(2)}, step=2)
+    next(tmp_path.glob("*.safetensors")).write_bytes(earlier)
+    with pytest.raises(InputError, match="not what was written"):
+        checkpoint.load()
 
 
 class NoMatch:
@@ -132,6 +165,7 @@ checkpoint = Checkpoint(sys.argv[1], {"seed": 3, "particles": 100})
 step = 0
 while True:
     checkpoint.save({"a": torch.full((1000,), float(step)), "b": torch.tensor(step)}, step=step, double=2 * step)
+    print(step, flush=True)
     step += 1
 """
 
@@ -139,22 +173,11 @@ while True:
 def test_a_kill_at_any_moment_leaves_an_entire_checkpoint(tmp_path):
     steps = []
     for wait in (0.0, 0.013):
-        writer = subprocess.Popen([sys.executable, "-W", "ignore", "-c", WRITER, str(tmp_path)])
-        try:
-            deadline = time.monotonic() + 60
-            start = Checkpoint(tmp_path, RUN).load() if steps else None
-            while time.monotonic() < deadline:
-                try:
-                    found = Checkpoint(tmp_path, RUN).load()
-                except InputError:  # replaced between the reading of its two files
-                    continue
-                if found is not None and (start is None or found[1] != start[1]):
-                    break
-                time.sleep(0.01)
-            time.sleep(wait)
-        finally:
-            writer.send_signal(signal.SIGKILL)
-            writer.wait()
+        command = [sys.executable, "-W", "ignore", "-c", WRITER, str(tmp_path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+            assert writer.stdout.readline() == b"0\n"
+            time.sleep(wait)  # whatever it then does
+            writer.kill()
         tensors, state = Checkpoint(tmp_path, RUN).load()
         assert state["double"] == 2 * state["step"] == 2 * tensors["b"].item()
         assert (tensors["a"] == state["step"]).all()

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from dataclasses import replace
 from multiprocessing import get_context
@@ -17,6 +16,7 @@ from invdyn.inference import SMCOptions, arm_problem, compare, gaussian_smoother
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import RETRIES, LostWork, spread
 from invdyn.inference.execution.executors import open_executor
+from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.methods.registry import smc
 from invdyn.models import Body, Link
@@ -59,9 +59,9 @@ def pool():
     context.set_forkserver_preload(["invdyn.inference", "parts"])
 
     def pool(workers):
-        executor = ProcessPoolExecutor(workers, context)
         # All workers before any work: Python's pool waits for ever for one that it starts while another dies.
-        wait([executor.submit(time.sleep, 0.2) for _ in range(workers)])
+        executor = ProcessPoolExecutor(workers, context, context.Barrier(workers).wait)
+        wait([executor.submit(os.getpid) for _ in range(workers)])
         return executor
 
     return pool
@@ -317,12 +317,11 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch, body):
 
 def test_a_kept_guide_is_the_guide(tmp_path):
     pytest.importorskip("safetensors")
-    smc_module = sys.modules["invdyn.inference.methods.smc"]
     problem = arm_problem(SWING, ARM, parameters=KNOWN)
     smoother = gaussian_smoother(problem.model, problem.observations)
-    Checkpoint(tmp_path).save(smc_module._flattened(smoother))
-    again = smc_module._unflattened(type(smoother), Checkpoint(tmp_path).load()[0])
-    flat, kept = smc_module._flattened(smoother), smc_module._flattened(again)
+    Checkpoint(tmp_path).save(flattened(smoother))
+    again = unflattened(type(smoother), Checkpoint(tmp_path).load()[0])
+    flat, kept = flattened(smoother), flattened(again)
     assert flat.keys() == kept.keys()
     assert all(torch.equal(flat[name], kept[name]) for name in flat)
     assert type(again.factors) is type(smoother.factors)

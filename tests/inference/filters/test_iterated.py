@@ -9,8 +9,8 @@ from oracles import kalman, random_chain, with_gaps
 from pyro.distributions import Normal, StudentT
 
 from invdyn.inference import SMCOptions, gauss_newton, posterior_linearisation, run_filters
+from invdyn.inference.filters.filtering import adapted_smoother
 from invdyn.inference.filters.iterated import iterate, refit
-from invdyn.inference.methods.smc import adapted_smoother
 from invdyn.models import LinearGaussian, StateSpaceModel
 
 SMALL = SMCOptions(num_filters=32, num_particles=50, dtype=torch.float64)

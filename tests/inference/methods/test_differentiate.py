@@ -9,7 +9,7 @@ import torch
 from invdyn.inference import arm_problem
 from invdyn.inference.methods.differentiate import derivatives, joint_angles, winter_cutoff
 from invdyn.inference.methods.registry import differentiate
-from invdyn.models import Body, Emission, Link, dynamics_for
+from invdyn.models import Body, Keypoints, Link, Observation, planar_dynamics
 from invdyn.recordings import InputError, Recording
 
 T = 200
@@ -18,7 +18,8 @@ ARM = Body(
     "arm",
     [Link("l0", "shoulder", "elbow", length=0.35, mass=1.5), Link("l1", "elbow", "wrist", length=0.3, mass=1.0)],
 )
-PARAMETERS, DYNAMICS = ARM.parameters(), dynamics_for(2)
+SEEN = Observation(Keypoints([0, 1])).bound(ARM)
+PARAMETERS, DYNAMICS = ARM.parameters(), planar_dynamics(2)
 
 
 def motion(time, rate=(4.0, 6.0), centre=(-1.2, 0.8)):
@@ -57,13 +58,23 @@ def test_torques_of_a_clean_motion():
 
 def test_joints_begin_within_half_a_turn():
     recording, q, _ = record(centre=(-2.8, -0.9))  # the outer link points past half a turn
-    angle, _ = joint_angles(TIME, arm_problem(recording, ARM, substeps=1).observations, Emission([0, 1]), PARAMETERS)
+    angle, _ = joint_angles(
+        TIME,
+        arm_problem(recording, ARM, substeps=1).observations,
+        Observation(Keypoints([0, 1])).bound(ARM),
+        PARAMETERS,
+    )
     assert angle == pytest.approx(q, abs=1e-6)
 
 
 def test_whole_turns_of_a_whirling_arm_are_kept():
     recording, q, torque = record(rate=(4.0, 6.0), centre=(3.1, 3.0))
-    angle, gap = joint_angles(TIME, arm_problem(recording, ARM, substeps=1).observations, Emission([0, 1]), PARAMETERS)
+    angle, gap = joint_angles(
+        TIME,
+        arm_problem(recording, ARM, substeps=1).observations,
+        Observation(Keypoints([0, 1])).bound(ARM),
+        PARAMETERS,
+    )
     turns = (angle - q) / (2 * np.pi)
     assert turns == pytest.approx(np.broadcast_to(np.round(turns[0]), turns.shape), abs=1e-9)
     assert not gap.any()
@@ -130,7 +141,10 @@ def test_residual_analysis_finds_a_sensible_cutoff():
     for noise in (0.0005, 0.005):
         recording, _, torque = record(noise=noise)
         angle, _ = joint_angles(
-            TIME, arm_problem(recording, ARM, substeps=1).observations, Emission([0, 1]), PARAMETERS
+            TIME,
+            arm_problem(recording, ARM, substeps=1).observations,
+            Observation(Keypoints([0, 1])).bound(ARM),
+            PARAMETERS,
         )
         cutoffs.append(winter_cutoff(TIME, angle))
         errors = [rms((torques(recording, cutoff=f) - torque)[20:-20]) for f in (1.5, 2.5, 4.0, 6.0, 9.0, 15.0, 25.0)]

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from invdyn.inference.posterior.initialise import ORDERS, SUBSTEPS, jitter, sufficient_substeps
-from invdyn.models import ArmModel, Body, Emission, Link
-from invdyn.models.articulated.start import link_angle_sd
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models.articulated.start import joint_angle_sd
 
 
 def test_noise_is_estimated_beside_a_fast_motion():
@@ -54,7 +54,7 @@ def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
     body = Body("arm", links, gravity=(0.0, -9.81))
     time = 0.02 * torch.arange(100, dtype=torch.float64)
     parameters = {"emission.keypoint_scale": 0.002, "noise.angle": 1e-4}
-    model = ArmModel(body, time.numpy(), Emission([0, 1]), integrator=integrator, parameters=parameters)
+    model = ArmModel(body, time.numpy(), Observation(Keypoints([0, 1])), integrator=integrator, parameters=parameters)
     angles = torch.stack([torch.sin(speed * time), 0.7 * torch.cos(0.9 * speed * time)], -1)
     tips = model.dynamics.keypoints(angles, model.body_parameters()).flatten(-2)
     chosen = sufficient_substeps(model, tips)
@@ -63,7 +63,7 @@ def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
     path = model.initial_paths(tips)
     path = path[len(path) // 2]
     limit = 0.1 * (
-        model.parameters["noise.angle"] + 0.1 * torch.as_tensor(link_angle_sd(model, model.body_parameters()))
+        model.parameters["noise.angle"] + 0.1 * torch.as_tensor(joint_angle_sd(model, model.body_parameters()))
     )
 
     def suffices(count):

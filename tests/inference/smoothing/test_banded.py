@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import chain_numbers
 
-from invdyn.inference.smoothing.banded import Singular, chain_mean
+from invdyn.inference.smoothing.banded import chain_mean
 from invdyn.inference.smoothing.square_root import backward, forward_mean
+from invdyn.models.divergence import Singular
 
 
 def regular(seed=0, **sizes):

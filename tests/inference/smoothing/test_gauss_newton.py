@@ -13,7 +13,8 @@ from invdyn.inference import gauss_newton
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.square_root import forward_mean
-from invdyn.models import Emission, LinearGaussian, Matern32, StateSpaceModel
+from invdyn.models import Encoders, Keypoints, LinearGaussian, Matern32, Observation, StateSpaceModel
+from invdyn.models.divergence import Diverged
 
 F64 = torch.float64
 
@@ -151,12 +152,12 @@ def test_many_rows(rows):
 
 def test_other_emissions_and_torques():
     for emission, noise in (
-        (Emission([], 2), 1.0),
-        (Emission([1]), 0.01),
-        (Emission([0, 1], 2), 0.01),
-        (Emission([0, 1], family="student_t"), 0.01),
+        (Observation(Encoders()), 1.0),
+        (Observation(Keypoints([1])), 0.01),
+        (Observation(Keypoints([0, 1]), Encoders()), 0.01),
+        (Observation(Keypoints([0, 1]), family="student_t"), 0.01),
     ):
-        model = arm(60, noise, emission=emission, torque=Matern32(), parameters={"torque.scale": 0.5})
+        model = arm(60, noise, observation=emission, torque=Matern32(), parameters={"torque.scale": 0.5})
         truth, y = model.simulate()
         y[10:14] = torch.nan
         smoother = gauss_newton(model, y)
@@ -165,7 +166,7 @@ def test_other_emissions_and_torques():
 
 
 def test_student_t_shrugs_off_stray_detections():
-    model = arm(80, 0.005, emission=Emission([0, 1], family="student_t"))
+    model = arm(80, 0.005, observation=Observation(Keypoints([0, 1]), family="student_t"))
     truth, y = model.simulate()
     clean = gauss_newton(model, y).path
     y[20, 2:] += 0.5
@@ -182,7 +183,7 @@ def test_student_t_shrugs_off_stray_detections():
 def test_a_start_without_density_is_refused():
     model = oracles.random_chain().model(5)
     y = torch.zeros(5, 2, dtype=F64)
-    with pytest.raises(ValueError, match="no finite density"):
+    with pytest.raises(Diverged, match="no finite density"):
         gauss_newton(model, y, start=torch.full((5, 3), torch.inf, dtype=F64))
 
 

@@ -7,7 +7,7 @@ from stiff_arm import arm
 
 from invdyn.inference.smoothing.linearisation import deviations, emission_mean, log_joint, slopes_along
 from invdyn.inference.variational.affine import jacobian
-from invdyn.models import Emission, Matern32
+from invdyn.models import Keypoints, Matern32, Observation
 from invdyn.models.effects import EFFECTS
 from invdyn.models.state_space import gaussian_mean
 
@@ -19,7 +19,7 @@ F64 = torch.float64
 def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
     """Also where the emission's Gaussian is a fit only, rows are missing, and for many paths at once."""
     options = {} if torque is None else {"torque": torque(2)}
-    model = arm(40, 0.01, emission=Emission([0, 1], family=family), **options)
+    model = arm(40, 0.01, observation=Observation(Keypoints([0, 1]), family=family), **options)
     torch.manual_seed(0)
     paths, observations = model.simulate((3,))
     observations = observations[0].clone()

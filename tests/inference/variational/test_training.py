@@ -1,10 +1,10 @@
 """Training that was interrupted ends where it would have ended."""
 
 import inspect
+import os
 import signal
 import subprocess
 import sys
-import time
 
 import pyro
 import pytest
@@ -21,8 +21,8 @@ from invdyn.recordings import InputError
 pytest.importorskip("safetensors")
 
 
-def trained(steps, folder=None, wait=0.0, seed=0):
-    """All parameters after ``steps`` of 40 steps of VSMC."""
+def trained(steps, folder=None, killed_at=None, seed=0):
+    """All parameters after ``steps`` of 40 steps of VSMC; the process kills itself after the step ``killed_at``."""
     one = torch.eye(2, dtype=torch.float64)
     model = LinearGaussian(0.9 * one, one, one, 0.3 * one, 0 * one[0], one, 6)
     torch.manual_seed(1)
@@ -32,7 +32,12 @@ def trained(steps, folder=None, wait=0.0, seed=0):
     adam = ClippedAdam({"lr": 0.05, "lrd": 0.1 ** (1 / 40)})
     svi = SVI(model.sequence, Affine(model), adam, loss=VSMC_ELBO(4, 3))
     checkpoint = None if folder is None else Checkpoint(folder, {"seed": seed})
-    train(svi, steps, y, checkpoint=checkpoint, every=5, report=lambda *_: time.sleep(wait))
+
+    def report(done, _):
+        if done == killed_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    train(svi, steps, y, checkpoint=checkpoint, every=5, report=report)
     return {name: value.detach().clone() for name, value in pyro.get_param_store().items()}
 
 
@@ -68,7 +73,7 @@ def test_another_runs_training_is_refused(tmp_path):
 
 
 PROGRAM = """
-import sys, time, pyro, torch
+import os, signal, sys, pyro, torch
 from pyro.infer import SVI
 from pyro.optim import ClippedAdam
 from invdyn.inference import VSMC_ELBO, Checkpoint
@@ -79,12 +84,8 @@ from invdyn.models import LinearGaussian
 
 
 def test_killed_training_goes_on_to_the_same_answer(tmp_path):
-    program = PROGRAM + inspect.getsource(trained) + "trained(40, sys.argv[1], wait=0.1)"
-    killed = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "manifest.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    killed.send_signal(signal.SIGKILL)
-    killed.wait()
-    assert 5 <= Checkpoint(tmp_path, {"seed": 0}).load()[1]["step"] < 40
+    program = PROGRAM + inspect.getsource(trained) + "trained(40, sys.argv[1], killed_at=18)"
+    killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
+    assert killed.returncode == -signal.SIGKILL
+    assert Checkpoint(tmp_path, {"seed": 0}).load()[1]["step"] == 15
     assert_same(trained(40, tmp_path), trained(40))

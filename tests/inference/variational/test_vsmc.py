@@ -15,7 +15,7 @@ from torch.distributions import constraints
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter, gauss_newton
 from invdyn.inference.variational.affine import Affine, Corrected, jacobian
 from invdyn.inference.variational.vsmc import VSMC_ELBO
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 
 
 def published():
@@ -116,7 +116,7 @@ def arm(steps=20):
     """A short film of a planar arm without a command."""
     links = [Link("upper", "shoulder", "elbow", 1.0, 0.5), Link("fore", "elbow", "wrist", 1.0, 0.3)]
     body = Body("arm", links, gravity=(0.0, -1.0))
-    model = ArmModel(body, 0.03 * np.arange(steps), Emission(range(2)), integrator="euler")
+    model = ArmModel(body, 0.03 * np.arange(steps), Observation(Keypoints(range(2))), integrator="euler")
     torch.manual_seed(3)
     return model, model.simulate()[1]
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from pyro import poutine
 
-from invdyn.models import ArmModel, Body, Emission, Learned, Link, OrnsteinUhlenbeck, RandomWalk
+from invdyn.models import ArmModel, Body, Keypoints, Learned, Link, Observation, OrnsteinUhlenbeck, RandomWalk
 
 F64 = torch.float64
 
@@ -192,7 +192,7 @@ def test_initial_paths_obey_explicit_euler(command):
 
 
 def test_unseen_links_start_from_the_prior():
-    model = ArmModel(two_links(), 0.1 * np.arange(4), Emission([1]))
+    model = ArmModel(two_links(), 0.1 * np.arange(4), Observation(Keypoints([1])))
     paths = model.initial_paths(torch.zeros(4, 2, dtype=F64))
     assert paths.shape == (1, 4, 6)
     torch.testing.assert_close(paths[0], model.initial().mean.expand(4, 6))
@@ -239,8 +239,8 @@ def test_where_an_arm_starts_anew_nothing_follows_from_before():
     """Two recordings as one: the density is the product of theirs, the second's first row drawn about its angle."""
     body = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("fore", "elbow", "wrist", 0.25, 0.8)])
     time, angle = 0.02 * np.arange(9), torch.tensor([[0.4, -0.2]], dtype=torch.float64)
-    whole = ArmModel(body, time, Emission([0, 1])).starting_anew([5], angle)
-    first, second = (ArmModel(body, time[rows], Emission([0, 1])) for rows in (slice(0, 5), slice(5, 9)))
+    whole = ArmModel(body, time, Observation(Keypoints([0, 1]))).starting_anew([5], angle)
+    first, second = (ArmModel(body, time[rows], Observation(Keypoints([0, 1]))) for rows in (slice(0, 5), slice(5, 9)))
     torch.manual_seed(0)
     path = 0.1 * torch.randn(9, whole.state_dim, dtype=torch.float64)
     y = whole.emission(path, torch.arange(9)).sample()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, dynamics_for
+from invdyn.models import Body, BodyError, planar_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -57,7 +57,7 @@ def test_the_body_moves_as_in_mujoco(axis, turn, tmp_path):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
-    parameters, dynamics = body.parameters(), dynamics_for(3)
+    parameters, dynamics = body.parameters(), planar_dynamics(3)
     sign, plane = AXES[axis][2], list(PLANE[AXES[axis][1]])
     for _ in range(5):
         data.qpos[:], data.qvel[:] = rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 3)
@@ -117,7 +117,8 @@ WRONG = {
     "a branch": ("</body></body>", '</body><body name="c"><joint/><geom size=".1"/></body></body>', "branches at"),
     "two hinges": ('<joint name="j2" axis="0 0 1"/>', '<joint axis="0 0 1"/><joint axis="1 0 0"/>', "has 2"),
     "a ball": ('<joint name="j1" axis="0 0 1"/>', '<joint name="j1" type="ball"/>', "ball"),
-    "broken": ("</mujoco>", "", "MuJoCo cannot read it"),
+    "broken": ("</mujoco>", "", "broken XML"),
+    "unknown": ('mass="0.5"', 'weight="0.5"', "MuJoCo cannot read it"),
 }  # fmt: skip
 
 
@@ -154,3 +155,101 @@ def test_every_kind_of_file_by_its_suffix(tmp_path):
     body.to_toml(tmp_path / "arm.toml")
     assert Body.load(tmp_path / "arm.toml") == body
     assert read(exact(), tmp_path, ".mjcf") == body
+
+
+def test_all_that_a_rigid_body_lacks_is_named(tmp_path):
+    joint = 'damping="0.1" stiffness="2" frictionloss="0.3" armature="0.01" range="-1 1" actuatorfrcrange="-4 4"'
+    text = exact().replace('name="j2"', f'name="j2" {joint}').replace('<body name="b"', '<body name="b" gravcomp="1"')
+    text = text.replace(
+        "<worldbody>", '<option density="1.2" wind="3 0 0"/><worldbody><geom type="plane" size="1 1 1"/>'
+    )
+    text = text.replace(
+        "</mujoco>",
+        """<actuator><position name="hold" joint="j1" kp="20"/><velocity name="brake" joint="j2" kv="2"/>
+        <motor name="strong" joint="j1" gear="30" forcelimited="true" forcerange="-5 5"
+          ctrllimited="true" ctrlrange="-1 1"/>
+        <general name="slow" joint="j2" dyntype="filter" dynprm="0.1" gainprm="2"/><motor name="rope" tendon="cord"/>
+        <muscle name="biceps" joint="j2" lengthrange="0.1 0.3"/></actuator>
+        <tendon><fixed name="cord"><joint joint="j1" coef="0.1"/></fixed></tendon>
+        <equality><joint joint1="j2" joint2="j1" polycoef="0 0.7 0 0 0"/></equality>
+        <extension><plugin plugin="mujoco.pid"/></extension></mujoco>""",
+    )
+    with pytest.warns(UserWarning, match="leaves out") as told:
+        body = read(text, tmp_path)
+    line = str(told[0].message)
+    for words in (
+        "damping (j2)",
+        "dry friction (j2)",
+        "armature (j2)",
+        "a spring (j2)",
+        "limits (j2)",
+        "limits of the actuators' torque (j2)",
+        "gravity compensation (b)",
+        "a fluid (density 1.2 kg/m³, viscosity 0 Pa·s)",
+        "wind (3, 0, 0 m/s)",
+        "position servos (hold)",
+        "velocity servos (brake)",
+        "muscles and other actuators with a law of their own (biceps)",
+        "activation dynamics (slow, biceps)",
+        "gears (strong)",
+        "gains of motors (slow)",
+        "force limits (strong)",
+        "control limits (strong)",
+        "actuators that act elsewhere than on a joint (rope)",
+        "tendons (cord)",
+        "equality constraints (j2 follows j1)",
+        "contacts (b)",
+        "plugins (mujoco.pid)",
+    ):
+        assert words in line, words
+    assert body.links == read(exact(), tmp_path).links
+
+
+def test_contacts_are_those_that_mujoco_lets_happen(tmp_path):
+    """Neighbours never touch; what is excluded, or has no bits in common, neither."""
+    floor = exact().replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>')
+    for text in (
+        exact(),
+        floor.replace("</mujoco>", '<contact><exclude body1="world" body2="b"/></contact></mujoco>'),
+        floor.replace('name="floor"', 'name="floor" contype="0" conaffinity="0"'),
+        floor.replace("<worldbody>", '<option><flag contact="disable"/></option><worldbody>'),
+        floor.replace("<worldbody>", '<option><flag constraint="disable"/></option><worldbody>'),
+    ):
+        read(text, tmp_path)  # a warning would be an error
+    with pytest.warns(UserWarning, match=r"leaves out contacts \(b\)"):
+        read(floor, tmp_path)
+
+
+def test_without_gravity_there_is_none(tmp_path):
+    heavy = exact().replace("0 0 1", "0 1 0").replace('pos="0.1 0 0.2"', 'pos="0.1 0 0"')
+    weightless = heavy.replace("<worldbody>", '<option><flag gravity="disable"/></option><worldbody>')
+    with pytest.warns(UserWarning, match="clockwise"):
+        assert read(heavy, tmp_path).gravity == (0.0, -9.81)
+    with pytest.warns(UserWarning, match="clockwise"):
+        assert read(weightless, tmp_path).gravity == (0.0, 0.0)
+
+
+def test_defaults_and_their_classes(tmp_path):
+    """Degrees, nested classes and several geoms: masses are density × volume of what each class makes of a geom."""
+    text = """<mujoco><default><geom density="1500"/><default class="arm"><joint axis="0 0 1" damping="0.4"/>
+      <geom type="cylinder" size="0.03" contype="0"/><default class="light"><geom density="400"/></default></default>
+      </default><worldbody><body name="a" childclass="arm" euler="0 0 40"><joint name="j1"/>
+      <geom fromto="0 0 0 0.4 0 0"/><body name="b" pos="0.4 0 0" euler="0 0 25"><joint name="j2" damping="0"/>
+      <geom class="light" fromto="0 0 0 0.3 0 0"/><geom type="sphere" size="0.05" pos="0.3 0 0" mass="0.25"/>
+      <site name="hand" pos="0.3 0 0"/></body></body></worldbody></mujoco>"""
+    with pytest.warns(UserWarning, match=r"damping \(j1\)$"):
+        upper, fore = read(text, tmp_path).links
+    volume = np.pi * 0.03**2
+    assert upper.mass == pytest.approx(1500 * volume * 0.4)
+    rod = 400 * volume * 0.3
+    assert fore.mass == pytest.approx(rod + 0.25)
+    assert fore.com == pytest.approx((rod * 0.15 + 0.25 * 0.3) / fore.mass)
+
+
+def test_warnings_of_mujoco_are_ours_and_leave_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = mujoco.get_mju_user_warning()
+    with pytest.warns(UserWarning, match="MuJoCo: .*NaN"):
+        read(exact().replace('<geom type="capsule"', '<geom type="capsule" solmix="nan"'), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
+    assert mujoco.get_mju_user_warning() == before

@@ -6,7 +6,7 @@ import torch
 
 from invdyn.models.bodies.body import Body, Link
 from invdyn.models.dynamics.integrators import INTEGRATORS, euler, rk4, semi_implicit
-from invdyn.models.dynamics.interface import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 
 F64 = torch.float64
 ORDER = {"euler": 1, "semi_implicit": 1, "rk4": 4}
@@ -19,7 +19,7 @@ class FreeSwing:
     def __init__(self, K):
         links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=0.4, mass=1.0 + 0.3 * k) for k in range(K)]
         self.p = Body("swing", links).parameters()
-        self.dynamics = dynamics_for(K)
+        self.dynamics = planar_dynamics(K)
         # away from the vertical by half a radian, and each joint bent a little
         self.start = torch.linspace(-1.0, 0.2, K, dtype=F64), torch.zeros(K, dtype=F64)
 

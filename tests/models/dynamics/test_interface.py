@@ -5,7 +5,9 @@ import torch
 from chains import BOTH, JOINTS, METHODS, call, random_case
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import RecursiveDynamics, SymbolicDynamics, dynamics_for
+from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
+from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
+from invdyn.models.dynamics.registry import planar_dynamics
 
 
 @JOINTS
@@ -76,7 +78,7 @@ def test_a_batch_of_bodies_is_each_body_by_itself():
 
 @pytest.mark.parametrize("K", [5, 9])
 def test_long_chains_invert(K):
-    dynamics = dynamics_for(K)
+    dynamics = planar_dynamics(K)
     assert isinstance(dynamics, RecursiveDynamics)
     p, q, qd, tau = random_case(K, 8, (6,))
     torch.testing.assert_close(dynamics.inverse(q, qd, dynamics.forward(q, qd, tau, p), p), tau, rtol=1e-8, atol=1e-8)
@@ -86,10 +88,10 @@ def test_long_chains_invert(K):
 
 
 def test_the_choice():
-    assert all(isinstance(dynamics_for(K), SymbolicDynamics) for K in (1, 2, 3, 4))
+    assert all(isinstance(planar_dynamics(K), SymbolicDynamics) for K in (1, 2, 3, 4))
     for wrong in (0, -1, 2.5, "two"):
         with pytest.raises(ValueError, match="joints"):
-            dynamics_for(wrong)
+            planar_dynamics(wrong)
     with pytest.raises(ValueError, match="RecursiveDynamics takes any number"):
         SymbolicDynamics(5)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
 
 LENGTHS, MASSES = (0.3, 0.25, 0.2), (1.5, 1.0, 0.6)
 
@@ -19,7 +19,7 @@ def make_arm(joints=2, rows=12, step=0.01, size=1.0, weight=1.0, seed=0, **kwarg
     rng = np.random.default_rng(seed)
     held = np.array([9.81 * weight * size * (0.4, 0.15, 0.06)[k] for k in range(joints)])
     command = rng.normal(size=(rows, joints)) * held
-    options = {"emission": Emission(range(joints), joints), "command": command, **kwargs}
+    options = {"observation": Observation(Keypoints(range(joints)), Encoders()), "command": command, **kwargs}
     return ArmModel(body, step * np.arange(rows) + 0.5, **options)
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from invdyn.models import Emission
+from invdyn.models import Keypoints, Observation
 from invdyn.models.effects import (
     CameraLatency,
     CameraRoll,
@@ -212,7 +212,7 @@ def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     """Of tips that are tracked; where nobody says how sure it was, nothing changes."""
     confidence = np.full((12, 2), 0.9)
     confidence[5] = 0.4, np.nan
-    ideal = arm(2, emission=Emission([1, 0], confidence=confidence))
+    ideal = arm(2, observation=Observation(Keypoints([1, 0], confidence=confidence)))
     x = states(ideal, 6)
     (points, sd), (same, own) = (
         tips(model, x) for model in (having(ideal, VaryingNoise("confidence"), slope=3.0), ideal)
@@ -222,7 +222,7 @@ def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     assert tips(having(ideal, VaryingNoise("confidence"), slope=3.0), x, 4)[1] / tips(ideal, x, 4)[1] == pytest.approx(
         1.3
     )
-    plain = arm(2, emission=Emission([0, 1]))
+    plain = arm(2, observation=Observation(Keypoints([0, 1])))
     assert tips(having(plain, VaryingNoise("confidence"), slope=3.0), x)[1] == pytest.approx(tips(plain, x)[1])
 
 

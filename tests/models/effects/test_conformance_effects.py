@@ -10,7 +10,7 @@ import torch
 from pyro import poutine
 
 from invdyn.inference import Bootstrap, ParticleFilter
-from invdyn.models import Emission
+from invdyn.models import Encoders, Keypoints, Observation
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.effects.bristles import BristleFriction
@@ -32,7 +32,11 @@ def arm(arm):
 
     def make(joints=2, rows=12, **options):
         sure = np.random.default_rng(1).uniform(0.2, 1.0, size=(rows, joints))
-        return arm(joints, rows, **{"emission": Emission(range(joints), joints, confidence=sure), **options})
+        return arm(
+            joints,
+            rows,
+            **{"observation": Observation(Keypoints(range(joints), confidence=sure), Encoders()), **options},
+        )
 
     return make
 
@@ -138,7 +142,7 @@ def test_places_are_checked(name, arm):
         with pytest.raises(ValueError, match="two different"):
             model.with_effects(kind(effect.where[0], effect.where[0]))
     if kind.site in ("keypoint", "keypoints") and kind.side == "observation":
-        blind = arm(3, emission=Emission([], 3))
+        blind = arm(3, observation=Observation(Encoders()))
         with pytest.raises(ValueError, match="tracked"):
             blind.with_effects(effect)
 
@@ -157,7 +161,7 @@ def test_absent_it_is_the_ideal_arm(name, joints, dtype, arm, states, widened):
         model = ideal.with_effects(effect)
         wide = widened(x, ideal, model)
         alike = ideal.replace()
-        alike.substeps = model.substeps_taken
+        alike = alike.in_substeps(model.substeps_taken)
         moved = widened(alike.transition_mean(x[:-1], rows[1:]), ideal, model)
         torch.testing.assert_close(model.transition_mean(wide[:-1], rows[1:]), moved, **tolerance)
         seen = model.emission(wide, rows)

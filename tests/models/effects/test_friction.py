@@ -64,7 +64,7 @@ def test_the_acceleration_under_friction_is_that_of_the_dynamics(effects, held, 
     _, q, qd = model.split(states(model, 200))
     qd = qd * torch.logspace(-5, 0, 200, dtype=F64).unsqueeze(-1)
     body, torque, own = model.body_parameters(), 0.5 * torch.randn(200, 2, dtype=F64), torch.tensor([0.01, 0.02])
-    here = model._now(driven(model, torque, step=0.01), q, qd, 0.0)
+    here = model.mechanics.now(driven(model, torque, step=0.01), q, qd, 0.0)
     friction, _, under = model.effects.friction(model.parameters, here, torque, own, held)
     assert ((friction != 0).sum(0) > 100).sum() == len(effects)
     torch.testing.assert_close(under, model.dynamics.forward(q, qd, torque + friction, body, own), rtol=1e-9, atol=1e-9)
@@ -93,7 +93,7 @@ def test_friction_about_a_stop_follows_its_level():
     speed = torch.tensor([0.2], dtype=F64, requires_grad=True)
     command = torch.full((3, 1), -1.1, dtype=F64)
     model = rod(rows=3, step=0.05, command=command).with_effects(CoulombFriction("hinge"))
-    model._abrupt = 1
+    model = model.in_substeps(model.substeps, 1)
 
     def after(level, speed):
         there = model.replace(**{"effect.coulomb_friction.hinge.torque": level})
@@ -130,7 +130,7 @@ def test_load_friction_of_a_level_rod(having):
     for speed, motor, load in ((3.0, hold, 2 * hold), (-3.0, hold, 2 * hold), (3.0, 0.0, hold), (3.0, -hold, 0.0)):
         q, qd = torch.zeros(1, dtype=F64), torch.tensor([speed], dtype=F64)
         given = torch.tensor([motor], dtype=F64)
-        torque, _ = model._rubbed(*model._smooth(driven(model, given), q, qd, 0.0))
+        torque, _ = model.mechanics.with_friction(*model.mechanics.smooth(driven(model, given), q, qd, 0.0))
         assert (torque - given).item() == pytest.approx(-0.1 * load * np.sign(speed), abs=1e-12)
 
 
@@ -142,7 +142,7 @@ def test_friction_that_changes_while_it_slides_is_of_second_order(kind, values, 
     model = having(rod(rows=2, step=0.04, gravity=(0.0, -9.81)), kind("hinge"), **values)
     after = []
     for steps in (4, 8, 256):
-        model._abrupt = steps
+        model = model.in_substeps(model.substeps, steps)
         after.append(np.concatenate(rolled(model, [0.5], [6.0]))[[1, 3]])
     coarse, fine = (np.abs(end - after[-1]).max() for end in after[:2])
     assert coarse / fine == pytest.approx(4, rel=0.15)

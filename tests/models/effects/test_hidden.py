@@ -7,7 +7,7 @@ import pytest
 import torch
 from rod import F64, rod
 
-from invdyn.models import ArmModel, Body, Emission, Link, dynamics_for
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, planar_dynamics
 from invdyn.models.effects import Backlash, BaseMotion, ExternalPush, JointStiffness, LinkFlexibility
 
 STEP = 0.0025  # s
@@ -29,7 +29,7 @@ def test_the_parts_are_the_link(link, position, arm, having, states):
     effect = LinkFlexibility(f"link{link}").bound(ideal.body)
     body = ideal.body_parameters()
     p = {} if position is None else {"position": torch.tensor([position], dtype=F64)}
-    links, whole = effect.chain(p, body), dynamics_for(3)
+    links, whole = effect.chain(p, body), planar_dynamics(3)
     x = states(ideal, 8)
     q, qd = x[:, 2:4], x[:, 4:]
     none = torch.zeros(8, 1, dtype=F64)
@@ -68,7 +68,7 @@ def test_a_flexible_rod_swings_at_its_mode(having):
 def test_a_damped_flexible_rod_loses_energy_and_only_it(having):
     ideal = rod(401, STEP, (0.0, -9.81))
     effect = LinkFlexibility("link").bound(ideal.body)
-    body, whole = ideal.body_parameters(), dynamics_for(2)
+    body, whole = ideal.body_parameters(), planar_dynamics(2)
     links = effect.chain({}, body)
 
     def energy(path):
@@ -102,7 +102,9 @@ def test_a_spring_stiffer_than_the_steps_is_stable(stiffness, step, having):
 def halves(rows, step):
     """The rod in two hinged halves."""
     links = [Link(f"half{k}", f"joint{k}", f"tip{k}", 0.15, 0.75, 0.075, 0.75 * 0.15**2 / 12) for k in range(2)]
-    return ArmModel(Body("halves", links, gravity=(0.0, -9.81)), step * np.arange(rows), Emission([0, 1], 2))
+    return ArmModel(
+        Body("halves", links, gravity=(0.0, -9.81)), step * np.arange(rows), Observation(Keypoints([0, 1]), Encoders())
+    )
 
 
 @pytest.mark.parametrize(
@@ -214,7 +216,7 @@ def test_the_rotor_comes_out_of_the_link(arm, states):
     body = ideal.body_parameters()
     for joint in range(2):
         effect = Backlash(f"joint{joint}").bound(ideal.body)
-        links, whole = effect.chain({}, body), dynamics_for(3)
+        links, whole = effect.chain({}, body), planar_dynamics(3)
         none = torch.zeros(8, 1, dtype=F64)
         wide, rates = effect.spread(x[:, 2:4], none), effect.spread(x[:, 4:], none)
         found = whole.kinetic_energy(wide, rates, links)

@@ -7,7 +7,7 @@ import torch
 from rod import F64
 from scipy.integrate import solve_ivp
 
-from invdyn.models import ArmModel, Body, Emission, Link, dynamics_for
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation, planar_dynamics
 from invdyn.models.effects import Backlash
 
 LINKS = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
@@ -19,7 +19,7 @@ PLAY = Backlash("elbow").bound(BODY)
 def swung(step):
     """(ψ, ψ̇, q, q̇) (T, 6) of the model, swinging from the gap's lower end."""
     rows = round(DURATION / step) + 1
-    model = ArmModel(BODY, step * np.arange(rows), Emission([0, 1])).with_effects(PLAY)
+    model = ArmModel(BODY, step * np.arange(rows), Observation(Keypoints([0, 1]))).with_effects(PLAY)
     model = model.replace(**{f"effect.{PLAY.key}.width": torch.tensor([WIDTH], dtype=F64)})
     path = [torch.tensor([0.0, 0.0, -WIDTH / 2, 0.0, *START], dtype=F64)]
     for t in range(1, rows):
@@ -30,8 +30,8 @@ def swung(step):
 @cache
 def exact():
     """The same every .01 s, by scipy: rigid while the stop pushes, three hinges while none does; and impacts' times."""
-    body = ArmModel(BODY, np.arange(2.0), Emission([0, 1])).body_parameters()
-    links, whole, rigid = PLAY.chain({}, body), dynamics_for(3), dynamics_for(2)
+    body = ArmModel(BODY, np.arange(2.0), Observation(Keypoints([0, 1]))).body_parameters()
+    links, whole, rigid = PLAY.chain({}, body), planar_dynamics(3), planar_dynamics(2)
 
     def held(_, x):
         q, qd = torch.as_tensor(x).split(2)
@@ -119,7 +119,7 @@ def test_errors_fall_with_the_fourth_power_through_contacts_too():
 def test_a_row_is_the_same_whatever_stands_beside_it():
     """To the bit: how often others touch changes nothing."""
     rows = 61
-    model = ArmModel(BODY, 0.02 * np.arange(rows), Emission([0, 1])).with_effects(PLAY)
+    model = ArmModel(BODY, 0.02 * np.arange(rows), Observation(Keypoints([0, 1]))).with_effects(PLAY)
     model = model.replace(**{f"effect.{PLAY.key}.width": torch.tensor([WIDTH], dtype=F64)})
     path = torch.cat([torch.zeros(rows, 2, dtype=F64), torch.as_tensor(swung(0.02))], -1)
     together = model.transition_mean(path[:-1], torch.arange(1, rows))

@@ -7,7 +7,7 @@ from rod import F64, INERTIA, driven, rod, rolled, torque_of
 from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.problem.unknowns import FAR
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.effects import (
     EFFECTS,
     CoulombFriction,
@@ -50,7 +50,7 @@ def test_a_share_of_the_coriolis_torque_loads_a_gear(share, arm, states, having)
     _, q, qd = ideal.split(states(ideal, 50))
     qd = qd + qd.sign()  # fast enough not to stop within the sub-step
     torque, body = torch.randn(50, 2, dtype=F64), ideal.body_parameters()
-    now = model._now(driven(model, torque), q, qd, 0.0)
+    now = model.mechanics.now(driven(model, torque), q, qd, 0.0)
     load = torque + ideal.dynamics.gravity_load(q, body) + share * ideal.dynamics.coriolis(q, qd, body)
     friction, _, _ = model.effects.friction(model.parameters, now, torque, None)
     expected = -0.2 * load[:, 0].abs() * qd[:, 0].sign()
@@ -102,7 +102,7 @@ def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
         **{f"effect.{e.key}.{n}": torch.tensor([v], dtype=F64) for e in kinds for n, v in values.items()}
     )
     for steps in (2, 8, 64):
-        model._abrupt = steps
+        model = model.in_substeps(model.substeps, steps)
         ends[steps] = np.stack(rolled(model, [-1.4, 0.1], [1.0, -1.0]))
     coarse, fine = (np.abs(ends[steps] - ends[64]).max() for steps in (2, 8))
     assert coarse < 0.003
@@ -167,7 +167,7 @@ def test_whatever_presses_a_softer_stop_is_taken(having):
 @pytest.mark.parametrize("length", [0.1, 0.3, 1.0])
 def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
     body = Body("rod", [Link("link", "hinge", "tip", length=length, mass=1.5)], gravity=gravity)
-    model = ArmModel(body, 0.01 * np.arange(9), Emission([0]), command=np.full((9, 1), 0.3 * length))
+    model = ArmModel(body, 0.01 * np.arange(9), Observation(Keypoints([0])), command=np.full((9, 1), 0.3 * length))
     (inertia,) = model.scale.inertia
     priors = {p.name: p.prior for p in JointLimit("hinge").softened().bound(body).parameters(model.scale)}
     for name, value in STOP.items():
@@ -227,5 +227,5 @@ def test_one_joint_settles_with_the_longer_of_two_times(arm, states):
     one = one.replace(**{key: torch.tensor([v], dtype=F64) for key, v in together.items()})
     x, rows = states(one, 12), torch.arange(1, 12)
     x[..., -1] *= 0.05
-    one._abrupt = model._abrupt
+    one = one.in_substeps(one.substeps, model.abrupt)
     torch.testing.assert_close(model.transition_mean(x[:-1], rows), one.transition_mean(x[:-1], rows))

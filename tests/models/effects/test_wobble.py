@@ -6,7 +6,7 @@ import torch
 from rod import F64, rod
 from scipy.integrate import solve_ivp
 
-from invdyn.models import ArmModel, Emission
+from invdyn.models import ArmModel, Keypoints, Observation
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, SoftTissue
 from invdyn.models.effects.hidden import tip_motion
 
@@ -91,7 +91,7 @@ def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, havi
     step, rows, kappa, bends = 5e-4, 301, 1e-6, LinkFlexibility("link0")
     body = arm(2).body
     command = np.stack([0.5 * np.sin(9 * step * np.arange(rows)), np.zeros(rows)], -1)
-    plain = ArmModel(body, step * np.arange(rows), Emission([0, 1]), command=command)
+    plain = ArmModel(body, step * np.arange(rows), Observation(Keypoints([0, 1])), command=command)
     bending = having(plain, bends, stiffness=8.0, damping=0.0)
     both = having(bending, SoftTissue(f"tip{tip}").softened(), kappa=kappa, damping_ratio=0.7)
     x, y = torch.zeros(bending.state_dim, dtype=F64), torch.zeros(both.state_dim, dtype=F64)

@@ -5,21 +5,32 @@ import pytest
 import torch
 from scipy.stats import norm, t
 
-from invdyn.models import Emission
+from invdyn.models import Body, Encoders, Keypoints, Link, Observation
+from invdyn.models.observation.view import View
 
 F64 = torch.float64
 TIPS = torch.tensor([[0.3, 0.1], [0.5, -0.2], [0.9, 0.4]], dtype=F64)
 ANGLES = torch.tensor([0.1, -0.7, 2.0], dtype=F64)
 
 
+LINKS = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=1.0, mass=1.0) for k in range(3)]
+BODY = Body("arm", LINKS)
+
+
+def seen(tips, angles, **more):
+    """What there is to see of these tips and angles."""
+    nothing = dict.fromkeys(("body", "dynamics", "acceleration", "turned", "ahead", "clock"))
+    return View(angles, torch.zeros_like(angles), tips, angles, **nothing, **more)
+
+
 def parameters(emission, **given):
-    values = {**emission.defaults(0.02), **{f"emission.{name}": value for name, value in given.items()}}
+    values = {**emission.defaults(1.0), **{f"emission.{name}": value for name, value in given.items()}}
     return {name: torch.as_tensor(value, dtype=F64) for name, value in values.items()}
 
 
 @pytest.mark.parametrize("family", ["gaussian", "student_t"])
 def test_density_of_a_row(family):
-    emission = Emission([2, 0], 3, family=family)
+    emission = Observation(Keypoints([2, 0]), Encoders(), family=family).bound(BODY)
     p = parameters(emission, keypoint_scale=[0.01, 0.03], angle_scale=[0.1, 0.2, 0.3])
     assert emission.size == 7
     y = torch.randn(7, dtype=F64)
@@ -27,15 +38,15 @@ def test_density_of_a_row(family):
     scale = np.array([0.01, 0.01, 0.03, 0.03, 0.1, 0.2, 0.3])
     law = norm if family == "gaussian" else t(4.0)
     expected = (law.logpdf((y.numpy() - mean) / scale) - np.log(scale)).sum()
-    found = emission.distribution(TIPS, ANGLES, 0, p).log_prob(y)
+    found = emission.predict(seen(TIPS, ANGLES), 0, p).log_prob(y)
     assert found.item() == pytest.approx(expected, rel=1e-9)
 
 
-def confident(confidence):
-    emission = Emission([0, 1], confidence=np.asarray(confidence))
-    p = parameters(emission, keypoint_scale=[0.01, 0.02], confidence_slope=[1.5, 0.5])
+def confident(confidence, slope=(1.5, 0.5), drop=(0.0, 0.0)):
+    emission = Observation(Keypoints([0, 1], confidence=np.asarray(confidence))).bound(BODY)
+    p = parameters(emission, keypoint_scale=[0.01, 0.02], confidence_slope=slope, confidence_drop=drop)
     rows = torch.arange(len(confidence))
-    law = emission.distribution(TIPS.expand(len(rows), 3, 2), ANGLES.expand(len(rows), 3), rows, p)
+    law = emission.predict(seen(TIPS.expand(len(rows), 3, 2), ANGLES.expand(len(rows), 3)), rows, p)
     return law.base_dist.scale.numpy()
 
 
@@ -57,8 +68,18 @@ def test_noise_falls_with_confidence():
 
 
 @pytest.mark.parametrize("change", [lambda c: c**3, lambda c: 100 * c - 7, lambda c: np.log(c)])
-def test_only_the_order_of_confidences_matters(change):
+def test_only_the_order_of_confidences_matters_to_the_slope(change):
     assert np.array_equal(confident(change(CONFIDENCE)), confident(CONFIDENCE))
+
+
+def test_the_drop_spans_from_sure_points_to_lost_ones_on_any_scale():
+    """δ (c⁺ − c) / (c⁺ − c⁻): .9, .5, .99 and .1 lie .09, .49, 0 and .89 of .89 below the greatest."""
+    scale = confident(CONFIDENCE, slope=(0.0, 0.0), drop=(6.0, 2.0))
+    np.testing.assert_allclose(scale[:, 0], 0.01 * np.exp(6.0 * np.array([0.09, 0.49, 0.0, 0.89]) / 0.89))
+    np.testing.assert_allclose(scale[:, 2], 0.02 * np.exp(2.0 * np.array([1.0, 0.0, 0.0, 5 / 6])))
+    np.testing.assert_allclose(confident(80 + 30 * CONFIDENCE, slope=(0.0, 0.0), drop=(6.0, 2.0)), scale)
+    constant = np.stack([np.full(4, 0.7), CONFIDENCE[:, 1]], axis=1)
+    assert (confident(constant, slope=(0.0, 0.0), drop=(6.0, 2.0))[:, 0] == 0.01).all()
 
 
 def test_a_missing_confidence_is_the_lowest():
@@ -68,18 +89,29 @@ def test_a_missing_confidence_is_the_lowest():
 
 
 def test_a_row_as_an_int_and_as_a_tensor():
-    emission = Emission([0, 1], confidence=CONFIDENCE)
+    emission = Observation(Keypoints([0, 1], confidence=CONFIDENCE)).bound(BODY)
     p = parameters(emission)
-    rows = emission.distribution(TIPS.expand(4, 3, 2), ANGLES.expand(4, 3), torch.arange(4), p)
+    rows = emission.predict(seen(TIPS.expand(4, 3, 2), ANGLES.expand(4, 3)), torch.arange(4), p)
     for i in range(4):
-        one = emission.distribution(TIPS, ANGLES, i, p)
+        one = emission.predict(seen(TIPS, ANGLES), i, p)
         assert torch.equal(one.base_dist.scale.expand(4), rows.base_dist.scale[i])
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(([0], 0, "cauchy"), "gaussian, student_t, got 'cauchy'"), (([], 0), "at least one tracked tip")],
+    ("sensors", "family", "message"),
+    [
+        ([Keypoints([0])], "cauchy", "gaussian, student_t, got 'cauchy'"),
+        ([], "gaussian", "at least one sensor"),
+        ([Keypoints([])], "gaussian", "keypoints of at least one site"),
+        ([Encoders(), Encoders()], "gaussian", "a name of its own for each sensor, got angle, angle"),
+    ],
 )
-def test_nonsense_is_refused(arguments, message):
+def test_nonsense_is_refused(sensors, family, message):
     with pytest.raises(ValueError, match=message):
-        Emission(*arguments)
+        Observation(*sensors, family=family)
+
+
+def test_a_site_that_the_body_does_not_have_is_refused():
+    for site in (3, -1, "knee"):
+        with pytest.raises(ValueError, match=f"expected keypoints among .*, got {site!r}"):
+            Keypoints([site]).bound(BODY)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal, norm
 
-from invdyn.models import ArmModel, Body, Emission, Link
+from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.effects import LabelSwap, Outliers
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob, times
 from invdyn.models.observation.mixture import MistakenRows
@@ -44,7 +44,7 @@ def rows_of(loc=LOC, scale=SCALE, rate=RATE, strays=1, shifted=False):
     shift = Shift(tensor([MOVED]), torch.as_tensor(ALONG), torch.as_tensor(BESIDE)) if shifted else None
     stray = Stray(tensor([rate]), tensor([[WIDTH]]))
     swaps = [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))]
-    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), POINTS, [stray] * strays, swaps, shift)
+    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), (POINTS, 2), [stray] * strays, swaps, shift)
 
 
 def by_hand(y, loc=LOC, strays=1, shifted=False):
@@ -83,12 +83,14 @@ def test_density_of_batches():
     """Parameter sets (S, 1, 1) beside rows (T, O)."""
     rates, y = tensor([0.05, 0.2]).reshape(2, 1, 1), tensor(np.stack(list(ROWS.values())))
     loc = torch.as_tensor(LOC).expand(len(ROWS), 7)
-    many = MistakenRows(loc, torch.as_tensor(SCALE), POINTS, [Stray(rates, tensor([[WIDTH]]))], [])
+    many = MistakenRows(loc, torch.as_tensor(SCALE), (POINTS, 2), [Stray(rates, tensor([[WIDTH]]))], [])
     assert many.batch_shape == (2, len(ROWS))
     found = many.log_prob(y)
     for s in range(2):
         for t in range(len(ROWS)):
-            alone = MistakenRows(loc[t], torch.as_tensor(SCALE), POINTS, [Stray(rates[s, 0], tensor([[WIDTH]]))], [])
+            alone = MistakenRows(
+                loc[t], torch.as_tensor(SCALE), (POINTS, 2), [Stray(rates[s, 0], tensor([[WIDTH]]))], []
+            )
             torch.testing.assert_close(found[s, t], alone.log_prob(y[t]))
 
 
@@ -151,7 +153,7 @@ def test_draws():
     emission = MistakenRows(
         torch.as_tensor(LOC),
         torch.as_tensor(SCALE) / 100,
-        POINTS,
+        (POINTS, 2),
         [Stray(tensor([RATE]), tensor([[0.01]]))],
         [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))],
     )
@@ -184,7 +186,7 @@ def test_shifted_draws():
 def test_rates_of_zero_are_no_mixture_and_have_slopes():
     rate = torch.zeros(1, dtype=F64, requires_grad=True)
     emission = MistakenRows(
-        torch.as_tensor(LOC), torch.as_tensor(SCALE), POINTS, [Stray(rate, tensor([[0.3]]))], [Swap(0, 1, rate)]
+        torch.as_tensor(LOC), torch.as_tensor(SCALE), (POINTS, 2), [Stray(rate, tensor([[0.3]]))], [Swap(0, 1, rate)]
     )
     y = tensor(ROWS["plain"])
     value = emission.log_prob(y)
@@ -195,10 +197,14 @@ def test_rates_of_zero_are_no_mixture_and_have_slopes():
 def test_effects_know_the_recordings_order():
     """Tips tracked in another order than the body's, and not all of them."""
     body = Body("arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(3)])
-    model = ArmModel(body, 0.01 * np.arange(4), Emission([2, 0])).with_effects(LabelSwap("t0", "t2"), Outliers())
+    model = ArmModel(body, 0.01 * np.arange(4), Observation(Keypoints([2, 0]))).with_effects(
+        LabelSwap("t0", "t2"), Outliers()
+    )
     values = {"effect.label_swap.t0.t2.rate": tensor([1.0])}
     x = torch.cat([torch.zeros(3), torch.tensor([0.3, 0.4, 0.5]), torch.zeros(3)]).to(F64)
     plain, swapped = model.emission(x, 1).mean, model.replace(**values).emission(x, 1).mean
     torch.testing.assert_close(swapped, plain[[2, 3, 0, 1]])
     with pytest.raises(ValueError, match="gaussian noise under outliers"):
-        ArmModel(body, 0.01 * np.arange(4), Emission([0], family="student_t")).with_effects(Outliers()).emission(x, 1)
+        ArmModel(body, 0.01 * np.arange(4), Observation(Keypoints([0]), family="student_t")).with_effects(
+            Outliers()
+        ).emission(x, 1)

@@ -1,0 +1,152 @@
+"""Dynamics of bodies in space side by side: particle-steps a core-second, all in one run, on one thread.
+
+A step is one forward dynamics and one semi-implicit Euler step, of arms of 4 joints (the paper's, its rods with a
+little inertia about themselves, which MuJoCo needs), 7 (the Panda) and 12 (that, and its first five links again), by
+
+    torch           this project, eager, float32
+    numba           this project, fast, float32 and float64; compiling comes before the clock starts, and is told
+    gradient        this project, eager, float32, with the derivative of Σ q̈ by q, q̇ and τ
+    MuJoCo          mujoco.rollout, float64, no contacts, no constraints, torques applied at the joints
+    Pinocchio       its articulated bodies alone, float64, without a step: a loop in C++ where the wheel has one
+                    (abaInParallel with one thread), else in Python
+
+Body parameters are arguments of ours, constants of the engines'. They take turns; the best time of each counts, seconds
+of CPU. The first table has operations a step, with the numbers of the body alone not counted.
+
+    python benchmarks/spatial_dynamics.py [--particles 1000 10000 100000] [--turns 5]
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state
+
+DT = 1e-3
+
+
+def arms() -> list[Tree]:
+    rod = (0.001, 0.04, 0.04, 0.0, 0.0, 0.0)
+    paper = paper_arm()
+    links = [dataclasses.replace(link, inertia=rod) for link in paper.links]
+    long = list(panda().links)
+    for link in panda().links[:5]:
+        joint = dataclasses.replace(link.joint, name=f"{link.joint.name}_again")
+        again = dataclasses.replace(link, name=f"{link.name}_again", joint=joint, parent=long[-1].name)
+        long.append(again)
+    return [Tree("paper's arm", links, paper.gravity), panda(), Tree("twelve joints", long)]
+
+
+def ours(
+    tree: Tree, N: int, dtype: torch.dtype, fast: bool, gradient: bool = False
+) -> tuple[Callable, SpatialDynamics]:
+    dynamics, p = SpatialDynamics(tree, fast=fast), tree.parameters(dtype)
+    state = [x.movedim(-1, 0).contiguous().movedim(0, -1) for x in random_state(tree.num_joints, 0, (N,), dtype)]
+
+    def step():
+        q, qd, tau = state
+        if gradient:
+            inputs = [x.detach().requires_grad_() for x in state]
+            torch.autograd.grad(dynamics.forward(*inputs, p).sum(), inputs)
+            return
+        qd = qd + DT * dynamics.forward(q, qd, tau, p)
+        q + DT * qd
+
+    return step, dynamics
+
+
+def by_mujoco(tree: Tree, N: int) -> Callable:
+    engine = MuJoCo(tree)
+    model = engine.model
+    model.opt.timestep = DT
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    model.opt.enableflags = 0
+    q, qd, tau = (x.numpy() for x in random_state(tree.num_joints, 0, (N,)))
+    states = np.concatenate([np.zeros((N, 1)), q, qd], 1)
+    spec = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    data = mujoco.MjData(model)
+    return lambda: rollout.rollout(model, data, states, tau[:, None], control_spec=spec, skip_checks=False)
+
+
+def by_pinocchio(tree: Tree, N: int) -> Callable:
+    pin, model, _ = pinocchio_of(tree)
+    q, qd, tau = (np.asfortranarray(x.numpy().T) for x in random_state(tree.num_joints, 0, (N,)))
+    if hasattr(pin, "abaInParallel"):
+        pool, out = pin.ModelPool(model, 1), np.zeros_like(q, order="F")
+        return lambda: pin.abaInParallel(1, pool, q, qd, tau, out)
+    data, states = model.createData(), list(zip(q.T.copy(), qd.T.copy(), tau.T.copy(), strict=True))
+
+    def loop():
+        for state in states:
+            pin.aba(model, data, *state)
+
+    return loop
+
+
+def rates(steps: dict[str, Callable], N: int, turns: int) -> dict[str, float]:
+    """Million particle-steps a core-second, the best of the turns."""
+    best = dict.fromkeys(steps, np.inf)
+    for _ in range(turns):
+        for name, step in steps.items():
+            repeats = max(1, 20_000 // N)
+            began = time.process_time()
+            for _ in range(repeats):
+                step()
+            best[name] = min(best[name], (time.process_time() - began) / repeats)
+    return {name: N / seconds / 1e6 for name, seconds in best.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--particles", type=int, nargs="+", default=[1_000, 10_000, 100_000])
+    parser.add_argument("--turns", type=int, default=5)
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    methods = ("forward", "inverse", "bias", "inertia_matrix", "keypoints", "jacobian")
+    print(f"| operations | {' | '.join(methods)} |\n|---|{'---|' * len(methods)}")
+    for tree in arms():
+        dynamics = SpatialDynamics(tree)
+        print(f"| K = {tree.num_joints} | {' | '.join(str(dynamics.operations(m)) for m in methods)} |")
+    for tree in arms():
+        compiled = {}
+        for N in args.particles:
+            numba32, fast32 = ours(tree, N, torch.float32, True)
+            numba64, fast64 = ours(tree, N, torch.float64, True)
+            steps = {
+                "torch": ours(tree, N, torch.float32, False)[0],
+                "gradient": ours(tree, N, torch.float32, False, gradient=True)[0],
+                "numba 32": numba32,
+                "numba 64": numba64,
+                "MuJoCo": by_mujoco(tree, N),
+                "Pinocchio": by_pinocchio(tree, N),
+            }
+            for step in steps.values():
+                step()
+            compiled |= fast32.compile_seconds | fast64.compile_seconds
+            found = rates(steps, N, args.turns)
+            if args.particles[0] == N:
+                times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in compiled.items())
+                print(f"\nK = {tree.num_joints} ({tree.name}); compiled: {times}\n")
+                print(f"| N | {' | '.join(found)} | numba 32 / MuJoCo | numba 32 / Pinocchio |")
+                print(f"|---|{'---|' * (len(found) + 2)}")
+            ratios = [found["numba 32"] / found[other] for other in ("MuJoCo", "Pinocchio")]
+            print(
+                f"| {N} | {' | '.join(f'{x:.3g}' for x in found.values())} | {ratios[0]:.1f} | {ratios[1]:.1f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

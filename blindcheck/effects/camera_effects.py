@@ -1,0 +1,132 @@
+"""How large the effects are that the camera sees (`camera` plays them): names, units and draws."""
+
+import numpy as np
+
+from invdyn.blindcheck.effects.effect import sight
+from invdyn.blindcheck.motion import between
+from invdyn.blindcheck.scene import NONIDEAL, Scene, natural_hz, sign
+
+
+def _centre(rng: np.random.Generator, s: Scene) -> dict:
+    """Where the camera looks, if not at the origin: of an arm with one link, that would make another twin of it."""
+    if s.body.num_joints == 1 or rng.random() > NONIDEAL:
+        return {}
+    return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
+
+
+def _keypoint_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    angle, size = rng.uniform(0, 2 * np.pi), a * rng.uniform(0.03, 0.1) * s.body.links[k].nominal("length")
+    return {"along": size * np.cos(angle), "across": size * np.sin(angle)}
+
+
+sight("keypoint_offset", site="keypoint", units={"along": "m", "across": "m"}, size=_keypoint_offset)
+
+
+def _soft_tissue(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    second = np.gradient(np.gradient(s.motion.points[:, k + 1], s.motion.time, axis=0), s.motion.time, axis=0)
+    rms = np.sqrt((second**2).sum(-1).mean())
+    kappa = a * rng.uniform(0.02, 0.05) * s.body.links[k].nominal("length") / rms
+    return {"kappa": kappa} | ({"damping_ratio": rng.uniform(0.1, 0.6)} if rng.random() < NONIDEAL else {})
+
+
+sight("soft_tissue", site="keypoint", units={"kappa": "s²", "damping_ratio": "1"}, size=_soft_tissue)
+
+
+def _camera_scale(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"scale": 1 + a * sign(rng) * rng.uniform(0.02, 0.08)}
+
+
+sight("camera_scale", units={"scale": "1"}, size=_camera_scale)
+
+
+def _camera_roll(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"angle": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 3.0))}
+
+
+sight("camera_roll", units={"angle": "rad"}, needs=("gravity",), size=_camera_roll)
+
+
+def _camera_yaw(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    turned = {"angle": a * sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
+    return turned | _centre(rng, s)
+
+
+sight(
+    "camera_yaw",
+    units={"angle": "rad", "distance": "m", "centre_x": "m", "centre_y": "m"},
+    size=_camera_yaw,
+)
+
+
+def _lens_distortion(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"k1": a * sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2} | _centre(rng, s)
+
+
+sight("lens_distortion", units={"k1": "m⁻²", "centre_x": "m", "centre_y": "m"}, size=_lens_distortion)
+
+
+def _clock_rate(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"rate": np.exp(a * sign(rng) * rng.uniform(0.05, 0.22))}
+
+
+sight("clock_rate", units={"rate": "1"}, needs=("clock",), size=_clock_rate)
+
+
+def _camera_latency(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"latency": a * np.clip(rng.uniform(0.01, 0.06) / natural_hz(s), 0.005, 0.06)}
+
+
+sight(
+    "camera_latency",
+    units={"latency": "s"},
+    needs=(
+        "command",
+        "clock",
+    ),
+    size=_camera_latency,
+)
+
+
+def _rolling_shutter(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"readout": a * sign(rng) * np.clip(rng.uniform(0.01, 0.03) / natural_hz(s), 0.003, 0.03) / s.reach}
+
+
+sight("rolling_shutter", units={"readout": "s/m"}, size=_rolling_shutter)
+
+
+def _timestamp_jitter(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {
+        "rate": rng.uniform(0.3, 1.0),
+        "sd": a * rng.uniform(0.5, 1.0) * max(1 / s.plan.frame_rate, 0.01 / natural_hz(s)),
+    }
+
+
+sight("timestamp_jitter", units={"rate": "1", "sd": "s"}, size=_timestamp_jitter)
+
+
+def _outliers(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {
+        "rate": a * between(rng, 0.01, 0.1),
+        "scale": rng.uniform(0.1, 0.4) * s.reach,
+    }
+
+
+sight("outliers", units={"rate": "1", "scale": "m"}, size=_outliers)
+
+
+def _label_swap(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {"rate": a * between(rng, 0.01, 0.05)}
+
+
+sight("label_swap", site="keypoint", units={"rate": "1"}, needs=("two joints",), size=_label_swap)
+
+
+def _varying_noise(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
+    return {
+        "slope": a
+        * rng.uniform(2.0, 6.0)
+        / np.sqrt((np.gradient(s.motion.points[:, -1], s.motion.time, axis=0) ** 2).sum(-1).mean())
+    }
+
+
+sight("varying_noise", units={"slope": "s/m"}, size=_varying_noise)

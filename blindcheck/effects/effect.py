@@ -1,0 +1,54 @@
+"""An effect as the blind check plays it: where it acts, its units, how large it is drawn, and what installs it.
+
+A mechanism of the dynamics is one function with the decorator :func:`mechanism` above it; what the camera sees is told
+by :func:`sight`, and played by `camera`. All of them are gathered in `EFFECTS`, in the order in which they are told.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from invdyn.blindcheck.scene import Scene
+
+Size = Callable[[np.random.Generator, Scene, int, float], dict]
+"""Draw of parameters: (generator, scene, place, strength) → name → value."""
+
+
+@dataclass(frozen=True)
+class Injected:
+    """One effect.
+
+    Attributes:
+        name: of the catalogue.
+        site: "joint", "link", "keypoint" or "arm".
+        units: of every parameter, "1" where it has none; non-ideal forms have the last ones besides.
+        size: draws the parameters.
+        install: (world, place, **parameters), or (world, **parameters) of the whole arm; None for what the camera sees.
+        needs: what a case with it must have: "command", "gravity", "clock" (known torque), "two joints".
+    """
+
+    name: str
+    site: str
+    units: Mapping[str, str]
+    size: Size
+    install: Callable[..., None] | None
+    needs: tuple[str, ...]
+
+
+EFFECTS: dict[str, Injected] = {}
+
+
+def mechanism(*, units: Mapping[str, str], size: Size, site: str = "joint", needs: tuple[str, ...] = ()) -> Callable:
+    """Decorate the function that installs an effect of the dynamics; its name is the effect's."""
+
+    def tell(install: Callable[..., None]) -> Callable[..., None]:
+        EFFECTS[install.__name__] = Injected(install.__name__, site, units, size, install, needs)
+        return install
+
+    return tell
+
+
+def sight(name: str, *, units: Mapping[str, str], size: Size, site: str = "arm", needs: tuple[str, ...] = ()) -> None:
+    """Tell of an effect on what the camera sees."""
+    EFFECTS[name] = Injected(name, site, units, size, None, needs)

@@ -1,0 +1,169 @@
+"""Forces of joints: friction, drag, springs, stops. Each function installs one effect in a `World`, in MuJoCo's terms.
+
+Where MuJoCo has the effect, its own part plays it; else a force is applied at every step. Joints count from 0.
+
+    viscous, coulomb             dof_damping, dof_frictionloss
+    stribeck, load friction      dof_frictionloss rewritten every step, so that sticking stays MuJoCo's own; Stribeck's
+                                 also through bristles, applied (`nonideal_mechanisms`)
+    stiffness, coupling          springs of joints, of a fixed tendon
+"""
+
+import numpy as np
+
+from invdyn.blindcheck.effects.effect import mechanism
+from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
+from invdyn.blindcheck.motion import between
+from invdyn.blindcheck.nonideal_mechanisms import bristles
+from invdyn.blindcheck.scene import NONIDEAL, Scene, sign
+from invdyn.blindcheck.simulator import World
+
+
+def _viscous_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"damping": a * between(rng, 0.04, 0.2) * s.torque[k] / s.speed[k]}
+
+
+@mechanism(units={"damping": "N·m·s/rad"}, size=_viscous_friction)
+def viscous_friction(world: World, joint: int, damping: float) -> None:
+    """−b θ̇."""
+    set_joint(world, joint, damping=damping)
+
+
+def _coulomb_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"torque": a * between(rng, 0.04, 0.15) * s.torque[k]}
+
+
+@mechanism(units={"torque": "N·m"}, size=_coulomb_friction)
+def coulomb_friction(world: World, joint: int, torque: float) -> None:
+    """−τc sgn θ̇, and up to ±τc at rest."""
+    set_joint(world, joint, frictionloss=torque)
+
+
+def _stribeck_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    coulomb = a * between(rng, 0.03, 0.1) * s.torque[k]
+    static = coulomb * rng.uniform(1.5, 3.0)
+    level = {"coulomb": coulomb, "static": static, "velocity": rng.uniform(0.2, 0.6) * s.speed[k]}
+    if rng.random() > NONIDEAL:
+        return level
+    stiffness = static / between(rng, 3e-4, 3e-3)  # bent by so many radians it slips
+    damping = 2 * rng.uniform(0.3, 0.8) * np.sqrt(stiffness * s.inertia[k])
+    return level | {"bristle_stiffness": stiffness, "bristle_damping": damping}
+
+
+@mechanism(
+    units={
+        "coulomb": "N·m",
+        "static": "N·m",
+        "velocity": "rad/s",
+        "bristle_stiffness": "N·m/rad",
+        "bristle_damping": "N·m·s/rad",
+    },
+    size=_stribeck_friction,
+)
+def stribeck_friction(
+    world: World,
+    joint: int,
+    coulomb: float,
+    static: float,
+    velocity: float,
+    bristle_stiffness: float | None = None,
+    bristle_damping: float | None = None,
+) -> None:
+    """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇; through bristles, where they have a stiffness."""
+    if bristle_stiffness is not None:
+        return bristles(world, joint, coulomb, static, velocity, bristle_stiffness, bristle_damping)
+    set_joint(world, joint, frictionloss=static)
+
+    def act(t, model, data):
+        h = world.hinge(joint)
+        model.dof_frictionloss[h] = coulomb + (static - coulomb) * np.exp(-((data.qvel[h] / velocity) ** 2))
+
+    world.on_step(act)
+
+
+def _load_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"coefficient": a * rng.uniform(0.08, 0.3)}
+
+
+@mechanism(units={"coefficient": "1"}, size=_load_friction)
+def load_friction(world: World, joint: int, coefficient: float) -> None:
+    """−k |τset_motor − τ_external| sgn θ̇, with τ_external what gravity, Coriolis and centrifugal forces exert."""
+    set_joint(world, joint, frictionloss=1e-9)
+
+    def act(t, model, data):
+        h = world.hinge(joint)
+        # qfrc_bias is the load that the motor would have to carry: minus what they exert. One step old: ½ ms
+        load = data.qfrc_actuator[h] + data.qfrc_bias[h]
+        model.dof_frictionloss[h] = max(coefficient * abs(load), 1e-9)
+
+    world.on_step(act)
+
+
+def _quadratic_drag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"drag": a * between(rng, 0.03, 0.12) * s.torque[k] / s.speed[k] ** 2}
+
+
+@mechanism(units={"drag": "N·m·s²/rad²"}, size=_quadratic_drag)
+def quadratic_drag(world: World, joint: int, drag: float) -> None:
+    """−c θ̇ |θ̇|."""
+    applied(world, joint, lambda t, q, qd: -drag * qd[joint] * abs(qd[joint]))
+
+
+def _joint_stiffness(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {
+        "stiffness": a * between(rng, 0.1, 0.5) * s.torque[k],
+        "rest_angle": s.plan.centre[k] + rng.uniform(-0.8, 0.8),
+    }
+
+
+@mechanism(units={"stiffness": "N·m/rad", "rest_angle": "rad"}, size=_joint_stiffness)
+def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: float) -> None:
+    """−k (θ − θ₀)."""
+    set_joint(world, joint, stiffness=stiffness, springref=rest_angle)
+
+
+def _joint_coupling(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {
+        "stiffness": a * between(rng, 0.1, 0.4) * s.torque[k],
+        "ratio": sign(rng) * rng.uniform(0.4, 1.2),
+    }
+
+
+@mechanism(units={"stiffness": "N·m/rad", "ratio": "1"}, needs=("two joints",), size=_joint_coupling)
+def joint_coupling(world: World, joint: int, stiffness: float, ratio: float) -> None:
+    """A spring on θᵢ − r θⱼ, with i the joint and j the one before it: on i, −k (θᵢ − r θⱼ);
+    on j, r times the opposite.
+    """
+
+    def change(spec):
+        tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[0.0, 0.0])
+        set_part(tendon, {"stiffness": stiffness})
+        tendon.wrap_joint(world.segments[world.hinge(joint)].hinge, 1.0)
+        tendon.wrap_joint(world.segments[world.hinge(joint - 1)].hinge, -ratio)
+
+    world.on_spec(change)
+
+
+def _joint_limit(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    side = sign(rng)
+    # strength is how far into the stop the free motion would go
+    quantile = 1 - a * rng.uniform(0.12, 0.3)
+    q = s.motion.q[:, k]
+    stiffness = rng.uniform(5.0, 20.0) * max(s.torque[k], s.inertia[k] * s.speed[k] ** 2)
+    damping = rng.uniform(0.1, 0.5) * 2 * np.sqrt(stiffness * s.inertia[k])
+    return {
+        "angle": np.quantile(q, quantile if side > 0 else 1 - quantile),
+        "stiffness": stiffness,
+        "damping": damping,
+        "side": side,
+    }
+
+
+@mechanism(units={"angle": "rad", "stiffness": "N·m/rad", "damping": "N·m·s/rad", "side": "1"}, size=_joint_limit)
+def joint_limit(world: World, joint: int, angle: float, stiffness: float, damping: float, side: float) -> None:
+    """A spring-damper past θ_lim (side +1: above it, −1: below) that pushes and never pulls."""
+
+    def torque(t, q, qd):
+        depth = side * (q[joint] - angle)
+        return -side * max(0.0, stiffness * depth + damping * side * qd[joint]) if depth > 0 else 0.0
+
+    applied(world, joint, torque)

@@ -1,0 +1,107 @@
+"""What motors make of a command: MuJoCo's gear, filter and force range, or the command changed on its way.
+
+backlash     a rotor of its own inertia (taken from the link's, so that with no play nothing changes) and a second
+hinge with stops ±width/2
+"""
+
+from collections import deque
+
+import numpy as np
+
+from invdyn.blindcheck.effects.effect import mechanism
+from invdyn.blindcheck.effects.parts import set_motor, set_part
+from invdyn.blindcheck.motion import between
+from invdyn.blindcheck.scene import Scene, natural_hz, sign
+from invdyn.blindcheck.simulator import Segment, World
+
+ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is play between motor and link
+
+
+def _actuator_gain(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"gain": a * sign(rng) * rng.uniform(0.1, 0.25)}
+
+
+@mechanism(units={"gain": "1"}, needs=("command",), size=_actuator_gain)
+def actuator_gain(world: World, joint: int, gain: float) -> None:
+    """(1 + ε) u."""
+    set_motor(world, joint, gear=[1 + gain, 0, 0, 0, 0, 0])
+
+
+def _actuator_delay(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"delay": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)}
+
+
+@mechanism(units={"delay": "s"}, needs=("command",), size=_actuator_delay)
+def actuator_delay(world: World, joint: int, delay: float) -> None:
+    """u(t − T), as a ring buffer of the steps' commands; before the first, the first."""
+    ring: deque[float] = deque()
+
+    def change(i, step, u):
+        if i == 0:
+            ring.clear()
+        ring.append(u[joint])
+        whole, part = divmod(delay / step, 1.0)
+        if len(ring) > whole + 2:
+            ring.popleft()
+        # the mean over the step of what was held: a delay need not be a multiple of the step
+        late = [ring[max(len(ring) - 1 - int(whole) - back, 0)] for back in (0, 1)]
+        return np.where(np.arange(len(u)) == joint, (1 - part) * late[0] + part * late[1], u)
+
+    world.on_command(change)
+
+
+def _actuator_lag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"time_constant": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)}
+
+
+@mechanism(units={"time_constant": "s"}, needs=("command",), size=_actuator_lag)
+def actuator_lag(world: World, joint: int, time_constant: float) -> None:
+    """T u̇_f + u_f = u."""
+
+    def change(spec):
+        motor = spec.actuator(world.segments[world.hinge(joint)].hinge)
+        # not mjDYN_FILTEREXACT, whose decay over a step is exact without Runge–Kutta: with it, it decays twice, as a
+        # time constant longer by half a step
+        motor.dyntype = world.mujoco.mjtDyn.mjDYN_FILTER
+        set_part(motor, {"dynprm": time_constant})
+
+    world.on_spec(change)
+
+
+def _actuator_saturation(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    u = np.abs(s.motion.command[:, k])
+    return {"limit": s.peak[k] - a * (s.peak[k] - np.quantile(u, rng.uniform(0.6, 0.85)))}
+
+
+@mechanism(units={"limit": "N·m"}, needs=("command",), size=_actuator_saturation)
+def actuator_saturation(world: World, joint: int, limit: float) -> None:
+    """Of the command u, clip(u, ±u_max)."""
+    set_motor(world, joint, forcerange=[-limit, limit], forcelimited=True)
+
+
+def _actuator_deadzone(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"width": a * rng.uniform(0.02, 0.06) * s.peak[k]}
+
+
+@mechanism(units={"width": "N·m"}, needs=("command",), size=_actuator_deadzone)
+def actuator_deadzone(world: World, joint: int, width: float) -> None:
+    """Of the command u, u − clip(u, ±d)."""
+    world.on_command(lambda i, step, u: np.where(np.arange(len(u)) == joint, u - np.clip(u, -width, width), u))
+
+
+def _backlash(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"width": a * np.deg2rad(between(rng, 0.5, 2.0))}
+
+
+@mechanism(units={"width": "rad"}, needs=("command",), size=_backlash)
+def backlash(world: World, joint: int, width: float) -> None:
+    """Play of so much in all between the motor, with a rotor's inertia, and the link."""
+    place = world.hinge(joint)
+    link = world.segments[place]
+    rotor = ROTOR_SHARE * link.inertia
+    # the rotor has mass 1e-9 of the link's, because MuJoCo lets no moving body have none
+    motor = Segment(link.hinge, 0.0, 1e-9 * link.mass, 0.0, rotor, joint, None)
+    link.hinge, link.driven, link.inertia = f"play{joint}", False, link.inertia - rotor
+    world.segments.insert(place, motor)
+    limits = {"limited": True, "range": [-width / 2, width / 2]}
+    world.on_spec(lambda spec: set_part(spec.joint(f"play{joint}"), limits))

@@ -1,0 +1,36 @@
+"""Parts of a `World` that mechanisms set: hinges, motors, applied torques. Joints count from 0 at the base."""
+
+import numpy as np
+
+from invdyn.blindcheck.simulator import World
+
+
+def set_joint(world: World, joint: int, **attributes) -> None:
+    """Set attributes of the hinge that a joint's motor drives, as mjSpec calls them."""
+    world.on_spec(lambda spec: set_part(spec.joint(world.segments[world.hinge(joint)].hinge), attributes))
+
+
+def set_motor(world: World, joint: int, **attributes) -> None:
+    """Set attributes of a joint's motor, as mjSpec calls them."""
+    world.on_spec(lambda spec: set_part(spec.actuator(world.segments[world.hinge(joint)].hinge), attributes))
+
+
+def set_part(element, attributes: dict) -> None:
+    """Set attributes of a part of an MjSpec."""
+    for name, value in attributes.items():
+        if np.ndim(getattr(element, name)) == 1 and np.ndim(value) == 0:  # newer MuJoCos have polynomials here
+            value = [value, *np.zeros(len(getattr(element, name)) - 1)]
+        setattr(element, name, value)
+
+
+def applied(world: World, joint: int, torque) -> None:
+    """Apply `torque(t, q, qd)`, N·m, at a joint; q and qd are those of the chain's joints (K,)."""
+
+    def act(t, model, data):
+        driven = [world.hinge(k) for k in range(world.num_joints)]
+        # the force is held over the step, so it is taken at the middle, from the last acceleration
+        half = model.opt.timestep / 2
+        q, qd = data.qpos[driven] + half * data.qvel[driven], data.qvel[driven] + half * data.qacc[driven]
+        data.qfrc_applied[driven[joint]] += torque(t + half, q, qd)
+
+    world.on_step(act)

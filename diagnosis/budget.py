@@ -1,0 +1,119 @@
+"""How much work a diagnosis may take, what it is trying, and which candidates it had no time for.
+
+A real recording always has something left, so a search that ends when nothing is left does not end. Work is counted,
+not timed: the same recording is answered alike by every machine and any number of workers. Its unit is one pass, a
+linearisation of the plain arm along every row; a model with hidden states or sub-steps takes more of them,
+
+    work = passes · T (D/D₀)² (3 + s)/4,        T rows, D states, D₀ those of the plain arm, s sub-steps a row,
+
+and a budget allows so many passes a row. Seconds, where somebody asks for them, end it by the clock instead; what is
+found then depends on the machine. The best so far is always an answer (anytime algorithms: Dean & Boddy 1988).
+"""
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from invdyn.models import ArmModel
+
+T = TypeVar("T")
+
+PASSES = 11000.0
+"""A row, by default, of 1,000 rows at least: two minutes at most for those on two cores (benchmarks/README.md)."""
+SHORT = 1000
+"""Rows: a shorter recording may take as much work as one of so many; nearly all need less."""
+GAP = 10.0
+"""Times as long as other models one with play takes, whose gap is worked out row by row."""
+SEARCH = 0.75
+"""Of the budget that the search may take; the rest is for what is said of its causes."""
+
+
+class Spent(ValueError):
+    """The budget is spent: a candidate is not looked at."""
+
+
+@dataclass
+class Budget:
+    """Work and seconds that are left; without limits unless some are given.
+
+    Attributes:
+        work: allowed, in passes times rows.
+        seconds: allowed, by ``clock``.
+        told: called with what is being tried, by the process that made the budget.
+        done: work so far.
+        missed: names of candidates that were not looked at.
+        share: of work and seconds that may be used for now; all may be begun while it is infinite.
+    """
+
+    work: float = math.inf
+    seconds: float = math.inf
+    clock: Callable[[], float] = time.monotonic
+    told: Callable[[str], None] | None = None
+    done: float = 0.0
+    missed: frozenset[str] = frozenset()
+    share: float = math.inf
+    begun: float = field(init=False)
+    process: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin now, in this process."""
+        self.begun, self.process = self.clock(), os.getpid()
+
+    def __getstate__(self) -> dict:
+        """Without clock and listener: a copy in another process has the usual clock and tells nobody."""
+        return self.__dict__ | {"told": None, "clock": time.monotonic}
+
+    @property
+    def over(self) -> bool:
+        """Whether the share for now is spent."""
+        return self.done >= self.share * self.work or self.clock() - self.begun >= self.share * self.seconds
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        return "counted work, the same on every machine" if math.isinf(self.seconds) else f"{self.seconds:g} s"
+
+    def ask(self, *names: str) -> None:
+        """Say that ``names`` are looked at now; raises :class:`Spent` where nothing is left for them."""
+        if self.over:
+            self.missed |= set(names)
+            raise Spent("the budget is spent")
+        if self.told is not None and os.getpid() == self.process:
+            self.told(names[0] if len(names) == 1 else f"{len(names)} effects")
+
+    def spend(self, passes: float, model: ArmModel, rows: int) -> None:
+        """Count ``passes`` of a model along so many rows."""
+        plain = model.torque_size + 2 * model.body.num_joints
+        passes *= GAP if model.driven is not None else 1.0
+        self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
+
+    def apart(self, part: Callable[[], T]) -> "Outcome[T]":
+        """Run a part as if it were the only one that was begun."""
+        before, results = (self.done, self.missed), []
+        try:
+            with suppress(Spent):
+                results.append(part())
+            return Outcome(results, self.done - before[0], self.missed)
+        finally:
+            self.done, self.missed = before
+
+    def together(self, outcomes: "Sequence[Outcome[T]]") -> list[T]:
+        """Results of parts that ran :meth:`apart`, whose work counts from now on; raises as one of them did."""
+        self.done += sum(each.work for each in outcomes)
+        self.missed = self.missed.union(*(each.missed for each in outcomes))
+        if not all(each.results for each in outcomes):
+            raise Spent("the budget is spent")
+        return [each.results[0] for each in outcomes]
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[T]):
+    """What came of a part: its result, none where the budget ended it, its work, and what was missed by then."""
+
+    results: list[T]
+    work: float
+    missed: frozenset[str]

@@ -1,0 +1,37 @@
+"""A long recording in fewer rows: encoders and keypoints seen less often, each still evenly, and every command kept.
+
+A diagnosis takes time and memory by the row. A log of 500 rows/s says next to nothing that one of 100 does not say as
+well; what drives the arm in between is known, and a row carries it as it came. Of two streams the rarer one, a camera's
+beside encoders, keeps up to half of the rows.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn.recordings import Recording
+
+ROWS = 2000
+"""With an observation, at most, of one recording."""
+
+
+def thinned(recording: Recording, most: int = ROWS) -> Recording:
+    """``recording`` with no more than ``most`` rows of observations; itself where it has no more. NaN elsewhere."""
+    streams = {"keypoints": recording.keypoints, "angles": recording.angles}
+    seen = {
+        name: np.flatnonzero(np.isfinite(values).reshape(len(values), -1).any(1))
+        for name, values in streams.items()
+        if values is not None and values.size
+    }
+    if len(np.unique(np.concatenate(list(seen.values())))) <= most:
+        return recording
+    changed, room = {}, most
+    for place, (name, rows) in enumerate(sorted(seen.items(), key=lambda each: len(each[1]))):
+        share = room // (len(seen) - place)
+        every = -(-len(rows) // max(share, 1)) or 1
+        kept = rows[::every]
+        room -= len(kept)
+        values = np.full_like(streams[name], np.nan)
+        values[kept] = streams[name][kept]
+        changed[name] = values
+    return replace(recording, **changed)

@@ -1,0 +1,47 @@
+"""The memory that filters would take, said before it is asked for.
+
+What a run holds at once is bounded from below, so that nothing is refused that fits: of M filters in tasks of m, with N
+particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
+
+    particles     4 T m N (D + 2) bytes     every row's states, weights and ancestors, of one task, in float32
+    trajectories  8 · 2 T M R D bytes       of all filters, in float64, as drawn and as they are saved
+"""
+
+import os
+from pathlib import Path
+
+from invdyn.inference.methods.smc import SMCOptions
+from invdyn.recordings import InputError
+
+PARTICLES = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "vsmc"})
+"""Methods that keep particles; the others have trajectories alone."""
+
+
+def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str, ...]) -> None:
+    """Raise InputError, with what it would take, where ``rows`` of that many joints do not fit into this machine."""
+    state = 3 * joints
+    per_task = options.filters_per_task or (32 if options.device == "cpu" else options.num_filters)
+    at_once = min(options.num_filters, per_task)
+    taken = {
+        "--filters × --draws": 16 * rows * options.num_filters * options.num_draws * state,
+        "--particles": 4 * rows * at_once * options.num_particles * (state + 2) if PARTICLES & {*methods} else 0,
+    }
+    what, most = max(taken.items(), key=lambda each: each[1])
+    if most > (there := total_memory()):
+        raise InputError(
+            f"{what}: {options.num_filters} filters of {options.num_particles} particles and {options.num_draws} draws "
+            f"over {rows} rows take {most / 1e9:.3g} GB of memory or more, and {there / 1e9:.3g} are there: take fewer"
+        )
+
+
+def total_memory() -> float:
+    """Bytes that this process may have, of the machine or of its control group; infinite where nobody tells."""
+    try:
+        found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        found = float("inf")
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii").strip()
+        return min(found, float(limit)) if limit.isdecimal() else found
+    except OSError:
+        return found

@@ -1,0 +1,1 @@
+"""Markov chains of whole paths: particle Gibbs, NUTS, and how well they mix."""

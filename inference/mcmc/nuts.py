@@ -1,0 +1,78 @@
+"""NUTS over the whole path of a state-space model.
+
+Hoffman & Gelman (2014), "The No-U-Turn Sampler". The path is written through standard normals, non-centred,
+by the Gaussian smoother's chain (:class:`.gaussian_chain.GaussianChain`), x = path(ε): near ε ~ N(0, I)
+where the posterior is nearly Gaussian, however stiff the dynamics, so that steps of order one fit all
+coordinates. Its target is exact: log p(x(ε), y), as the map's Jacobian is constant.
+"""
+
+from collections.abc import Callable
+
+import pyro
+import torch
+from pyro.distributions import Normal
+from pyro.infer import MCMC, NUTS
+from torch import Tensor
+
+from invdyn.inference.execution.progress import Report
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
+from invdyn.models import StateSpaceModel
+
+
+def whitened_model(model: StateSpaceModel, observations: Tensor, chain: GaussianChain) -> Callable[[], None]:
+    """The Pyro model whose site "noise" (T, D) makes the path, distributed as p(x, y)."""
+
+    def noise_to_path() -> None:
+        noise = pyro.sample("noise", Normal(torch.zeros_like(chain.loc), 1.0).to_event(2))
+        # In place of the standard normal's own density.
+        pyro.factor("ratio", model.log_joint(chain.path(noise), observations) + 0.5 * noise.square().sum())
+
+    return noise_to_path
+
+
+def sample_paths(
+    model: StateSpaceModel,
+    observations: Tensor,
+    whitening: GaussianChain,
+    *,
+    chains: int,
+    draws: int,
+    warmup: int,
+    seed: int = 0,
+    progress: Report | None = None,
+) -> tuple[Tensor, int]:
+    """Paths (C, S, T, D) of ``chains`` chains of ``draws`` draws, and the number of divergent steps.
+
+    Args:
+        model: in float64, its parameters known.
+        observations: (T, O), NaN where missing.
+        whitening: the chain whose innovations are sampled, near the posterior.
+        chains, draws, warmup: chains, begun apart from one another, and steps of each that are kept and thrown away.
+        seed: of torch's global generator, which the chains set, each its own.
+        progress: called with (steps done, steps) of all chains.
+    """
+    target = whitened_model(model, observations, whitening)
+    paths, divergent, done = [], 0, 0
+
+    def report(*_: object) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, chains * (warmup + draws))
+
+    for number in range(chains):
+        # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
+        torch.manual_seed(seed * 1_000_003 + number)
+        begin = {"noise": 2 * torch.randn(whitening.loc.shape, dtype=torch.float64)}
+        sampler = MCMC(
+            NUTS(target, max_tree_depth=8),
+            num_samples=draws,
+            warmup_steps=warmup,
+            initial_params=begin,
+            hook_fn=report,
+            disable_progbar=True,
+        )
+        sampler.run()
+        paths.append(whitening.path(sampler.get_samples()["noise"]))
+        divergent += len(sampler.diagnostics()["divergences"]["chain 0"])
+    return torch.stack(paths), divergent

@@ -1,0 +1,118 @@
+"""Whether a saved posterior has the layout that :mod:`.posterior` documents: what is read is checked once, here.
+
+Every variable below has these dimensions, finite numbers within ±10¹⁵ (a detection may be missing), and names and
+units that can be printed. What else a file holds is its own affair.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import xarray as xr
+
+from invdyn.recordings import InputError, check_readable
+
+JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
+NEEDED = {
+    "posterior": dict.fromkeys(("torque", "angle", "velocity"), ("chain", "draw", *JOINTS))
+    | {"position": ("chain", "draw", *TIPS)},
+    "sample_stats": {"log_weight": ("chain",)},
+    "observed_data": {},
+    "constant_data": {},
+}
+OPTIONAL = {
+    "posterior_predictive": {"position": ("chain", "draw", *TIPS), "angle": ("chain", "draw", *JOINTS)},
+    "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
+    "observed_data": {"position": TIPS, "angle": JOINTS},
+    "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
+    | {"base": ("space",)},
+}
+MISSING = {"observed_data", "constant_data"}
+"""Groups in which a number may be missing."""
+MAY_HAVE_NONE = {"log_evidence"}
+"""Variables that are NaN where a method has none."""
+NUMBERS, TEXTS = ("log_evidence", "outer_ess"), ("method",)
+"""Attributes of the whole."""
+LARGEST, LONGEST = 1e15, 100
+"""Of any number, and of any name in characters."""
+TIGHTEST = 1100
+"""Times that deflate makes bytes fewer, at most (1032, and a little for the rest of a file)."""
+
+
+def check_size(idata: az.InferenceData, path: str | Path) -> None:
+    """Raise InputError where a file of that size cannot hold what it says it holds; nothing is read yet."""
+    declared = sum(idata[group].nbytes for group in idata.groups())
+    there = check_readable(path).stat().st_size
+    if declared > TIGHTEST * there:
+        raise InputError(f"{path} is damaged: its {there} bytes cannot hold the {declared:.3g} that it declares")
+
+
+def check_layout(idata: az.InferenceData) -> None:
+    """Raise InputError unless a posterior, in memory, has this layout."""
+    if missing := [group for group in NEEDED if group not in idata.groups()]:
+        raise InputError(f"no posterior of invdyn: it lacks {', '.join(missing)}")
+    for group, needed in NEEDED.items():
+        if lacking := [name for name in needed if name not in idata[group]]:
+            raise InputError(f"no posterior of invdyn: it lacks {group}/{lacking[0]}")
+    for name in (*NUMBERS, *TEXTS):
+        _check_attribute(name, idata.attrs.get(name))
+    sizes = dict(idata["posterior"].sizes)
+    for group, name, dims in _there(idata):
+        _check_variable(f"{group}/{name}", idata[group][name], dims, group in MISSING or name in MAY_HAVE_NONE)
+        if group == "posterior_predictive" or name == "position":  # of the keypoints that were tracked
+            continue
+        if wrong := [d for d in dims if d in sizes and idata[group].sizes[d] != sizes[d]]:
+            raise InputError(f"{group}/{name}: expected {sizes[wrong[0]]} of {wrong[0]}, as torque has")
+    _check_time(idata["posterior"])
+    tracked = idata["observed_data"].get("position")
+    if tracked is not None and tracked.sizes["time"] != sizes["time"]:
+        raise InputError(f"observed_data/position: expected {sizes['time']} times, as torque has")
+    for group, dim in (("posterior", "joint"), ("posterior", "keypoint"), ("observed_data", "keypoint")):
+        if dim in idata[group].dims:
+            _check_names(f"{group}/{dim}", idata[group])
+    if tracked is not None and not {*tracked["keypoint"].values} <= {*idata["posterior"]["keypoint"].values}:
+        raise InputError("observed_data/keypoint: expected names that posterior/keypoint has")
+
+
+def _there(idata: az.InferenceData) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Group, name and dimensions of each variable of the layout that the file has."""
+    for layout in (NEEDED, OPTIONAL):
+        for group, variables in layout.items():
+            if group in idata.groups():
+                yield from ((group, name, dims) for name, dims in variables.items() if name in idata[group])
+
+
+def _check_variable(what: str, values: xr.DataArray, dims: tuple[str, ...], may_miss: bool) -> None:
+    if set(values.dims) != set(dims) or values.dtype.kind not in "fiub" or not values.size:
+        raise InputError(f"{what}: expected numbers over {', '.join(dims)}, got {values.dtype} over {values.dims}")
+    numbers = np.abs(values.to_numpy().astype(np.float64))
+    if np.nanmax(numbers, initial=0.0) > LARGEST or (not may_miss and np.isnan(numbers).any()):
+        raise InputError(f"{what}: expected finite numbers up to {LARGEST:.0e}, it has others")
+    if not _printable(values.attrs.get("units", None if what.startswith("posterior/") else "1")):
+        raise InputError(f"{what}: expected its unit as text, in the attribute units")
+
+
+def _check_time(posterior: xr.Dataset) -> None:
+    time = posterior["time"].to_numpy() if "time" in posterior.coords else np.empty(0)
+    rises = len(time) > 1 and time.dtype.kind == "f" and np.isfinite(time).all() and (np.diff(time) > 0).all()
+    if not rises or np.abs(time).max() > LARGEST:
+        raise InputError("posterior/time: expected times in s that increase")
+
+
+def _check_names(what: str, data: xr.Dataset) -> None:
+    dim = what.rpartition("/")[2]
+    names = data[dim].to_numpy().tolist() if dim in data.coords else []
+    if not names or len(set(map(str, names))) < len(names) or not all(map(_printable, names)):
+        raise InputError(f"{what}: expected names, each once, of up to {LONGEST} characters that can be printed")
+
+
+def _check_attribute(name: str, value: object) -> None:
+    if name in TEXTS and not _printable(value):
+        raise InputError(f"attribute {name}: expected a text, got {value!r:.60}")
+    if name in NUMBERS and (not isinstance(value, float | int | np.number) or abs(value) > LARGEST):
+        raise InputError(f"attribute {name}: expected a number, got {value!r:.60}")
+
+
+def _printable(text: object) -> bool:
+    return isinstance(text, str) and bool(text.strip()) and text.isprintable() and len(text) <= LONGEST

@@ -1,0 +1,194 @@
+"""The commands of films of several cameras: `invdyn calibrate` and `invdyn triangulate`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .console import ProgressBar, check_outputs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(calibrate)
+    app.command()(triangulate)
+
+
+def calibrate(
+    films: Annotated[
+        list[str], typer.Argument(help="CAMERA=FILM for each camera, a film or a folder of pictures of one board.")
+    ],
+    board: Annotated[str, typer.Option(help="checkerboard:9x6 (inner corners) or charuco:7x5 (squares).")],
+    square: Annotated[float, typer.Option(help="Side of a square, m.")],
+    out: Annotated[Path, typer.Option(help="The calibration: .toml.")],
+    marker: Annotated[float | None, typer.Option(help="Side of a marker, m; default: half a square.")] = None,
+    dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV calls it.")] = "DICT_4X4_50",
+    every: Annotated[int, typer.Option(min=1, help="Search every n-th frame of a film.")] = 10,
+) -> None:
+    """Calibrate cameras from films of a board that was shown to all of them."""
+    from invdyn.recordings import InputError
+    from invdyn.recordings.cameras import Board, write_calibration
+    from invdyn.recordings.cameras import calibrate as run
+
+    sources: dict[str, Path] = {}
+    for film in films:
+        name, equals, path = film.partition("=")
+        path = Path(path if equals else film)
+        name = name if equals else path.stem
+        if name in sources:
+            raise InputError(f"camera {name!r} has two films: write CAMERA=FILM, each with its own name")
+        sources[name] = path
+    check_outputs([out], sources.values())
+    shown = Board.parse(board, square, marker, dictionary)
+    with ProgressBar() as progress:
+        calibration, lenses = run(sources, shown, every, progress)
+    write_calibration(calibration, out)
+    typer.echo(f"{'camera':<14} {'pictures':>8} {'error px':>8} {'focal px':>18} {'position m':>26}")
+    for camera in calibration:
+        lens = lenses[camera.name]
+        focal = f"{lens.matrix[0, 0]:.1f} ± {lens.focal_sd[0]:.1f}"
+        place = ", ".join(f"{each:.3f}" for each in camera.position)
+        typer.echo(f"{camera.name:<14} {lens.pictures:>8} {lens.error:>8.3f} {focal:>18} {place:>26}")
+    first = calibration.names[0]
+    typer.echo(f"{len(calibration)} together: {calibration.error:.3f} px; frame and origin are those of {first}")
+    typer.echo(f"calibration  {out}")
+
+
+def triangulate(
+    tracks: Annotated[
+        list[str], typer.Argument(help="Tracks in pixels, one file a camera: CAMERA=FILE, or files called as cameras.")
+    ],
+    calibration: Annotated[
+        list[Path],
+        typer.Option(help="Calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
+    ],
+    out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
+    unit: Annotated[str | None, typer.Option(help="Of the calibration, if it does not say: m, cm, mm.")] = None,
+    length: Annotated[
+        list[str] | None,
+        typer.Option(help="Known: shoulder:elbow=0.28, m, or, with --body, upper_arm=0.28; repeatable."),
+    ] = None,
+    body: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Body whose links --length may name: .toml, .xml or .urdf.")
+    ] = None,
+    baseline: Annotated[str | None, typer.Option(help="Known distance of two cameras: cam1:cam2=1.2, m.")] = None,
+    offset: Annotated[
+        list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+    ] = None,
+    find: Annotated[
+        float | None, typer.Option("--find-offsets", min=0.001, help="Find offsets of up to so many seconds.")
+    ] = None,
+    up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
+    refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
+    free: Annotated[str, typer.Option(help="With --refine, of the lenses: focal, distortion, or both.")] = "",
+    noise: Annotated[float | None, typer.Option(min=1e-6, help="Scale of a pixel's error, px; default: found.")] = None,
+    errors: Annotated[Path | None, typer.Option(help="Reprojection errors by camera and keypoint: .csv.")] = None,
+    sd: Annotated[Path | None, typer.Option(help="Standard deviations of all coordinates: .csv, m.")] = None,
+    calibration_out: Annotated[
+        Path | None, typer.Option(help="The cameras in the recording's frame, in metres: .toml.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the files do not say.")] = None,
+    format: Annotated[str | None, typer.Option(help="Of the files, if it is not plain from them.")] = None,
+    individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
+) -> None:
+    """Turn the tracks of several cameras into one recording in space."""
+    from invdyn.recordings import InputError, write_keypoint_csv, write_table, write_text
+    from invdyn.recordings.cameras import (
+        Length,
+        at_one_time,
+        find_offsets,
+        match_names,
+        read_calibration,
+        read_tracks,
+        reconstruct,
+        write_calibration,
+    )
+    from invdyn.recordings.cameras.reprojection import csv_text, table
+
+    offsets = dict(map(_offset, offset or ()))
+    if offsets and find is not None:
+        raise InputError("--offset states what --find-offsets looks for: choose one")
+    lengths = [_length(text, body) for text in length or ()]
+    cameras = read_calibration(calibration, unit)
+    files = match_names(tracks, cameras.names)
+    check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
+    with ProgressBar() as progress:
+        films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
+        if find is not None:
+            offsets = find_offsets(films, cameras, find, progress)
+        views = at_one_time(films, cameras, offsets)
+        progress(0, 1, "triangulate")
+        scene = reconstruct(
+            views,
+            lengths=lengths,
+            baseline=None if baseline is None else Length.parse(baseline),
+            up=up,
+            refine=refine,
+            intrinsics=[word.strip() for word in free.split(",") if word.strip()],
+            scale=noise,
+            name=out.stem,
+        )
+        progress(1, 1, "triangulate")
+    recording = scene.recording
+    write_keypoint_csv(recording, out)
+    written = {"recording": out}
+    if errors is not None:
+        write_text(errors, csv_text(scene.rows))
+        written["errors"] = errors
+    if sd is not None:
+        columns = {
+            f"{point}_{axis}_sd": scene.sd[:, p, s]
+            for p, point in enumerate(recording.keypoint_names)
+            for s, axis in enumerate("xyz")
+        }
+        write_table({"time": recording.time, **columns}, sd)
+        written["spread"] = sd
+    if calibration_out is not None:
+        write_calibration(scene.calibration, calibration_out)
+        written["cameras"] = calibration_out
+    typer.echo(table(scene.rows))
+    known = _share_known(recording.keypoints)
+    typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
+    for name, seconds in offsets.items():
+        typer.echo(f"times of {name} run ahead by {seconds:+.4f} s")
+    if scene.factor != 1:
+        typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
+    typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
+
+
+def _share_known(points: object) -> float:
+    import numpy as np
+
+    return float(np.isfinite(points).all(-1).mean())
+
+
+def _length(text: str, body: str | None) -> Any:
+    """Read "shoulder:elbow=0.28", or a link of the body file, "upper_arm=0.28". Raises InputError for anything else."""
+    from invdyn.recordings import InputError
+    from invdyn.recordings.cameras import Length
+
+    name, equals, number = text.partition("=")
+    if body is not None and ":" not in name:
+        from .inputs import load_body
+
+        links = {link.name: link for link in load_body(body).links}
+        if name not in links:
+            raise InputError(f"--length {text}: the body has no link {name!r}, but {', '.join(links)}")
+        text = f"{links[name].joint}:{links[name].tip}{equals}{number}"
+    return Length.parse(text)
+
+
+def _offset(text: str) -> tuple[str, float]:
+    """Read "cam2=0.02". Raises InputError for anything else."""
+    import math
+
+    from invdyn.recordings import InputError
+
+    name, _, number = text.partition("=")
+    try:
+        seconds = float(number)
+    except ValueError:
+        seconds = math.nan
+    if not (name and math.isfinite(seconds)):
+        raise InputError(f"an offset is CAMERA=SECONDS, such as cam2=0.02, got {text!r}")
+    return name, seconds

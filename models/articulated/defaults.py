@@ -1,0 +1,55 @@
+"""The parameters of an articulated model: what they are where nothing is said, and given ones in their own shape."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.effects.scale import typical_torque
+from invdyn.models.observation.observation import Observation
+from invdyn.models.torques import TorqueProcess
+
+Value = Tensor | np.ndarray | float | Sequence[float]
+
+
+def default_parameters(
+    body: ArticulatedBody, dynamics: Dynamics, torque: TorqueProcess, observation: Observation
+) -> dict[str, Tensor]:
+    """Of a body in its nominal numbers, by dotted name, in float64: rad and rad/s of joints, N·m, m."""
+    numbers = body.parameters()
+
+    def constant(value: float) -> Tensor:
+        return torch.full((body.num_joints,), value, dtype=torch.float64)
+
+    return {
+        **{f"body.{name}": value for name, value in numbers._asdict().items()},
+        **torque.defaults(typical_torque(dynamics, numbers)),
+        "noise.angle": constant(1e-3),
+        "noise.velocity": constant(1e-2),
+        "initial.angle": constant(0.0),
+        "initial.angle_scale": constant(1.0),
+        "initial.velocity": constant(0.0),
+        "initial.velocity_scale": constant(3.0),
+        **observation.defaults(dynamics.reach(numbers).item()),
+    }
+
+
+def shaped(given: Mapping[str, Value], defaults: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Given parameters in the shape of their defaults, but for many sets at once; unknown ones as they are.
+
+    Raises ValueError for another shape.
+    """
+    found = {}
+    for name, value in given.items():
+        if name in defaults:
+            value, own = torch.as_tensor(value, dtype=torch.float64), defaults[name]
+            try:
+                value = value.expand_as(own).clone() if value.ndim <= own.ndim else value
+            except RuntimeError:
+                expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
+                raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
+        found[name] = value
+    return found

@@ -1,0 +1,101 @@
+"""What is seen of a body at a row: its sites in its state, what effects make of them, and the sensors' distribution.
+
+Effects on what is seen may ask how the body moves about the row: its accelerations, and where its joints are so many
+seconds τ later, to third order,
+
+    θ(t + τ) ≈ θ + τ θ̇ + ½ τ² θ̈(t + τ/3),
+
+where ½ τ² θ̈ stands for ∫₀^τ (τ − s) θ̈ ds, whose weight has its middle at τ/3; the command, which jumps, has its own.
+
+Shapes: states (..., D), joint quantities (..., K), sites (..., S, d), rows (..., O).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.models.articulated.drive import Motors, RowDrive
+from invdyn.models.articulated.state import StateLayout
+from invdyn.models.articulated.step import Mechanics
+from invdyn.models.articulated.timeline import Row, Timeline
+from invdyn.models.observation.observation import Observation
+from invdyn.models.observation.view import View
+from invdyn.models.shapes import join
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A body with its drive before sensors.
+
+    Attributes:
+        layout: of its states.
+        parts: sub-steps that a row is integrated in.
+    """
+
+    mechanics: Mechanics
+    motors: Motors
+    timeline: Timeline
+    observation: Observation
+    layout: StateLayout
+    parts: int
+
+    def emission(self, state: Tensor, t: Row) -> Distribution:
+        """Distribution of row ``t`` given its ``state``; event shape (O,)."""
+        return self.observation.predict(self.view(state, t), t, self.mechanics.parameters)
+
+    def view(self, state: Tensor, t: Row) -> View:
+        """Row ``t`` as effects leave it to the sensors."""
+        z, q, qd = self.layout.split(state)
+        effects, parameters, dynamics = self.mechanics.effects, self.mechanics.parameters, self.mechanics.dynamics
+        body = self.mechanics.body_parameters()
+        points = effects.sites(parameters, dynamics, q, z[..., self.layout.torque :], body)
+
+        def turned(seconds: Tensor) -> Tensor:
+            return self._ahead(state, t, body, seconds)
+
+        def ahead(seconds: Tensor) -> Tensor:
+            return dynamics.keypoints(turned(seconds), body) - dynamics.keypoints(q, body)
+
+        def acceleration() -> Tensor:
+            return self.acceleration(state, t, body)
+
+        def clock() -> Tensor:
+            return self.timeline.elapsed[t].to(state).unsqueeze(-1)
+
+        view = View(q, qd, points, q, body, dynamics, acceleration, turned, ahead, clock)
+        return self._as_seen(view, parameters, t) if effects.seen else view
+
+    def _as_seen(self, view: View, parameters: Mapping[str, Tensor], t: Row) -> View:
+        effects, keypoints = self.mechanics.effects, self.observation.keypoints
+        if keypoints is not None:
+            view.doubt = keypoints.doubted(t, view.q, view.points.shape[-2])
+        angles = effects.angles(parameters, view) if self.observation.encoders else view.q
+        view = effects.points(parameters, view)
+        if effects.has_noise:
+            view.noise = lambda sd: effects.noise(parameters, view, sd)
+        view.angles, view.mistakes = angles, effects.mistakes(parameters, view)
+        return view
+
+    def acceleration(self, state: Tensor, t: Row, body: Any) -> Tensor:
+        """θ̈ at row ``t`` in ``state``, (..., K), under the mean of the commands before and after it, which may jump."""
+        return self._under(state, t, body, self.motors.about(t, state))
+
+    def _ahead(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
+        """θ so many ``seconds`` (..., 1) after row ``t``, (..., K)."""
+        z, q, qd = self.layout.split(state)
+        command = self.motors.ahead(t, seconds)
+        bent = self._under(state, t, body, command)
+        third = join(z, q + seconds / 3 * qd + seconds**2 / 18 * bent, qd + seconds / 3 * bent)
+        return q + seconds * qd + seconds**2 / 2 * self._under(third, t, body, command)
+
+    def _under(self, state: Tensor, t: Row, body: Any, command: Tensor | None) -> Tensor:
+        """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
+        z, q, qd = self.layout.split(state)
+        torque = z[..., : self.layout.joints]
+        torque = torque if command is None else torque + command
+        interval, clock = self.timeline.interval(t, self.motors.dtype), self.timeline.clock(t, self.motors.dtype)
+        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts)
+        return self.mechanics.under(drive, z[..., self.layout.torque :], q, qd)

@@ -1,0 +1,61 @@
+"""What a state of an articulated body is made of, and its Gaussian law.
+
+    x = (z, hidden states of effects, θ, θ̇),     x ~ N(mean, diag(L Lᵀ, sds²))
+
+z is the torque process's state, L the square root of its covariance or, where that is diagonal, its deviations.
+Shapes: z (..., Z), hidden (..., H), joints (..., K), states (..., D) with D = Z + H + 2 K.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from pyro.distributions import Distribution, MultivariateNormal, Normal
+from torch import Tensor
+
+from invdyn.models.shapes import common, join
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Z, H and K, and whether the torque process's noise is ``diagonal``."""
+
+    torque: int
+    hidden: int
+    joints: int
+    diagonal: bool
+
+    @property
+    def size(self) -> int:
+        """D."""
+        return self.torque + self.hidden + 2 * self.joints
+
+    def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
+        return torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
+
+    def at_rest(self, angle: Tensor, velocity: Tensor) -> Tensor:
+        """The state (..., D) in which the torque process and all hidden states are zero."""
+        still = angle.new_zeros(*common(angle.shape[:-1], velocity.shape[:-1]), self.torque + self.hidden)
+        return join(still, angle, velocity)
+
+    def gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
+        """The law of states with this mean (..., D), L of z and deviations (..., H + 2 K) of the rest."""
+        if self.diagonal:
+            return Normal(mean, join(root, sds), validate_args=False).to_event(1)
+        shape = common(root.shape[:-2], sds.shape[:-1])
+        tril = mean.new_zeros(*shape, self.size, self.size)
+        tril[..., : self.torque, : self.torque] = root
+        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque :] = sds
+        return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+
+    def one_or_other(self, which: Tensor, one: Distribution, other: Distribution) -> Distribution:
+        """The law ``one`` where ``which`` (...) says so, else the ``other``, both of :meth:`gaussian`."""
+        here = which.unsqueeze(-1)
+        if self.diagonal:
+            loc, scale = (
+                torch.where(here, getattr(one.base_dist, name), getattr(other.base_dist, name))
+                for name in ("loc", "scale")
+            )
+            return Normal(loc, scale, validate_args=False).to_event(1)
+        tril = torch.where(here.unsqueeze(-1), one.scale_tril, other.scale_tril)
+        return MultivariateNormal(torch.where(here, one.loc, other.loc), scale_tril=tril, validate_args=False)

@@ -1,0 +1,102 @@
+"""How a state goes on from one row to the next: the law of x_0, and of x_t given x_{t−1}.
+
+    z' = E[z_t | z],   (hidden, θ, θ̇)' = one row of the mechanics,   x_t ~ N(·, diag(L Lᵀ, sds²))
+
+with L of the torque process, and sds "noise.hidden.<effect>", "noise.angle" and "noise.velocity". Where another
+recording starts, x_t does not follow from the row before.
+
+Shapes: states (..., D), torques z (..., Z), joint quantities (..., K).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution
+from torch import Tensor
+
+from invdyn.models.articulated.drive import Motors, RowDrive
+from invdyn.models.articulated.state import StateLayout
+from invdyn.models.articulated.step import Mechanics
+from invdyn.models.articulated.timeline import Row, Timeline
+from invdyn.models.shapes import by_column, join
+from invdyn.models.torques import TorqueProcess
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """A body under its drive and a torque process.
+
+    Attributes:
+        layout: of its states.
+        parts: sub-steps that a row is integrated in.
+    """
+
+    mechanics: Mechanics
+    motors: Motors
+    timeline: Timeline
+    torque: TorqueProcess
+    layout: StateLayout
+    parts: int
+
+    def initial(self) -> Distribution:
+        """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
+        p = self.mechanics.parameters
+        return self._begun(p["initial.angle"], p["initial.velocity"], p["initial.angle_scale"])
+
+    def following(self, state: Tensor, t: Row) -> Distribution:
+        """x_t given x_{t−1} = ``state``; event shape (D,)."""
+        p = self.mechanics.parameters
+        root = self.torque.noise(self._lasts(t), p)
+        if (late := self.late(t)) is not None:
+            root = torch.hypot(root, late)
+        sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
+        moved = self.layout.gaussian(self.mean(state, t), root, sds)
+        if self.timeline.anew is None:
+            return moved
+        # As the first row is, within about half a turn of some angles.
+        middle = self.timeline.middle[t]
+        begun = self._begun(middle, torch.zeros_like(middle), torch.full_like(middle, np.pi))
+        return self.layout.one_or_other(self.timeline.anew[t], begun, moved)
+
+    def mean(self, state: Tensor, t: Row) -> Tensor:
+        """E[x_t | x_{t−1} = state]."""
+        z, q, qd = self.layout.split(by_column(state))
+        z, hidden = z[..., : self.layout.torque], z[..., self.layout.torque :]
+        z_next = self.torque.mean(z, self._lasts(t), self.mechanics.parameters)
+        return join(z_next, *self.mechanics.step(self._driven(z, z_next, t), hidden, q, qd))
+
+    def late(self, t: Row) -> Tensor | None:
+        """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t`` and nobody was told.
+
+        None where there are none, or where a recording begins with what it knows.
+        """
+        effects, p = self.mechanics.effects, self.mechanics.parameters
+        if not (effects.has_late and self.torque.underway):
+            return None
+        begun = self.timeline.since[t - 1].to(self.motors.dtype).unsqueeze(-1)
+        return effects.late(p, begun, self.layout.joints) * self.torque.unsettled(self._lasts(t), p)
+
+    def _driven(self, z: Tensor, z_next: Tensor, t: Row) -> RowDrive:
+        joints, dtype = self.layout.joints, self.motors.dtype
+        start, change = z[..., :joints], (z_next - z)[..., :joints]
+        if self.motors.commanded:
+            mean, slope = (row.to(z) for row in self.motors.made.row(t))
+            start, change = start + mean - slope / 2, change + slope
+        times = self.timeline.clock(t - 1, dtype), self.timeline.interval(t, dtype), self._lasts(t)
+        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts)
+
+    def _begun(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
+        p = self.mechanics.parameters
+        root = self.torque.stationary(self.timeline.interval(0, self.motors.dtype), p)
+        sds = self._with_hidden("initial.hidden", angle_scale, p["initial.velocity_scale"])
+        return self.layout.gaussian(self.layout.at_rest(angle, velocity), root, sds)
+
+    def _lasts(self, t: Row) -> Tensor:
+        """What a row's interval really takes, s, (..., 1)."""
+        dt, effects = self.timeline.interval(t, self.motors.dtype), self.mechanics.effects
+        return effects.interval(self.mechanics.parameters, dt) if effects else dt
+
+    def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
+        own = (self.mechanics.parameters[f"{name}.{each.key}"] for each in self.mechanics.effects.hidden)
+        return join(*own, angle, velocity)

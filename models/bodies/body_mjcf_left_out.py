@@ -1,0 +1,107 @@
+"""What a compiled MuJoCo model has and a rigid planar chain lacks, each with the names of the parts that have it.
+
+A recording of that simulation differs from the body by these, so whoever diagnoses it wants them named. An actuator's
+force is gain(…)·act + bias(…), act = control through its own dynamics, clipped, times the gear, through a joint, tendon
+or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from invdyn.models.bodies.body_chain import listed
+
+AT_JOINTS = {
+    "dof_damping": "damping",
+    "dof_frictionloss": "dry friction",
+    "dof_armature": "armature",
+    "jnt_stiffness": "a spring",
+    "jnt_limited": "limits",
+    "jnt_actfrclimited": "limits of the actuators' torque",
+}
+
+
+def named(mujoco, model, joints: dict[str, int]) -> list[str]:
+    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and its joints by name."""
+    found = []
+    for attribute, words in AT_JOINTS.items():
+        values = getattr(model, attribute)
+        # of a chain of hinges, joint j has the degree of freedom j; newer MuJoCos have several coefficients each
+        found += listed(words, [name for name, j in joints.items() if np.any(values[j])])
+    found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
+    found += _fluid(model.opt)
+    found += _actuators(mujoco, model)
+    found += listed("tendons", _of(model.tendon, range(model.ntendon)))
+    found += listed("equality constraints", [_equality(mujoco, model, e) for e in range(model.neq)])
+    return found + listed("contacts", _touching(mujoco, model))
+
+
+def _of(kind: Callable, numbers) -> list[str]:
+    return [kind(int(i)).name or f"number {int(i)}" for i in numbers]
+
+
+def _fluid(option) -> list[str]:
+    found = []
+    if option.density or option.viscosity:
+        found.append(f"a fluid (density {option.density:g} kg/m³, viscosity {option.viscosity:g} Pa·s)")
+    if np.any(option.wind):
+        found.append(f"wind ({', '.join(f'{w:g}' for w in option.wind)} m/s)")
+    return found
+
+
+def _actuators(mujoco, model) -> list[str]:
+    through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
+    affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
+    bias, gain, filtered = model.actuator_biastype, model.actuator_gaintype, model.actuator_dyntype
+    held = model.actuator_biasprm
+    servo = (bias == affine) & (held[:, 1] != 0)
+    speed = (bias == affine) & (held[:, 1] == 0) & (held[:, 2] != 0)
+    kinds = {
+        "position servos": servo,
+        "velocity servos": speed,
+        "constant forces of actuators": (bias == affine) & (held[:, 0] != 0),
+        "muscles and other actuators with a law of their own": ~np.isin(bias, [plain[0], affine]) | (gain != plain[1]),
+        "activation dynamics": filtered != plain[2],
+        "gears": model.actuator_gear[:, 0] != 1,
+        "gains of motors": (bias == plain[0]) & (gain == plain[1]) & (model.actuator_gainprm[:, 0] != 1),
+        "force limits": model.actuator_forcelimited != 0,
+        "control limits": model.actuator_ctrllimited != 0,
+        "actuators that act elsewhere than on a joint": ~np.isin(model.actuator_trntype, through),
+    }
+    return [
+        entry
+        for words, having in kinds.items()
+        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu])))
+    ]
+
+
+def _equality(mujoco, model, e: int) -> str:
+    """Its name, or what it ties to what: of joints, who follows whom (a URDF's mimic)."""
+    if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT:
+        one, other = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        return f"{model.joint(one).name} follows {model.joint(other).name if other >= 0 else 'a constant'}"
+    return model.equality(e).name or mujoco.mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
+
+
+def _touching(mujoco, model) -> list[str]:
+    """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions."""
+    without = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    if model.opt.disableflags & without:
+        return []
+    kind, meets = np.zeros((2, model.nbody), int)
+    np.bitwise_or.at(kind, model.geom_bodyid, model.geom_contype)
+    np.bitwise_or.at(meets, model.geom_bodyid, model.geom_conaffinity)
+    may = (kind[:, None] & meets) | (kind & meets[:, None])
+    weld = model.body_weldid
+    above = weld[model.body_parentid[weld]]  # the weld that each one hangs on
+    related = (above[:, None] == weld) & (weld != 0) & (weld[:, None] != 0)
+    may[(weld[:, None] == weld) | related | related.T] = 0
+    for signature in model.exclude_signature:
+        one, other = int(signature) >> 16, int(signature) & 0xFFFF
+        may[one, other] = may[other, one] = 0
+    for one, other in zip(model.pair_geom1, model.pair_geom2, strict=True):
+        pair = model.geom_bodyid[one], model.geom_bodyid[other]
+        may[pair] = may[pair[::-1]] = 1
+    moving = np.flatnonzero(weld != 0)
+    return _of(model.body, [b for b in moving if may[b].any()])

@@ -1,0 +1,64 @@
+"""Planar bodies as bodies in space, and body files of either kind.
+
+The plane is x–y, its hinges turn about z, and only moments about z play a part: the other moments are 0.
+"""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.quantities import WORLD
+from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
+
+
+def load(path: str | Path) -> Body | Tree:
+    """Read a body file: a `Tree` of a TOML that says dimensions = 3, else what `Body.load` reads; raises as they do."""
+    planar = Path(path).suffix.lower() in (".xml", ".mjcf", ".urdf") or not tree_toml.is_in_space(path)
+    return Body.load(path) if planar else Tree.from_toml(path)
+
+
+def tree_of(body: Body) -> Tree:
+    """Return a planar body as a tree, priors and learned scalars kept; of K joints and K sites, its tips."""
+    links = []
+    for place, link in enumerate(body.links):
+        links.append(
+            SpatialLink(
+                name=link.name,
+                joint=Joint(link.joint),
+                parent=body.links[place - 1].name if place else WORLD,
+                origin=None if place else (*body.base, 0.0),
+                mass=link.mass,
+                com=None if link.com is None else (link.com, 0.0, 0.0),
+                inertia=None if link.inertia is None else (0.0, 0.0, link.inertia, 0.0, 0.0, 0.0),
+                length=link.length,
+                tip=link.tip,
+            )
+        )
+    return Tree(body.name, links, (*body.gravity, 0.0))
+
+
+def parameters_in_space(p: BodyParameters) -> TreeParameters:
+    """Return the parameters (...) of a planar body for the dynamics of its tree; differentiable."""
+
+    def vectors(**entries: Tensor) -> Tensor:
+        like = next(iter(entries.values()))
+        names = ("x", "y", "z") if "zz" not in entries else ("xx", "yy", "zz", "xy", "xz", "yz")
+        return torch.stack([entries.get(name, torch.zeros_like(like)) for name in names], -1)
+
+    base = vectors(x=p.base[..., 0], y=p.base[..., 1])
+    steps = vectors(x=p.length[..., :-1])
+    batch = torch.broadcast_shapes(base.shape[:-1], steps.shape[:-2])
+    position = torch.cat([base.expand(*batch, 3).unsqueeze(-2), steps.expand(*batch, *steps.shape[-2:])], -2)
+    return TreeParameters(
+        mass=p.mass,
+        com=vectors(x=p.com),
+        inertia=vectors(zz=p.inertia),
+        position=position,
+        rotation=torch.eye(3, dtype=p.mass.dtype, device=p.mass.device).expand(p.mass.shape[-1], 3, 3),
+        sites=vectors(x=p.length),
+        gravity=vectors(x=p.gravity[..., 0], y=p.gravity[..., 1]),
+    )

@@ -1,0 +1,121 @@
+"""Rotations as numbers: matrices out of axes, quaternions and roll–pitch–yaw, and Euler angles out of matrices.
+
+A rotation R (3, 3) has the axes of the turned frame as its columns, so that v_outer = R v_inner. Quaternions are
+(w, x, y, z), angles are rad, roll–pitch–yaw are URDF's: R = Rz(yaw) Ry(pitch) Rx(roll). What is within 1e-12 of 0 or
+±1 becomes it: right angles are meant, and structural zeros make the dynamics short.
+
+Euler angles of three axes in general: K. Shoemake, "Euler angle conversion", Graphics Gems IV (1994).
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from invdyn.models.bodies.scalars import BodyError, number
+
+IDENTITY = np.eye(3)
+LETTERS = {letter: IDENTITY[place] for place, letter in enumerate("xyz")}
+EXACT = 1e-12
+ROUNDED = 1e-3
+"""How far from length 1 a printed unit quaternion or axis may be; it is then normalised."""
+
+
+def numbers(values: object, count: int, what: str) -> np.ndarray:
+    """Return `count` finite numbers as an array. Raises `BodyError`, which begins with `what`."""
+    if isinstance(values, str) or not isinstance(values, Iterable) or len(values := list(values)) != count:
+        raise BodyError(f"{what}: expected {count} numbers, got {values!r:.60}")
+    return np.array([number(value.item() if isinstance(value, np.generic) else value, what) for value in values])
+
+
+def clean(matrix: np.ndarray) -> np.ndarray:
+    """The same with entries that are 0 or ±1 but for rounding made so."""
+    whole = np.round(matrix)
+    return np.where(np.abs(matrix - whole) < EXACT, whole, matrix) + 0.0
+
+
+def unit(values: object, count: int, what: str) -> np.ndarray:
+    """Return `count` numbers of length 1. Raises `BodyError` for another length."""
+    vector = numbers(values, count, what)
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1) > ROUNDED:
+        raise BodyError(f"{what}: expected length 1, got length {length:.4g}; divide all of it by that")
+    return vector if abs(length - 1) < EXACT else vector / length
+
+
+def about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The rotation by `angle` rad about a unit axis (Rodrigues), (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return clean(IDENTITY + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def from_quaternion(quaternion: object, what: str) -> np.ndarray:
+    """The rotation of a unit quaternion (w, x, y, z). Raises `BodyError`, which begins with `what`."""
+    w, *vector = unit(quaternion, 4, f"{what}, a quaternion (w, x, y, z)")
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return clean(IDENTITY + 2 * w * cross + 2 * cross @ cross)
+
+
+def from_rpy(rpy: object, what: str) -> np.ndarray:
+    """The rotation of roll, pitch and yaw, rad. Raises `BodyError`, which begins with `what`."""
+    roll, pitch, yaw = numbers(rpy, 3, f"{what}, roll, pitch and yaw in rad")
+    return clean(about(LETTERS["z"], yaw) @ about(LETTERS["y"], pitch) @ about(LETTERS["x"], roll))
+
+
+def from_axes(axes: object, what: str) -> np.ndarray:
+    """The rotation whose columns are the x, y and z axes given. Raises `BodyError` unless right-handed, orthonormal."""
+    what = f"{what}, as x, y and z axes"
+    if isinstance(axes, str) or not isinstance(axes, Iterable) or len(axes := list(axes)) != 3:
+        raise BodyError(f"{what}: expected three axes of three numbers, got {axes!r:.60}")
+    matrix = np.stack([unit(axis, 3, f"{what}: {letter}") for axis, letter in zip(axes, "xyz", strict=True)], 1)
+    if np.abs(matrix.T @ matrix - IDENTITY).max() > ROUNDED:
+        raise BodyError(f"{what}: expected axes at right angles to each other")
+    if np.linalg.det(matrix) < 0:
+        raise BodyError(f"{what}: expected right-handed axes, z = x × y, got left-handed ones; turn one round")
+    if np.abs(matrix.T @ matrix - IDENTITY).max() > EXACT:
+        u, _, v = np.linalg.svd(matrix)  # the nearest rotation: printed digits are rounded
+        matrix = u @ v
+    return clean(matrix)
+
+
+def onto(axis: np.ndarray) -> np.ndarray:
+    """A rotation that takes z to a unit axis; of zeros and ±1 alone where the axis is x, y or z, or against one."""
+    place = int(np.abs(axis).argmin())
+    x = np.cross(np.cross(axis, IDENTITY[place]), axis)
+    x /= np.linalg.norm(x)
+    return clean(np.stack([x, np.cross(axis, x), axis], 1))
+
+
+def of_chart(chart: str, angles: Sequence[float]) -> np.ndarray:
+    """R of turns about the chart's letters one after the other, each about the axes that the ones before made."""
+    matrix = IDENTITY
+    for letter, angle in zip(chart, angles, strict=True):
+        matrix = matrix @ about(LETTERS[letter], angle)
+    return matrix
+
+
+def chart_angles(rotations: np.ndarray, chart: str) -> np.ndarray:
+    """Angles (..., 3), rad, of `of_chart` for rotations (..., 3, 3) and a chart of three letters.
+
+    The first and the last angle lie in (−π, π], the middle one in [−π/2, π/2] (in [0, π] where the first letter is
+    the last, too). Where the middle one is at an end, the first and the last are known by their sum or difference
+    alone: the last is then 0.
+    """
+    i, j, k = ("xyz".index(letter) for letter in chart)
+    symmetric = i == k
+    k = 3 - i - j
+    sign = float(np.linalg.det(IDENTITY[:, [i, j, k]]))
+    # in axes i, j, k (left-handed ones count turns backwards) the letters are x, y and z or x, y and x
+    m = rotations[..., [i, j, k], :][..., [i, j, k]]
+    if symmetric:
+        middle = sign * np.arctan2(np.hypot(m[..., 0, 1], m[..., 0, 2]), m[..., 0, 0])
+        first = np.arctan2(sign * m[..., 1, 0], -sign * m[..., 2, 0])
+        last = np.arctan2(sign * m[..., 0, 1], sign * m[..., 0, 2])
+        at_end = np.abs(np.sin(middle)) < 1e-9
+    else:
+        middle = np.arctan2(m[..., 0, 2], np.hypot(m[..., 0, 0], m[..., 0, 1]))
+        first, last = np.arctan2(-m[..., 1, 2], m[..., 2, 2]), np.arctan2(-m[..., 0, 1], m[..., 0, 0])
+        at_end = np.abs(np.cos(middle)) < 1e-9
+    first = np.where(at_end, np.arctan2(m[..., 2, 1], m[..., 1, 1]), first)
+    return sign * np.stack([first, middle, np.where(at_end, 0.0, last)], -1)

@@ -1,0 +1,300 @@
+"""Bodies in space: trees of rigid links, each scalar of them a number, a prior or a learned parameter.
+
+A link hangs on its parent, or on the world, by a joint (`joints.py`). The joint's frame lies at `origin` m, turned by
+`rotation`, in the parent's frame; the link's own frame is the joint's, moved. In it lie the centre of mass `com` m, the
+`inertia` kg·m² about that (xx, yy, zz, xy, xz, yz) and `sites`, named points, m, that keypoints show.
+
+A link may have a `length` m instead: it is a stick along its x axis, whose `tip` is a site. Unless they say otherwise,
+links on it are placed at its tip, its com is in its middle and its inertia that of a thin rod.
+
+The base is what the first joint makes of it: fixed where the link's joint is any on the world, free by a joint of type
+free, moved by one that is `driven`. Files: `tree_toml.py`; tables of Denavit and Hartenberg: `dh.py`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import numpy as np
+import pyro
+import pyro.distributions as dist
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
+from invdyn.models.bodies.joints import UNTURNED, Joint, Motion
+from invdyn.models.bodies.quantities import WORLD, checked_scalar, checked_scalars, ordered
+from invdyn.models.bodies.rotations import about, from_axes, numbers
+from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
+
+__all__ = ["SpatialLink", "Tree", "TreeParameters"]
+
+Vector = Sequence[Scalar]
+
+
+class TreeParameters(NamedTuple):
+    """The numbers of a tree of L links and S sites as tensors; leading dimensions are many parameter sets.
+
+    `mass` (..., L), `com` (..., L, 3), `inertia` (..., L, 6), joints' `position` (..., L, 3) and `rotation`
+    (..., L, 3, 3) in the parents' frames, `sites` (..., S, 3), `gravity` (..., 3). Units at the top of this file.
+    """
+
+    mass: Tensor
+    com: Tensor
+    inertia: Tensor
+    position: Tensor
+    rotation: Tensor
+    sites: Tensor
+    gravity: Tensor
+
+    def to(self, *args, **kwargs) -> "TreeParameters":
+        """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
+        return TreeParameters(*(value.to(*args, **kwargs) for value in self))
+
+
+@dataclass(frozen=True)
+class SpatialLink:
+    """One rigid link and its joint. Its scalars are numbers, scalar Pyro distributions (priors) or `Learned`.
+
+    `rotation` has the rows of a matrix. Raises `BodyError` for scalars that are not finite, a mass, length or moment
+    that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
+    """
+
+    name: str
+    joint: Joint
+    parent: str = WORLD
+    origin: Vector | None = None
+    rotation: Sequence[Sequence[float]] = UNTURNED
+    mass: Scalar = 0.0
+    com: Vector | None = None
+    inertia: Vector | None = None
+    length: Scalar | None = None
+    tip: str | None = None
+    sites: Mapping[str, Vector] = field(default_factory=dict)
+
+    def __post_init__(self):
+        check_name(self.name, "name of a link")
+        where = f"link '{self.name}'"
+        check_name(self.parent, f"{where}: parent")
+        if self.name == WORLD or not isinstance(self.joint, Joint):
+            raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
+        keep = object.__setattr__
+        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", least=0))
+        for key, unit in (("origin", "m"), ("com", "m")):
+            if getattr(self, key) is not None:
+                keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in {unit}"))
+        if self.inertia is not None:
+            what = f"{where}: inertia in kg·m²"
+            products = checked_scalars(self.inertia, 6, what)
+            keep(self, "inertia", (*(checked_scalar(x, what, least=0) for x in products[:3]), *products[3:]))
+        if self.length is not None:
+            keep(self, "length", checked_scalar(self.length, f"{where}: length in m", least=0, above=True))
+        if (self.tip is not None) != (self.length is not None):
+            raise BodyError(f"{where}: expected length and tip together: the tip is a site at (length, 0, 0)")
+        axes = from_axes(np.transpose([numbers(row, 3, f"{where}: rotation") for row in self.rotation]), where)
+        keep(self, "rotation", tuple(map(tuple, axes.tolist())))
+        sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
+        keep(self, "sites", sites)
+        for name in self.points:
+            check_name(name, f"{where}: name of a site")
+
+    @property
+    def points(self) -> dict[str, Vector | None]:
+        """All of its sites by name: the tip first, as None, because it is where the length puts it."""
+        return ({} if self.tip is None else {self.tip: None}) | dict(self.sites)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
+
+    Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
+    not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, and
+    inertia tensors that break the triangle inequality where that plays a part.
+    """
+
+    name: str
+    links: Sequence[SpatialLink]
+    gravity: Sequence[float] = (0.0, 0.0, -9.81)
+
+    def __post_init__(self):
+        check_name(self.name, "name of a body")
+        where = f"body '{self.name}'"
+        gravity = numbers(self.gravity, 3, f"{where}: gravity in m/s² (in space)")
+        object.__setattr__(self, "gravity", tuple(gravity.tolist()))
+        if not self.links:
+            raise BodyError(f"{where}: expected at least one link, got none")
+        kinds = {
+            "link": [link.name for link in self.links],
+            "joint": [link.joint.name for link in self.links],
+            "site": [site for link in self.links for site in (*link.sites, *([link.tip] if link.tip else []))],
+        }
+        for kind, names in kinds.items():
+            for name in names:
+                if names.count(name) > 1:
+                    raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
+        object.__setattr__(self, "links", ordered(self.links, where))
+        if not self.num_joints:
+            raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
+        for link, turning in zip(self.links, self._turning(), strict=True):
+            moments = self._inertia(link, nominal(link.mass), None if link.length is None else nominal(link.length))
+            check_inertia(tensor([nominal(x) for x in moments]), turning, f"{where}: link '{link.name}'")
+
+    @property
+    def num_joints(self) -> int:
+        """Number K of coordinates that torques move."""
+        return len(self.joint_names)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the K coordinates: the joint's, with _yaw, _pitch, _roll, _x, _y or _z where it has several."""
+        return tuple(motion.name for link, motion in self.motions() if not link.joint.driven)
+
+    @cached_property
+    def driven_names(self) -> tuple[str, ...]:
+        """Names of the coordinates of driven joints, whose motion is given."""
+        return tuple(motion.name for link, motion in self.motions() if link.joint.driven)
+
+    @cached_property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """Names of the S sites, a link's tip first, from the first link on."""
+        return tuple(site for link in self.links for site in link.points)
+
+    @cached_property
+    def parents(self) -> tuple[int, ...]:
+        """The place of each link's parent among the links, −1 for the world."""
+        places = {WORLD: -1} | {link.name: place for place, link in enumerate(self.links)}
+        return tuple(places[link.parent] for link in self.links)
+
+    def motions(self) -> list[tuple[SpatialLink, Motion]]:
+        """All coordinates, driven ones too, with the link that each belongs to."""
+        return [(link, motion) for link in self.links for motion in link.joint.motions()]
+
+    def parameters(
+        self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
+    ) -> TreeParameters:
+        """Return the `TreeParameters` at the nominal values: priors at their means, learned ones at their starts."""
+        return self._assemble(lambda value, _: torch.tensor(nominal(value), dtype=dtype, device=device))
+
+    def sample(
+        self, prefix: str = "", dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
+    ) -> TreeParameters:
+        """Return `TreeParameters`: priors by `pyro.sample`, learned scalars by `pyro.param`.
+
+        Pyro's sites are called prefix + "upper_arm.mass", "upper_arm.com_x", "upper_arm.inertia_xx",
+        "upper_arm.origin_x", "upper_arm.length", and "upper_arm.wrist_x" for a site called wrist. In a plate, what is
+        sampled gains its dimensions.
+        """
+
+        def draw(value: Scalar, site: str) -> Tensor:
+            if isinstance(value, dist.Distribution):
+                return pyro.sample(prefix + site, value).to(dtype=dtype, device=device)
+            number = torch.tensor(nominal(value), dtype=dtype, device=device)
+            if not isinstance(value, Learned):
+                return number
+            positive = site.rpartition(".")[2] in ("mass", "length", *(f"inertia_{name}" for name in NAMES[:3]))
+            return pyro.param(prefix + site, number, constraint=constraints.positive if positive else constraints.real)
+
+        return self._assemble(draw)
+
+    def _assemble(self, draw: Callable[[Scalar, str], Tensor]) -> TreeParameters:
+        def drawn(values: Vector, link: SpatialLink, word: str, letters: Sequence[str] = "xyz") -> list[Tensor]:
+            return [
+                value if isinstance(value, Tensor) else draw(value, f"{link.name}.{word}_{letter}")
+                for value, letter in zip(values, letters, strict=True)
+            ]
+
+        mass, com, inertia, position, sites, lengths = [], [], [], [], [], []
+        for link, parent in zip(self.links, self.parents, strict=True):
+            mass.append(draw(link.mass, f"{link.name}.mass"))
+            length = None if link.length is None else draw(link.length, f"{link.name}.length")
+            lengths.append(length)
+            stretch = 0.0 if parent < 0 or lengths[parent] is None else lengths[parent]
+            com.append(drawn(self._com(link, length), link, "com"))
+            inertia.append(drawn(self._inertia(link, mass[-1], length), link, "inertia", NAMES))
+            position.append(drawn((stretch, 0.0, 0.0) if link.origin is None else link.origin, link, "origin"))
+            sites += [drawn((length, 0.0, 0.0) if at is None else at, link, name) for name, at in link.points.items()]
+        like = {"dtype": mass[0].dtype, "device": mass[0].device}
+        return TreeParameters(
+            mass=_stacked(mass),
+            com=_rows(com),
+            inertia=_rows(inertia),
+            position=_rows(position),
+            rotation=torch.tensor([link.rotation for link in self.links], **like),
+            sites=_rows(sites) if sites else torch.zeros(0, 3, **like),
+            gravity=torch.tensor(self.gravity, **like),
+        )
+
+    @staticmethod
+    def _com(link: SpatialLink, length: object) -> tuple:
+        if link.com is not None:
+            return link.com
+        return (0.0, 0.0, 0.0) if length is None else (length / 2, 0.0, 0.0)
+
+    @staticmethod
+    def _inertia(link: SpatialLink, mass: object, length: object) -> tuple:
+        if link.inertia is not None:
+            return link.inertia
+        rod = 0.0 if length is None else mass * length**2 / 12
+        return (0.0, rod, rod, 0.0, 0.0, 0.0)
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether any scalar is a prior rather than a number."""
+        scalars = [
+            scalar
+            for link in self.links
+            for group in ([link.mass, link.length], link.origin, link.com, link.inertia, *link.sites.values())
+            for scalar in group or ()
+        ]
+        return any(isinstance(scalar, dist.Distribution) for scalar in scalars)
+
+    def _turning(self) -> list[np.ndarray]:
+        """For each link, directions in its own frame that its angular velocity may have, (n, 3).
+
+        Each turn further out is set to an angle that is nothing special, so that no two axes are parallel by chance.
+        """
+        found: list[np.ndarray] = []
+        for link, parent in zip(self.links, self.parents, strict=True):
+            inner = found[parent] if parent >= 0 else np.zeros((0, 3))
+            directions = inner @ np.array(link.rotation)
+            for place, motion in enumerate(link.joint.motions()):
+                if motion.turns:
+                    directions = directions @ about(motion.axis, 0.7 + place)
+                    directions = np.concatenate([directions, motion.axis[None]])
+            found.append(directions @ np.array(link.joint.reference))
+        return found
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a body file in space. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
+        tables = {"name": Path(path).stem, **tree_toml.read(path)}
+        try:
+            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables.pop("links")]
+            return cls(links=links, **tables)
+        except BodyError as error:
+            raise BodyError(f"{path}: {error}") from error
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write a body file that `from_toml` reads back.
+
+        Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
+        """
+        links = [
+            {key.name: getattr(link, key.name) for key in fields(link)}
+            | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
+            for link in self.links
+        ]
+        tree_toml.write(path, self.name, self.gravity, links)
+
+
+def _stacked(scalars: Sequence[Tensor], dim: int = -1) -> Tensor:
+    return torch.stack(torch.broadcast_tensors(*scalars), dim)
+
+
+def _rows(rows: Sequence[Sequence[Tensor]]) -> Tensor:
+    return _stacked([_stacked(row) for row in rows], -2)

@@ -1,0 +1,304 @@
+"""Dynamics of a tree in space, batched and differentiable: algorithms traced for the body, behind the common interface.
+
+    D(q) q̈ + h(q, q̇) + c(q) = τ
+
+as in the interface, for K coordinates that hinges (rad, N·m) and slides (m, N) have. What the tree states as 0 (and, of
+rotations, ±1) is left out of the traced programs. Whether the `TreeParameters` that come agree is looked at once for
+each: where they do not, or where a gradient of them is asked for, a program that leaves less out is traced.
+"""
+
+import math
+from dataclasses import replace
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from invdyn.models.bodies.scalars import BodyError
+from invdyn.models.bodies.tree import Tree, TreeParameters
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
+from invdyn.models.dynamics.spatial.algebra import ZERO
+from invdyn.models.dynamics.spatial.compiled import Compiled, engine
+from invdyn.models.dynamics.spatial.expressions import Graph, Scalar
+from invdyn.models.dynamics.spatial.frames import Frames, frames_of
+from invdyn.models.dynamics.spatial.motion import Motion
+from invdyn.models.dynamics.spatial.programs import Program, program
+from invdyn.models.shapes import common, join, stacked
+
+POSES = ((0.6, 1.1), (2.3, -0.7), (-1.9, 0.4))
+"""Of coordinates, nothing special: a first value and a step, rad or m."""
+RESISTS = 1e-10
+"""Of a coordinate's own inertia: what is left of it, with those further out free, that still counts."""
+
+
+class Driven(NamedTuple):
+    """The given motion of D driven coordinates: q, q̇ and q̈, (..., D) each."""
+
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+
+
+class _Body(NamedTuple):
+    """Parameters that came: the key of which of them are known to be 0 or ±1, and their common leading dimensions."""
+
+    p: TreeParameters
+    structure: bytes
+    batch: tuple[int, ...]
+    is_differentiated: bool
+
+
+class SpatialDynamics(Dynamics):
+    """What a tree does; interface, shapes and units as in `Dynamics`, with p a `TreeParameters`.
+
+    Trees with driven joints want `driven` in every call. With `fast`, what needs no gradient runs through numba (extra
+    `fast`), each program compiled at its first use, which takes seconds (`compile_seconds`).
+
+    Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
+    """
+
+    def __init__(self, tree: Tree, fast: bool = False, rotors: bool = False):
+        self.tree, self.num_joints = tree, tree.num_joints
+        self._nominal = tree.parameters()
+        self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
+        self._patterns: dict[bytes, list[np.ndarray]] = {}
+        self._programs: dict[tuple, Program] = {}
+        self._seen: _Body | None = None
+        self._known: dict[tuple, tuple[TreeParameters, list]] = {}
+        self._compiled: Compiled | None = None
+        if not rotors:
+            self._check_inertia()
+        if fast and (numba := engine()):
+            self._compiled = Compiled(numba)
+
+    @property
+    def compile_seconds(self) -> dict[str, float]:
+        """Seconds that numba took for each program so far, by method and dtype."""
+        return dict(self._compiled.seconds) if self._compiled else {}
+
+    def operations(self, method: str) -> int:
+        """Number of operations of a method's program for one state of the tree as it stands."""
+        return self._program(method, self._body(self._nominal).structure).operations
+
+    def inertia_matrix(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """D(q), kg·m² (kg for slides), (..., K, K)."""
+        self._check(q=q)
+        K = self.num_joints
+        return self._evaluate("inertia_matrix", p, driven, q=q).unflatten(-1, (K, K))
+
+    def coriolis(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """h(q, q̇), N·m or N, (..., K); with what a driven joint's motion asks for."""
+        self._check(q=q, qd=qd)
+        return self._evaluate("coriolis", p, driven, q=q, qd=qd)
+
+    def gravity_load(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """c(q) = ∂V/∂q, N·m or N, (..., K)."""
+        self._check(q=q)
+        return self._evaluate("gravity_load", p, driven, q=q)
+
+    def bias(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """H + c, N·m or N, (..., K)."""
+        self._check(q=q, qd=qd)
+        return self._evaluate("bias", p, driven, q=q, qd=qd)
+
+    def forward(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        tau: Tensor,
+        p: TreeParameters,
+        own_inertia: Tensor | None = None,
+        driven: Driven | None = None,
+    ) -> Tensor:
+        """q̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s² or m/s², (..., K)."""
+        self._check(q=q, qd=qd, tau=tau)
+        return self._evaluate("forward", p, driven, q=q, qd=qd, tau=tau, own=own_inertia)
+
+    def response(
+        self,
+        q: Tensor,
+        tau: Tensor,
+        p: TreeParameters,
+        own_inertia: Tensor | None = None,
+        driven: Driven | None = None,
+    ) -> Tensor:
+        """(D + diag I_own)⁻¹ τ, rad/s² or m/s², (..., K)."""
+        self._check(q=q, tau=tau)
+        return self._evaluate("response", p, driven, q=q, tau=tau, own=own_inertia)
+
+    def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """τ = D q̈ + h + c, N·m or N, (..., K)."""
+        self._check(q=q, qd=qd, qdd=qdd)
+        return self._evaluate("inverse", p, driven, q=q, qd=qd, qdd=qdd)
+
+    def kinetic_energy(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """½ q̇ᵀ D q̇ (and what driven joints add), J, (...)."""
+        self._check(q=q, qd=qd)
+        return self._evaluate("kinetic_energy", p, driven, q=q, qd=qd).squeeze(-1)
+
+    def potential_energy(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """V(q) = −Σ m g·r of all that moves, J, zero at the world's origin, (...)."""
+        self._check(q=q)
+        return self._evaluate("potential_energy", p, driven, q=q).squeeze(-1)
+
+    def keypoints(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """Positions of the S sites in the world's frame, m, (..., S, 3)."""
+        self._check(q=q)
+        return self._evaluate("keypoints", p, driven, q=q).unflatten(-1, (len(self.tree.keypoint_names), 3))
+
+    def jacobian(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+        """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, 3, K)."""
+        self._check(q=q)
+        shape = len(self.tree.keypoint_names), 3, self.num_joints
+        return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
+
+    def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **joint: Tensor | None) -> Tensor:
+        """Outputs (..., O) of a method's program, laid out by column."""
+        joint = self._with_driven(driven, {name: value for name, value in joint.items() if value is not None})
+        body = self._body(p)
+        traced = self._program(method, body.structure, "own" in joint)
+        joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
+        numbers = self._numbers((method, body.structure, "own" in joint), traced, p)
+        batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
+        like = joint["q"]
+        if self._compiled and like.device.type == "cpu":
+            asked = body.is_differentiated or any(map(_is_differentiated, joint.values()))
+            if not (asked and torch.is_grad_enabled()):
+                return self._compiled(method, traced, joint, numbers, batch)
+        columns = {word: joint[word].unbind(-1) for word in traced.words}
+        outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
+        return stacked([x.expand(batch) if isinstance(x, Tensor) else like.new_full(batch, x) for x in outputs])
+
+    def _with_driven(self, driven: Driven | None, joint: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The joint quantities, with those of driven joints after them."""
+        count = len(self.tree.driven_names)
+        given = 0 if driven is None else driven.q.shape[-1]
+        if given != count:
+            names = ", ".join(self.tree.driven_names) or "none"
+            raise ValueError(f"expected the motion of {count} driven coordinates ({names}), got {given}")
+        if not count:
+            return joint
+        if "qdd" not in joint:
+            joint["qdd"] = torch.zeros_like(joint["q"])
+        if "qd" not in joint:
+            joint["qd"] = torch.zeros_like(joint["q"])
+        return joint | {word: join(joint[word], getattr(driven, word)) for word in Driven._fields}
+
+    def _program(self, method: str, structure: bytes, with_own: bool = False) -> Program:
+        key = method, structure, with_own
+        if key not in self._programs:
+            graph = Graph()
+            known = dict(zip(TreeParameters._fields, self._patterns[structure], strict=True))
+
+            def entry(field: str, *place: int) -> Scalar:
+                value = float(known[field][place])
+                return graph.argument((field, place), moving=False) if math.isnan(value) else value
+
+            K, D = self.num_joints, len(self.tree.driven_names)
+
+            def moving(word: str, count: int = K + D) -> list[Scalar]:
+                return [graph.argument((word, place), moving=True) for place in range(count)]
+
+            state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau", K))
+            own = moving("own", K) if with_own else None
+            self._programs[key] = program(
+                graph, TRACED[method](frames_of(self.tree, entry, method != "potential_energy"), state, own)
+            )
+        return self._programs[key]
+
+    def _numbers(self, key: tuple, traced: Program, p: TreeParameters) -> list[Tensor]:
+        """The body's own coefficients, once for as long as the same body is asked about: for all stages of a row.
+
+        Not if they are learned: each backward pass needs them anew.
+        """
+        body, numbers = self._known.get(key, (None, []))
+        if body is not p:
+            numbers = traced.numbers([getattr(p, field)[(..., *place)] for field, place in traced.constants])
+            if not self._body(p).is_differentiated:
+                self._known[key] = p, numbers
+        return numbers
+
+    def _body(self, p: TreeParameters) -> "_Body":
+        """What was seen of p when it came first."""
+        if self._seen is None or self._seen.p is not p:
+            pattern = []
+            for known, value in zip(self._constants, p, strict=True):
+                if _is_differentiated(value):
+                    known = np.full_like(known, np.nan)
+                elif known.size:
+                    own = value.detach().cpu().double().reshape(-1, *known.shape).numpy()
+                    known = np.where((own == known).all(0), known, np.nan)
+                pattern.append(known)
+            structure = b"".join(np.isnan(known).tobytes() for known in pattern)
+            self._patterns.setdefault(structure, pattern)
+            batches = [value.shape[: value.ndim - known.ndim] for known, value in zip(pattern, p, strict=True)]
+            self._seen = _Body(p, structure, common(*batches), any(map(_is_differentiated, p)))
+        return self._seen
+
+    def _check_inertia(self) -> None:
+        """Raise `BodyError` for a coordinate that nothing resists, whatever the pose."""
+        K = self.num_joints
+        poses = torch.tensor([[first + step * k for k in range(K)] for first, step in POSES], dtype=torch.float64)
+        rest = torch.zeros(len(POSES), len(self.tree.driven_names), dtype=torch.float64)
+        D = self.inertia_matrix(poses, self._nominal, Driven(rest, rest, rest)).numpy().copy()
+        own = D.diagonal(axis1=1, axis2=2).copy()
+        for k in reversed(range(K)):  # what is left of it with the joints further out free
+            resists = D[:, k, k] > RESISTS * own[:, k]
+            if not resists.any():
+                raise BodyError(
+                    f"body '{self.tree.name}': nothing resists a torque at '{self.tree.joint_names[k]}': give what it "
+                    "moves a mass away from its axis, or an inertia about it"
+                )
+            D, own = D[resists], own[resists]
+            D = D - D[:, :, k, None] * D[:, k, None, :] / D[:, k, k, None, None]
+
+
+TURNED = {"cos": torch.cos, "sin": torch.sin}
+
+
+def _flat(nested: list) -> list:
+    return list(chain.from_iterable(nested))
+
+
+def _still(motion: Motion, *still: str) -> Motion:
+    """The motion with these quantities 0."""
+    return motion._replace(**{word: [0.0] * len(motion.q) for word in still})
+
+
+def _undriven(frames: Frames, motion: Motion) -> Motion:
+    """The motion with accelerations of driven joints alone."""
+    return motion._replace(qdd=[0.0] * frames.num_joints + list(motion.qdd[frames.num_joints :]))
+
+
+TRACED = {
+    "forward": lambda frames, motion, own: articulated_bodies.accelerations(frames, motion, own),
+    "response": lambda frames, motion, own: articulated_bodies.accelerations(
+        replace(frames, gravity=ZERO), _still(motion, "qd", "qdd"), own
+    ),
+    "inverse": lambda frames, motion, _: newton_euler.torques(frames, motion),
+    "bias": lambda frames, motion, _: newton_euler.torques(frames, _undriven(frames, motion)),
+    "coriolis": lambda frames, motion, _: newton_euler.torques(
+        replace(frames, gravity=ZERO), _undriven(frames, motion)
+    ),
+    "gravity_load": lambda frames, motion, _: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
+    "kinetic_energy": lambda frames, motion, _: [newton_euler.kinetic_energy(frames, motion)],
+    "potential_energy": lambda frames, motion, _: [kinematics.potential_energy(frames, motion)],
+    "inertia_matrix": lambda frames, motion, _: _flat(composite_bodies.inertia_matrix(frames, motion)),
+    "keypoints": lambda frames, motion, _: _flat(kinematics.sites(frames, motion)),
+    "jacobian": lambda frames, motion, _: _flat(_flat(kinematics.jacobian(frames, motion))),
+}
+
+
+def _constants(name: str, value: Tensor) -> np.ndarray:
+    """The nominal numbers that programs may leave out, NaN for all others."""
+    value = value.numpy()
+    known = (value == 0) | ((name == "rotation") & (np.abs(value) == 1))
+    return np.where(known, value, np.nan)
+
+
+def _is_differentiated(value: Tensor) -> bool:
+    return value.requires_grad or forward_ad.unpack_dual(value).tangent is not None

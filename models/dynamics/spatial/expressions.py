@@ -1,0 +1,131 @@
+"""Straight-line programs out of ordinary Python arithmetic: a tracer of scalars that folds what need not be computed.
+
+An algorithm runs once on `Expression`s instead of numbers. Each operation becomes a node of a `Graph`, unless it is
+
+    known        x + 0, x · 0, x · 1, x · −1, x − x and operations on plain floats, which stay floats
+    there        the same operation on the same operands: common sub-expressions are one node
+    a sign       −x is carried outwards, so that it ends in a subtraction of what it is added to
+
+Nodes that depend on no moving argument (angles, velocities, torques) are *numbers* of the body: computed once for
+all particles. Articulated-body programs made in this way: R. Featherstone, Rigid Body Dynamics Algorithms (2008),
+section 10.4, on the symbolic simplification of recursions.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Node(NamedTuple):
+    """`kind` is "argument", "+", "-", "*", "/" or "neg"; operands are numbers of nodes, or floats."""
+
+    kind: str
+    operands: tuple
+    moving: bool
+
+
+class Graph:
+    """The nodes of one program, in an order in which they can be computed."""
+
+    def __init__(self):
+        self.nodes: list[Node] = []
+        self._places: dict[tuple, Expression] = {}
+
+    def argument(self, name: str, moving: bool) -> "Expression":
+        """The argument of that name."""
+        return self._node("argument", (name,), moving)
+
+    def operation(self, kind: str, *operands: "Expression | float") -> "Expression":
+        """The node of an operation, the one that is there or a new one."""
+        places = tuple(x.place if isinstance(x, Expression) else x for x in operands)
+        if kind in "+*":
+            places = tuple(sorted(places, key=lambda place: (isinstance(place, float), place)))
+        moving = any(isinstance(x, Expression) and self.nodes[x.place].moving for x in operands)
+        return self._node(kind, places, moving)
+
+    def _node(self, kind: str, operands: tuple, moving: bool) -> "Expression":
+        key = (kind, operands)
+        if key not in self._places:
+            self._places[key] = Expression(self, len(self.nodes))
+            self.nodes.append(Node(kind, operands, moving))
+        return self._places[key]
+
+    def needed(self, outputs: Sequence["Expression | float"]) -> list[int]:
+        """Places of all nodes that the outputs depend on, in order."""
+        found, waiting = set(), [x.place for x in outputs if isinstance(x, Expression)]
+        while waiting:
+            place = waiting.pop()
+            if place not in found:
+                found.add(place)
+                if self.nodes[place].kind != "argument":
+                    waiting += [x for x in self.nodes[place].operands if not isinstance(x, float)]
+        return sorted(found)
+
+
+class Expression:
+    """A scalar that is not known yet. Arithmetic with floats and others of its graph gives one, or a float."""
+
+    __slots__ = ("graph", "place")
+
+    def __init__(self, graph: Graph, place: int):
+        self.graph, self.place = graph, place
+
+    def _negated(self) -> "Expression | None":
+        """X where this is −x."""
+        node = self.graph.nodes[self.place]
+        return Expression(self.graph, node.operands[0]) if node.kind == "neg" else None
+
+    def __neg__(self):
+        if (inner := self._negated()) is not None:
+            return inner
+        node = self.graph.nodes[self.place]
+        if node.kind == "-":
+            one, other = (x if isinstance(x, float) else Expression(self.graph, x) for x in node.operands)
+            return self.graph.operation("-", other, one)
+        return self.graph.operation("neg", self)
+
+    def __add__(self, other):
+        if isinstance(other, float):
+            return self if other == 0 else self.graph.operation("+", self, other)
+        if (inner := other._negated()) is not None:
+            return self - inner
+        if (inner := self._negated()) is not None:
+            return other - inner
+        return self.graph.operation("+", self, other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other):
+        if isinstance(other, float):
+            return self + -other
+        if other.place == self.place:
+            return 0.0
+        if (inner := other._negated()) is not None:
+            return self + inner
+        if (inner := self._negated()) is not None:
+            return -(inner + other)
+        return self.graph.operation("-", self, other)
+
+    def __rsub__(self, other: float):
+        return -self if other == 0 else self.graph.operation("-", other, self)
+
+    def __mul__(self, other):
+        if isinstance(other, float):
+            if other == 0:
+                return 0.0
+            if abs(other) == 1:
+                return self if other == 1 else -self
+            if other < 0:
+                return -(self * -other)
+        if (inner := self._negated()) is not None:
+            return -(inner * other)
+        if isinstance(other, Expression) and (inner := other._negated()) is not None:
+            return -(self * inner)
+        return self.graph.operation("*", self, other)
+
+    __rmul__ = __mul__
+
+    def __rtruediv__(self, other: float):
+        return self.graph.operation("/", other, self)
+
+
+Scalar = Expression | float

@@ -1,0 +1,54 @@
+"""Where things are: sites and their Jacobian, and what weight has gained, in the world's axes.
+
+∂x/∂q_j = z_j × (x − p_j) for a turn about z_j through p_j, z_j for a shift; 0 for joints that do not carry the site
+"""
+
+from invdyn.models.dynamics.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frames
+from invdyn.models.dynamics.spatial.motion import Motion, placed
+
+
+def world_frames(frames: Frames, motion: Motion) -> list[tuple[Matrix, Vector]]:
+    """Of each frame: its axes as the columns of a matrix, and its origin, m."""
+    found: list[tuple[Matrix, Vector]] = []
+    for frame, place in zip(frames.frames, placed(frames, motion), strict=True):
+        axes, origin = found[frame.parent] if frame.parent >= 0 else (UNIT, ZERO)
+        # rows of the world's axes as seen in the frame: R = R_parent R_local
+        own = [place.outwards(row) for row in axes]
+        found.append((own, add(origin, apply(axes, place.position))))
+    return found
+
+
+def sites(frames: Frames, motion: Motion) -> list[Vector]:
+    """Positions of all sites, m."""
+    world = world_frames(frames, motion)
+    found = []
+    for at, offset in frames.sites:
+        axes, origin = world[at] if at >= 0 else (UNIT, ZERO)
+        found.append(add(origin, apply(axes, offset)))
+    return found
+
+
+def jacobian(frames: Frames, motion: Motion) -> list[list[Vector]]:
+    """Of each site: ∂x/∂q, for each of x, y and z its K entries."""
+    world = world_frames(frames, motion)
+    found = []
+    for (at, _), x in zip(frames.sites, sites(frames, motion), strict=True):
+        columns: list[Vector] = [ZERO] * frames.num_joints
+        for k in frames.ancestors(at):
+            frame = frames.frames[k]
+            if not frames.is_driven(frame):
+                axis = [row[2] for row in world[k][0]]
+                columns[frame.coordinate] = cross(axis, subtract(x, world[k][1])) if frame.turns else axis
+        found.append([list(row) for row in zip(*columns, strict=True)])
+    return found
+
+
+def potential_energy(frames: Frames, motion: Motion) -> Scalar:
+    """V = −Σ g·(m p + R h), J, zero at the world's origin; of all that moves."""
+    total: Scalar = 0.0
+    for frame, (axes, origin) in zip(frames.frames, world_frames(frames, motion), strict=True):
+        weight = [frame.body.mass * x + y for x, y in zip(origin, apply(axes, frame.body.moment), strict=True)]
+        total = total - dot(frames.gravity, weight)
+    return total

@@ -1,0 +1,58 @@
+"""Inverse dynamics by recursive Newton–Euler, in body axes: torques of a given motion, O(K).
+
+R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5. Outwards velocities v and accelerations a, then
+forces f = I a + v ×* I v inwards; a torque is what its axis takes of the force that its frame and all further out need.
+Gravity is an acceleration −g of the world. Without accelerations, velocities or gravity the recursion is the shorter.
+"""
+
+from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
+from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.spatial.frames import Frame, Frames
+from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
+
+
+def torques(frames: Frames, motion: Motion) -> list[Scalar]:
+    """τ, K entries, of q, q̇ and q̈; q̇ or q̈ may be zeros."""
+    places, speeds = placed(frames, motion), velocities(frames, motion)
+    arrived: list[tuple[Vector, Vector]] = []
+    forces: list[tuple[Vector, Vector]] = []
+    for frame, place, (w, v, (turning, moving)) in zip(frames.frames, places, speeds, strict=True):
+        world = ZERO, scale(-1.0, frames.gravity)
+        alpha, a = arrived[frame.parent] if frame.parent >= 0 else world
+        alpha, a = place.outwards(alpha), place.outwards(add(a, cross(alpha, place.position)))
+        along = [0.0, 0.0, motion.qdd[frame.coordinate]]
+        alpha, a = add(alpha, turning), add(a, moving)
+        alpha, a = (add(alpha, along), a) if frame.turns else (alpha, add(a, along))
+        arrived.append((alpha, a))
+        forces.append(_force(frame, w, v, alpha, a))
+    found: list[Scalar] = [0.0] * frames.num_joints
+    for k in reversed(range(len(forces))):
+        frame, (moment, force) = frames.frames[k], forces[k]
+        if not frames.is_driven(frame):
+            found[frame.coordinate] = (moment if frame.turns else force)[2]
+        if frame.parent >= 0:
+            force = places[k].inwards(force)
+            moment = add(places[k].inwards(moment), cross(places[k].position, force))
+            inner = forces[frame.parent]
+            forces[frame.parent] = add(inner[0], moment), add(inner[1], force)
+    return found
+
+
+def _force(frame: Frame, w: Vector, v: Vector, alpha: Vector, a: Vector) -> tuple[Vector, Vector]:
+    """Moment and force about a frame's origin that its own body needs: f = m (a + ω×v) + …, written out."""
+    m, h = frame.body.mass, frame.body.moment
+    linear = add(a, cross(w, v))  # of the origin, seen from the world
+    force = add(scale(m, linear), cross(alpha, h), cross(w, cross(w, h)))
+    moment = add(apply(frame.body.inertia, alpha), cross(w, apply(frame.body.inertia, w)), cross(h, linear))
+    return moment, force
+
+
+def kinetic_energy(frames: Frames, motion: Motion) -> Scalar:
+    """Σ ½ (m v² + 2 h·(v × ω) + ω·I_O ω), J."""
+    total: Scalar = 0.0
+    for frame, (w, v, _) in zip(frames.frames, velocities(frames, motion), strict=True):
+        momentum = subtract(scale(frame.body.mass, v), cross(frame.body.moment, w))
+        spin = add(apply(frame.body.inertia, w), cross(frame.body.moment, v))
+        for x, y in ((v, momentum), (w, spin)):
+            total = total + (x[0] * y[0] + x[1] * y[1] + x[2] * y[2])
+    return total * 0.5

@@ -1,0 +1,55 @@
+"""Encoders: the joints' coordinates themselves, whole turns counted.
+
+y_k ~ F(θ_k, σ_k),     σ_k = "emission.angle_scale" (K,), rad
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.view import View
+
+USUAL, LEAST, MOST = 1e-3, 1e-5, 0.1
+"""rad: noise where nothing is known of it, and between which jitter is believed to show it."""
+
+
+@dataclass(frozen=True)
+class Encoders(NoisySensor):
+    """One at each joint; ``names`` are the joints', known once :meth:`bound`."""
+
+    names: tuple[str, ...] = field(default=())
+
+    name: ClassVar[str] = "angle"
+    unit: ClassVar[str] = "rad"
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """The encoders of ``body``."""
+        return replace(self, names=tuple(body.joint_names))
+
+    @property
+    def shape(self) -> tuple[int]:
+        """(K,)."""
+        return (len(self.names),)
+
+    @property
+    def coords(self) -> dict[str, Sequence[str]]:
+        """Joints."""
+        return {"joint": self.names}
+
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """A milliradian."""
+        return {"emission.angle_scale": torch.full(self.shape, USUAL).double()}
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """Their jitter."""
+        return {"emission.angle_scale": np.clip(jitter, LEAST, MOST)}
+
+    def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """The angles as encoders show them."""
+        return view.angles, parameters["emission.angle_scale"]

@@ -1,0 +1,134 @@
+"""Keypoints: a camera's or a tracker's detections of a body's sites, in the plane or in space.
+
+    y_p ~ F(r_p(θ), σ_p s(c)),     σ_p = "emission.keypoint_scale" (P,), length unit
+
+with s(c) of the tracker's confidence (:mod:`.confidence`), γ = "emission.confidence_slope" and
+δ = "emission.confidence_drop" (P,). Coordinates stand keypoint by keypoint.
+
+Shapes: P keypoints, S sites, d dimensions, those of the body.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies.protocol import AXES, ArticulatedBody
+from invdyn.models.observation.confidence import USUAL_SLOPE, Confidence
+from invdyn.models.observation.mixture import MistakenRows
+from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.view import View
+
+LEAST, MOST = 1e-5, 0.3
+"""Of the reach: noise that a recording's jitter is believed to show."""
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints(NoisySensor):
+    """Detections of sites.
+
+    Args:
+        sites: which (P,), by place among the body's sites or by name, in the recording's order.
+        confidence: (T, P) the tracker's, or None.
+        names, coordinates: of the sites and d, known once :meth:`bound`.
+    """
+
+    sites: Sequence[int | str]
+    confidence: np.ndarray | Confidence | None = None
+    names: tuple[str, ...] = field(default=())
+    coordinates: int | None = field(default=None)
+
+    name: ClassVar[str] = "position"
+    unit: ClassVar[str] = "length"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sites", tuple(self.sites))
+        if isinstance(self.confidence, np.ndarray):
+            object.__setattr__(self, "confidence", Confidence.of(self.confidence))
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """The keypoints of ``body``; raises ValueError for sites that it does not have."""
+        known = body.keypoint_names
+        missing = [s for s in self.sites if (s not in known if isinstance(s, str) else s not in range(len(known)))]
+        if missing:
+            raise ValueError(f"expected keypoints among {', '.join(known)}, got {missing[0]!r}")
+        sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.sites)
+        return replace(self, sites=sites, names=tuple(known[site] for site in sites), coordinates=body.space)
+
+    def to(self, device: torch.device | str) -> Self:
+        """See :meth:`Sensor.to`."""
+        return self if self.confidence is None else replace(self, confidence=self.confidence.to(device))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(P, d)."""
+        return len(self.sites), self.coordinates
+
+    @property
+    def coords(self) -> dict[str, Sequence[str]]:
+        """Keypoints, and axes of space."""
+        return {"keypoint": self.names, "space": tuple(AXES[: self.coordinates])}
+
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """Noise of a fiftieth of the reach."""
+        parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
+        if self.confidence is not None:
+            for name in ("emission.confidence_slope", "emission.confidence_drop"):
+                parameters[name] = torch.full((len(self.sites),), USUAL_SLOPE).double()
+        return parameters
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """The larger jitter of a keypoint's coordinates."""
+        return {"emission.keypoint_scale": np.clip(jitter.reshape(self.shape).max(1), LEAST * reach, MOST * reach)}
+
+    def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """The sites as they are seen, and their noise, as effects change it."""
+        scale = parameters["emission.keypoint_scale"]
+        if self.confidence is not None:
+            slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
+            scale = self.confidence.widened(scale, slope, drop, t)
+        sd = scale.repeat_interleave(self.coordinates, -1)
+        if view.noise is not None:
+            every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]
+            for site, own in zip(self.sites, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
+                every[site] = own
+            sd = self.tracked(view.noise(torch.stack(every, -2))).flatten(-2)
+        return self.tracked(view.points).flatten(-2), sd
+
+    def tracked(self, values: Tensor) -> Tensor:
+        """Of all sites' values (..., S, d) those of the keypoints, (..., P, d)."""
+        # Entry by entry: a list of indices would be sent to the device in each row.
+        return torch.stack([values[..., site, :] for site in self.sites], -2)
+
+    def doubted(self, t: int | Tensor, like: Tensor, count: int) -> Tensor | None:
+        """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or not said.
+
+        None where no confidence is known.
+        """
+        if self.confidence is None:
+            return None
+        doubt = self.confidence.itself[t].to(like)
+        every = [doubt.new_zeros(doubt.shape[:-1])] * count
+        for site, own in zip(self.sites, doubt.unbind(-1), strict=True):
+            every[site] = own
+        return torch.stack(every, -1)
+
+    def mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap | Shift]) -> MistakenRows:
+        """Rows (..., O) that begin with the keypoints, whose tracker errs: mistakes with sites for their numbers."""
+        strays = [self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Stray)]
+        swaps = [
+            replace(mistake, one=self.sites.index(mistake.one), other=self.sites.index(mistake.other))
+            for mistake in mistakes
+            if isinstance(mistake, Swap)
+        ]
+        shift = next((self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
+        return MistakenRows(loc, scale, self.shape, strays, swaps, shift)
+
+    def _of_keypoints(self, mistake: Stray | Shift) -> Stray | Shift:
+        """The tracked ones of all sites' widths."""
+        sizes = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
+        return replace(mistake, **{name: self.tracked(value) for name, value in sizes.items()})

@@ -1,0 +1,178 @@
+"""What is observed of a body: one or several sensors, whose parts make a row.
+
+Sensors of independent noise that stand side by side have one distribution, Gaussian, or Student-t with "emission.df"
+degrees of freedom (1,) for stray detections, or where the tracker errs a mixture (:mod:`.mixture`); others keep their
+own, and :mod:`.side_by_side` joins what there is.
+
+Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import Self
+
+import torch
+from pyro.distributions import Chi2, Distribution, Normal, StudentT
+from torch import Tensor
+
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.encoders import Encoders
+from invdyn.models.observation.keypoints import Keypoints
+from invdyn.models.observation.sensor import NoisySensor, Sensor, size
+from invdyn.models.observation.side_by_side import SideBySide
+from invdyn.models.observation.view import View
+from invdyn.models.shapes import join
+
+FAMILIES = ("gaussian", "student_t")
+DEGREES = 4.0
+"""Of freedom of Student-t noise, to begin with."""
+
+
+class Observation:
+    """Sensors that are read in every row.
+
+    Args:
+        sensors: in the order of their parts; keypoints whose tracker may err come first.
+        family: "gaussian" or "student_t", of those with independent noise.
+
+    Raises ValueError for an unknown family, no sensor, or two of one name.
+    """
+
+    def __init__(self, *sensors: Sensor, family: str = "gaussian"):
+        if family not in FAMILIES:
+            raise ValueError(f"expected a noise family among {', '.join(FAMILIES)}, got {family!r}")
+        if not sensors or any(isinstance(each, Keypoints) and not each.sites for each in sensors):
+            raise ValueError("expected at least one sensor, and keypoints of at least one site, got none")
+        names = [each.name for each in sensors]
+        if len(set(names)) < len(names):
+            raise ValueError(f"expected a name of its own for each sensor, got {', '.join(names)}")
+        self.sensors = tuple(sensors)
+        self.family = family
+        self._runs = [list(run) for _, run in groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)]
+
+    def _with(self, sensors: Sequence[Sensor]) -> Self:
+        return type(self)(*sensors, family=self.family)
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """The observation of a body: what it needs to know its size."""
+        return self._with([each.bound(body) for each in self.sensors])
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same with all that a row needs on ``device``."""
+        moved = [each.to(device) for each in self.sensors]
+        return self if all(a is b for a, b in zip(moved, self.sensors, strict=True)) else self._with(moved)
+
+    def with_family(self, family: str) -> Self:
+        """The same under noise of another family."""
+        other = copy.copy(self)
+        other.family = family
+        return other
+
+    def data(self) -> list[Tensor]:
+        """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
+        if self.keypoints is None or self.keypoints.confidence is None:
+            return []
+        return [self.keypoints.confidence.doubt, self.keypoints.confidence.drop]
+
+    # -- rows ----------------------------------------------------------------------------------
+    @property
+    def size(self) -> int:
+        """O, the length of a row."""
+        return sum(map(size, self.sensors))
+
+    @property
+    def keypoints(self) -> Keypoints | None:
+        """The sensor of keypoints, if there is one."""
+        return next((each for each in self.sensors if isinstance(each, Keypoints)), None)
+
+    @property
+    def encoders(self) -> Encoders | None:
+        """The encoders, if there are any."""
+        return next((each for each in self.sensors if isinstance(each, Encoders)), None)
+
+    @property
+    def tracked(self) -> tuple[int, ...]:
+        """Sites that keypoints show, (P,)."""
+        return () if self.keypoints is None else self.keypoints.sites
+
+    @property
+    def tracked_names(self) -> tuple[str, ...]:
+        """Their names."""
+        return () if self.keypoints is None else self.keypoints.names
+
+    def part(self, sensor: Sensor) -> slice:
+        """Where a sensor's part of a row is."""
+        before = self.sensors[: self.sensors.index(sensor)]
+        begun = sum(map(size, before))
+        return slice(begun, begun + size(sensor))
+
+    def of(self, sensor: Sensor, rows):
+        """A sensor's part of rows (..., O), tensor or array, in its own shape."""
+        return rows[..., self.part(sensor)].reshape(*rows.shape[:-1], *sensor.shape)
+
+    def points(self, rows):
+        """Keypoints (..., P, d) of rows (..., O), tensor or array; none of no keypoints."""
+        if self.keypoints is None:
+            return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
+        return self.of(self.keypoints, rows)
+
+    def with_points(self, rows: Tensor, points: Tensor) -> Tensor:
+        """Rows (..., O) with other keypoints (..., P, d)."""
+        if self.keypoints is None:
+            return rows
+        part = self.part(self.keypoints)
+        return torch.cat([rows[..., : part.start], points.flatten(-2), rows[..., part.stop :]], -1)
+
+    # -- the distribution of a row -------------------------------------------------------------
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """Starting parameters for a body that reaches so far."""
+        parameters: dict[str, Tensor] = {}
+        for each in self.sensors:
+            parameters |= each.defaults(reach)
+        if self.family == "student_t":
+            parameters["emission.df"] = torch.full((1,), DEGREES).double()
+        return parameters
+
+    def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
+        """Distribution of row ``t``, event shape (O,).
+
+        Raises ValueError for mistakes of Student-t noise, which has its own account of stray detections.
+        """
+        parts = [self._side_by_side(run, view, t, parameters) for run in self._runs]
+        return parts[0] if len(parts) == 1 else SideBySide(parts)
+
+    def _side_by_side(
+        self, run: Sequence[Sensor], view: View, t: int | Tensor, parameters: Mapping[str, Tensor]
+    ) -> Distribution:
+        """Of one sensor, or of several that have independent noise."""
+        first = run[0]
+        if not isinstance(first, NoisySensor):
+            return first.predict(view, t, parameters)
+        found = [each.location_scale(view, t, parameters) for each in run]
+        loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
+        if view.mistakes and isinstance(first, Keypoints):
+            if self.family != "gaussian":
+                raise ValueError(
+                    f"expected gaussian noise under outliers and swaps, got {self.family!r}; drop one of them"
+                )
+            return first.mistaken(loc, scale, view.mistakes)
+        if self.family == "student_t":
+            return _UncheckedStudentT(parameters["emission.df"], loc, scale).to_event(1)
+        return Normal(loc, scale, validate_args=False).to_event(1)
+
+
+class _UncheckedStudentT(StudentT):
+    """Student-t noise whose parameters (..., O) nobody checks.
+
+    torch's own class has the χ² inside it checked whatever ``validate_args`` says: the host would wait in each row.
+    """
+
+    def __init__(self, df: Tensor, loc: Tensor, scale: Tensor):
+        self.df, self.loc, self.scale = torch.broadcast_tensors(df, loc, scale)
+        self._chi2 = Chi2(self.df, validate_args=False)
+        torch.distributions.Distribution.__init__(self, self.df.shape, validate_args=False)
+
+    def expand(self, batch_shape, _instance=None):
+        """See :class:`torch.distributions.Distribution`."""
+        return super().expand(batch_shape, self._get_checked_instance(_UncheckedStudentT, _instance))

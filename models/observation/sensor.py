@@ -1,0 +1,97 @@
+"""What a sensor is: it owns its part of an observation row.
+
+A row (O,) is the sensors' parts, one after the other (:mod:`.observation`); each sensor knows its size and columns, the
+dims that a posterior gives it, its units, its parameters "emission.<name>", and predicts its part from what there is to
+see (:mod:`.view`). NaN is missing: entries that were not seen have no term in the likelihood (:mod:`.missing`).
+
+A sensor whose entries have independent noise of one scale each derives from :class:`NoisySensor`, and writes where its
+entries are and how wide; the observation's noise family makes a distribution of all of them at once. Any other class
+that satisfies :class:`Sensor` has whatever distribution it returns.
+
+Shapes: n entries of the sensor; P·d of P keypoints in d dimensions, for example.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Protocol, Self, runtime_checkable
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution, Normal
+from torch import Tensor
+
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.view import View
+
+
+@runtime_checkable
+class Sensor(Protocol):
+    """A part of an observation row; see the top of the file."""
+
+    name: str
+    """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
+    unit: str
+    """"length" for the recording's unit of length, else the unit itself, such as "rad"."""
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """The sensor on a body, whose names and dimensions it then knows.
+
+        Raises ValueError if it has no place there.
+        """
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same with all that a row needs on ``device``."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of its part of a row unflattened, whose product is n; once bound."""
+
+    @property
+    def coords(self) -> Mapping[str, Sequence[str]]:
+        """Names along each of the dims of that shape, in order; once bound."""
+
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """Parameters, "emission.<name>", for a body that reaches so far, in float64."""
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """Those that the noise sd (n,) of its columns tells, which their jitter shows; none where it tells none."""
+
+    def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
+        """Distribution of its part of row ``t``, event shape (n,)."""
+
+
+class NoisySensor(ABC):
+    """Base of the sensors whose entries have independent noise."""
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+
+    @abstractmethod
+    def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Middle and width (..., n) of each entry's noise."""
+
+    def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
+        """Gaussian noise."""
+        loc, scale = self.location_scale(view, t, parameters)
+        return Normal(loc, scale, validate_args=False).to_event(1)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Itself, where it keeps no tensors."""
+        return self
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """None."""
+        return {}
+
+
+def size(sensor: Sensor) -> int:
+    """Entries n of a bound sensor."""
+    return int(np.prod(sensor.shape, dtype=int))
+
+
+def columns(sensor: Sensor) -> list[str]:
+    """Names of a bound sensor's entries: those along its dims, joined, "elbow_x"."""
+    names = [""]
+    for along in sensor.coords.values():
+        names = [f"{name}_{each}" if name else each for name in names for each in along]
+    return names

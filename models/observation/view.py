@@ -1,0 +1,91 @@
+"""What there is to see at a row: for the effects on what is seen, and then for the sensors.
+
+Shapes: joint quantities (..., K), sites and what is seen of them (..., S, d). In the plane sites are the links' tips.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.dynamics.planar import across, along
+from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+
+
+@dataclass
+class View:
+    """A row of an articulated body in its state.
+
+    Attributes:
+        q, qd: (..., K) rad, rad/s.
+        points: (..., S, d) m, the sites, as the effects called before leave them.
+        angles: (..., K) rad, what encoders show.
+        body: its numbers.
+        dynamics: of this body.
+        acceleration: function of none, → θ̈ (..., K).
+        turned: function of seconds (..., 1), negative ones too, → θ by then, (..., K) rad.
+        ahead: function of the same → how far the sites move by then, (..., S, d) m.
+        clock: function of none, → s since the first row, (..., 1).
+        doubt: (..., S) 1 − c of the tracker's confidence c, 0 at sites that are not tracked; None where it has none.
+        noise: what effects make of the sites' standard deviations (..., S, d); None for nothing.
+        mistakes: what the tracker gets wrong now and then.
+    """
+
+    q: Tensor
+    qd: Tensor
+    points: Tensor
+    angles: Tensor
+    body: Any
+    dynamics: Dynamics
+    acceleration: Callable[[], Tensor]
+    turned: Callable[[Tensor], Tensor]
+    ahead: Callable[[Tensor], Tensor]
+    clock: Callable[[], Tensor]
+    doubt: Tensor | None = None
+    noise: Callable[[Tensor], Tensor] | None = None
+    mistakes: Sequence[Stray | Swap | Shift] = field(default=())
+
+    def seen_at(self, points: Tensor) -> "View":
+        """The same view, with other points."""
+        return replace(self, points=points)
+
+    def moved(self, site: int, shift: Tensor) -> Tensor:
+        """The points, one of them moved by ``shift`` (..., d) m."""
+        here = torch.nn.functional.one_hot(torch.tensor(site), self.points.shape[-2]).to(self.points)
+        return self.points + here.unsqueeze(-1) * shift.unsqueeze(-2)
+
+    def later(self, seconds: Tensor) -> Tensor:
+        """The points, each (..., S or 1, 1) s later."""
+        if seconds.shape[-2] == 1:
+            return self.points + self.ahead(seconds[..., 0, :])
+        each = [self.ahead(seconds[..., k, :])[..., k, :] for k in range(seconds.shape[-2])]
+        return self.points + torch.stack(torch.broadcast_tensors(*each), -2)
+
+    @cached_property
+    def elapsed(self) -> Tensor:
+        """(..., 1) s, since the first row."""
+        return self.clock()
+
+    @cached_property
+    def along(self) -> Tensor:
+        """Of a planar chain unit vectors u along the links, (..., K, 2)."""
+        return along(self.q)
+
+    @cached_property
+    def across(self) -> Tensor:
+        """Of a planar chain unit vectors u⊥, a quarter turn counter-clockwise from the links, (..., K, 2)."""
+        return across(self.along)
+
+    @cached_property
+    def velocity(self) -> Tensor:
+        """The sites' ṙ, (..., S, d) m/s."""
+        return self.dynamics.site_velocities(self.q, self.qd, self.body)
+
+    @cached_property
+    def site_acceleration(self) -> Tensor:
+        """The sites' r̈, (..., S, d) m/s²."""
+        return self.dynamics.site_accelerations(self.q, self.qd, self.acceleration(), self.body)

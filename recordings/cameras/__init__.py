@@ -1,0 +1,39 @@
+"""Several cameras at one scene: calibrations read and written, pixels to points in space, poses adjusted."""
+
+from .boards import Board
+from .bundle import Adjusted, bundle_adjust
+from .calibrate import calibrate
+from .camera import Calibration, Camera
+from .camera_tables import write_calibration
+from .formats import read_calibration
+from .projection import project, rays, undistort
+from .reprojection import reprojection
+from .scene import Length, Scene, reconstruct
+from .synchronise import find_offsets
+from .triangulate import Triangulated, triangulate
+from .views import Views, at_one_time, match_names, read_tracks
+
+__all__ = [
+    "Adjusted",
+    "Board",
+    "Calibration",
+    "Camera",
+    "Length",
+    "Scene",
+    "Triangulated",
+    "Views",
+    "at_one_time",
+    "bundle_adjust",
+    "calibrate",
+    "find_offsets",
+    "match_names",
+    "project",
+    "rays",
+    "read_calibration",
+    "read_tracks",
+    "reconstruct",
+    "reprojection",
+    "triangulate",
+    "undistort",
+    "write_calibration",
+]

@@ -1,0 +1,101 @@
+"""Calibrations that OpenCV's programs save (YAML, JSON): one camera, or two of a stereo pair.
+
+    one     camera_matrix, distortion_coefficients[, image_width, image_height][, R or rvec, T or tvec]
+    stereo  M1, D1, M2, D2, R, T: camera 2 against camera 1, x₂ = R x₁ + T; the scene's frame is camera 1's
+
+Names of keys: OpenCV's samples calibration.cpp and stereo_calib.cpp, whose second file, with R and T, is joined by
+giving both. The unit is the one of the board's squares, which the files do not say.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..units import METRES
+from .camera import Calibration, Camera
+from .camera_tables import rotation_matrix
+from .opencv_storage import read_storage
+
+MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
+DISTORTION = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "Distortion_Coefficients", "D", "dist")
+PAIR = {
+    1: (("M1", "K1", "cameraMatrix1"), ("D1", "distCoeffs1")),
+    2: (("M2", "K2", "cameraMatrix2"), ("D2", "distCoeffs2")),
+}
+ROTATION, TRANSLATION = ("R", "rvec", "rotation"), ("T", "tvec", "translation", "t")
+
+
+def read_opencv(paths: str | Path | Sequence[str | Path], unit: str | None = None) -> Calibration:
+    """Read one file, or several: one a camera, or the two of a stereo pair.
+
+    A single camera without a pose stands at the origin. Of several, each needs its own pose.
+
+    Args:
+        paths: the files; a camera is called as its file.
+        unit: of T, m, cm or mm; None when it is not known.
+
+    Raises:
+        InputError: no matrix in it, several cameras without poses, or values that make no camera.
+        OSError: a file that cannot be opened.
+    """
+    files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    trees = {path: read_storage(path) for path in files}
+    merged = {key: value for tree in trees.values() for key, value in tree.items()}
+    if _find(merged, PAIR[1][0]) is not None:
+        cameras = _stereo(merged, files)
+    else:
+        cameras = [_single(tree, path, alone=len(files) == 1) for path, tree in trees.items()]
+    calibration = Calibration(tuple(cameras), metric=False)
+    return calibration if unit is None else calibration.scaled(METRES[unit])
+
+
+def _find(tree: dict[str, Any], keys: Sequence[str]) -> Any:
+    return next((tree[key] for key in keys if key in tree), None)
+
+
+def _size(tree: dict[str, Any]) -> tuple[int, int] | None:
+    if "image_width" in tree and "image_height" in tree:
+        return tree["image_width"], tree["image_height"]  # `Camera` checks them
+    size = _find(tree, ("image_size", "imageSize", "Image_Size"))
+    return None if size is None or np.size(size) != 2 else tuple(np.ravel(size))
+
+
+def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
+    matrix, distortion = _find(tree, MATRIX), _find(tree, DISTORTION)
+    if matrix is None or distortion is None:
+        raise InputError(f"{path}: no camera in it: expected camera_matrix and distortion_coefficients")
+    rotation, translation = _find(tree, ROTATION), _find(tree, TRANSLATION)
+    if rotation is None or translation is None:
+        if not alone:
+            raise InputError(
+                f"{path}: it says nothing of where the camera stands (R, T); several cameras need that: "
+                "invdyn calibrate finds it from films of one board"
+            )
+        rotation, translation = np.eye(3), np.zeros(3)
+    return Camera(
+        name=path.stem,
+        matrix=matrix,
+        distortion=np.ravel(distortion),
+        rotation=rotation_matrix(path.stem, rotation),
+        translation=np.ravel(translation),
+        size=_size(tree),
+        fisheye=tree.get("fisheye_model", 0) == 1,
+    )
+
+
+def _stereo(tree: dict[str, Any], files: Sequence[Path]) -> list[Camera]:
+    where = ", ".join(str(path) for path in files)
+    rotation, translation = _find(tree, ROTATION), _find(tree, TRANSLATION)
+    if rotation is None or translation is None:
+        raise InputError(f"{where}: a stereo pair without R and T: give the file of the extrinsics, too")
+    poses = {1: (np.eye(3), np.zeros(3)), 2: (rotation_matrix("camera_2", rotation), np.ravel(translation))}
+    cameras = []
+    for number, (matrices, distortions) in PAIR.items():
+        matrix, distortion = _find(tree, matrices), _find(tree, distortions)
+        if matrix is None or distortion is None:
+            raise InputError(f"{where}: a stereo pair without {matrices[0]} and {distortions[0]}")
+        cameras.append(Camera(f"camera_{number}", matrix, np.ravel(distortion), *poses[number], size=_size(tree)))
+    return cameras

@@ -1,0 +1,79 @@
+"""How well points in space explain the pixels: a row for each camera and keypoint.
+
+Of the distances |y − π(X)|, px: median and 90 % quantile; of the differences y − π(X) the median across (u) and down
+(v) the picture, a tracker's lasting offset in that view; and the share of strays, whose weight fell below a third of
+the average pixel's.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+
+STRAY = 1 / 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """One camera and keypoint; px."""
+
+    camera: str
+    keypoint: str
+    pixels: int
+    median: float
+    q90: float
+    u: float
+    v: float
+    strays: float
+
+
+def reprojection(
+    cameras: Sequence[str], keypoints: Sequence[str], residuals: np.ndarray, weights: np.ndarray
+) -> list[Row]:
+    """Rows for all, keypoints of one camera together, `all` last.
+
+    Args:
+        cameras, keypoints: C and P names.
+        residuals: (T, P, C, 2) px, NaN where there is no pixel or no point.
+        weights: (T, P, C) τ, as `Triangulated.weights`.
+    """
+    rows = []
+    for c, camera in enumerate(cameras):
+        for p, keypoint in enumerate(keypoints):
+            rows.append(_row(camera, keypoint, residuals[:, p, c], weights[:, p, c]))
+        rows.append(_row(camera, "all", residuals[:, :, c].reshape(-1, 2), weights[:, :, c].ravel()))
+    return rows
+
+
+def _row(camera: str, keypoint: str, residuals: np.ndarray, weights: np.ndarray) -> Row:
+    seen = np.isfinite(residuals).all(-1)
+    if not seen.any():
+        return Row(camera, keypoint, 0, *[float("nan")] * 5)
+    miss = residuals[seen]
+    distance = np.linalg.norm(miss, axis=-1)
+    u, v = np.median(miss, axis=0)
+    strays = (weights[seen] < STRAY).mean()
+    numbers = (np.median(distance), np.quantile(distance, 0.9), u, v, strays)
+    return Row(camera, keypoint, int(seen.sum()), *map(float, numbers))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows as text for people."""
+    head = f"{'camera':<14} {'keypoint':<16} {'pixels':>7} {'median':>7} {'90 %':>7} {'u':>7} {'v':>7} {'strays':>7}"
+    lines = [
+        f"{row.camera:<14} {row.keypoint:<16} {row.pixels:>7} {row.median:>7.2f} {row.q90:>7.2f} {row.u:>7.2f} "
+        f"{row.v:>7.2f} {row.strays:>7.1%}"
+        for row in rows
+    ]
+    return "\n".join([head, *lines])
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """Rows as CSV, an unknown number as an empty cell."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(field.name for field in fields(Row))
+    writer.writerows(["" if value != value else value for value in astuple(row)] for row in rows)
+    return file.getvalue()

@@ -1,0 +1,242 @@
+"""Points of the scene from their pixels in several cameras: robust, weighted, with a covariance.
+
+Pixel y of camera c is a Student-t about the projection of X, in the plane, with ν degrees of freedom:
+
+    −log p = Σ_c (ν + 2)/2 · log(1 + w_c |y_c − π_c(X)|² / (ν σ²)) + constant
+
+w is the tracker's confidence. Gauss–Newton with Levenberg's damping on reweighted least squares (EM for a
+t-distribution: Lange, Little and Taylor, JASA 84, 1989) starts from the point nearest to all rays and from the
+likeliest of those that each pair of cameras has, and the better end is kept: a camera that follows another limb drags
+no point along.
+σ, one for all, is where EM's step for it ends, with three coordinates a point taken off the degrees of freedom.
+Covariance: inverse of J' Λ J with Λ = (ν + 2)/(ν + 4) · τ w/σ², the t-distribution's information at EM's weights τ
+over their mean. Measured on simulated pixels of that distribution: 90 % regions of two to six cameras hold 86 to 88 %
+of points.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ..errors import InputError
+from .camera import Calibration
+from .projection import project_with_jacobian, rays
+
+FREEDOM = 4.0
+"""ν: tails that a tracker's strays need."""
+FAR = 1e6
+"""px, the distance that stands for a point which the camera cannot see at all."""
+STEPS, ROUNDS = 25, 6
+LEAST_ANGLE = np.radians(0.5)
+"""Between the two rays that differ most: with less there is no depth to speak of."""
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """Points and how well they are known; N points, C cameras.
+
+    Attributes:
+        points: (N, 3), NaN where fewer than two cameras tell.
+        covariance: (N, 3, 3), NaN there, too.
+        residuals: (N, C, 2) px, pixel less projection, NaN where there is no pixel or no point.
+        weights: (N, C) τ of each pixel over their mean: near 1 where it fits, 0 where it strays or is not there.
+        scale: σ, px.
+    """
+
+    points: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    weights: np.ndarray
+    scale: float
+
+
+def triangulate(
+    calibration: Calibration, pixels: np.ndarray, confidence: np.ndarray | None = None, scale: float | None = None
+) -> Triangulated:
+    """Triangulate N points.
+
+    Args:
+        calibration: C cameras, two or more, that do not all stand in one place.
+        pixels: (N, C, 2), y down the picture, NaN where a camera does not see the point.
+        confidence: (N, C) of the tracker, in [0, 1]; default 1.
+        scale: σ, px; by default it is estimated from all points.
+
+    Raises:
+        InputError: one camera alone, cameras that share their place, shapes that do not fit, or no point that two see.
+    """
+    pixels, trust = _checked(calibration, pixels, confidence)
+    aim = np.stack([rays(camera, pixels[:, c]) for c, camera in enumerate(calibration)], axis=1)
+    trust = np.where(np.isfinite(aim).all(-1), trust, 0.0)
+    several = (trust > 0).sum(1) >= 2
+    if not several.any():
+        raise InputError(
+            "no point is seen by two cameras at once: do the films overlap, in time and in what they show?"
+        )
+    problem = _Problem(calibration, pixels[several], trust[several])
+    starts = _starts(calibration, aim[several], trust[several])
+    sigma = scale or problem.first_scale(starts[0])
+    if len(starts) > 1:
+        starts = [starts[0], problem.likeliest(starts[1:], sigma)]
+    ends = [problem.descend(start, sigma) for start in starts]
+    points = problem.likeliest(ends, sigma)
+    if scale is None:
+        for _ in range(ROUNDS):
+            before, sigma = sigma, problem.new_scale(points, sigma)
+            points = problem.descend(points, sigma)
+            if abs(sigma / before - 1) < 1e-3:
+                break
+        points = problem.likeliest([points, *(problem.descend(end, sigma) for end in ends)], sigma)
+    return problem.summary(points, sigma, several, _widest_angle(aim[several], trust[several]))
+
+
+def _checked(
+    calibration: Calibration, pixels: np.ndarray, confidence: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    pixels = np.asarray(pixels, dtype=np.float64)
+    if len(calibration) < 2:
+        raise InputError(f"triangulation needs two cameras or more, got {len(calibration)}")
+    if pixels.ndim != 3 or pixels.shape[1:] != (len(calibration), 2):
+        raise InputError(f"pixels must have shape (N, {len(calibration)}, 2), got {pixels.shape}")
+    places = np.stack([camera.position for camera in calibration])
+    if np.linalg.norm(places - places[0], axis=-1).max() <= 1e-9 * (1 + np.linalg.norm(places[0])):
+        raise InputError(
+            f"cameras {', '.join(calibration.names)} stand in one place, so nothing has a depth: "
+            "expected a calibration with their poses"
+        )
+    trust = np.ones(pixels.shape[:2]) if confidence is None else np.nan_to_num(np.asarray(confidence, dtype=np.float64))
+    if trust.shape != pixels.shape[:2]:
+        raise InputError(f"confidence must have shape {pixels.shape[:2]}, got {trust.shape}")
+    return pixels, np.clip(trust, 0.0, 1.0)
+
+
+def _nearest(origins: np.ndarray, aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """Points (N, 3) nearest to rays from origins (C, 3) along aim (N, C, 3): least squares of the distances."""
+    across = np.where(trust > 0, trust, 0)[..., None, None] * (np.eye(3) - aim[..., :, None] * aim[..., None, :])
+    across = np.nan_to_num(across)
+    normal = across.sum(1) + 1e-12 * np.eye(3)
+    return np.linalg.solve(normal, (across @ origins[None, :, :, None]).sum(1))[..., 0]
+
+
+def _starts(calibration: Calibration, aim: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
+    """The point nearest to all rays, then those of each pair of cameras where there are more than two."""
+    origins = np.stack([camera.position for camera in calibration])
+    starts = [_nearest(origins, aim, trust)]
+    if len(calibration) > 2:
+        for pair in combinations(range(len(calibration)), 2):
+            both = (trust[:, pair] > 0).all(1)
+            point = _nearest(origins[list(pair)], aim[:, pair], trust[:, pair])
+            starts.append(np.where(both[:, None], point, starts[0]))
+    return starts
+
+
+def _widest_angle(aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """(N,) rad, at most π/2, between the two lines of sight that differ most: cameras face to face tell no depth."""
+    aim = np.where((trust > 0)[..., None], aim, np.nan)
+    cross = np.linalg.norm(np.cross(aim[:, :, None], aim[:, None]), axis=-1)
+    angle = np.arctan2(cross, np.abs((aim[:, :, None] * aim[:, None]).sum(-1)))
+    return np.nanmax(angle, axis=(1, 2))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """N points that two cameras or more see."""
+
+    calibration: Calibration
+    pixels: np.ndarray
+    trust: np.ndarray
+
+    def likeliest(self, ends: list[np.ndarray], sigma: float) -> np.ndarray:
+        """(N, 3), of each point the end of least cost."""
+        costs = np.stack([self._cost(self._look(end)[0], self.trust, sigma) for end in ends])
+        return np.stack(ends)[costs.argmin(0), np.arange(len(self.pixels))]
+
+    def first_scale(self, points: np.ndarray) -> float:
+        """A robust σ at points: for a Gaussian in the plane the median distance is 1.18 σ."""
+        distance = np.linalg.norm(self._look(points)[0], axis=-1)[self.trust > 0]
+        return max(float(np.median(distance)) / 1.18, 1e-6)
+
+    def new_scale(self, points: np.ndarray, sigma: float) -> float:
+        """EM's step for σ, weights over their mean (Kent, Tyler and Vardi, Communications in Statistics 23, 1994)."""
+        square = (self._look(points)[0] ** 2).sum(-1)
+        seen = self.trust > 0
+        tau = self._tau(square, sigma, self.trust)[seen]
+        total = (tau / tau.mean() * (self.trust * square)[seen]).sum()
+        return max(float(np.sqrt(total / (2 * seen.sum() - 3 * len(points)))), 1e-6)
+
+    def summary(self, points: np.ndarray, sigma: float, several: np.ndarray, angle: np.ndarray) -> Triangulated:
+        """Everything for all points, those that two cameras do not see included."""
+        residual, jacobian = self._look(points)
+        tau = np.where(self.trust > 0, self._tau((residual**2).sum(-1), sigma, self.trust), 0.0)
+        tau /= tau[self.trust > 0].mean()
+        share = (FREEDOM + 2) / (FREEDOM + 4) * tau * self.trust / sigma**2
+        information = np.einsum("nc,ncij,ncik->njk", share, jacobian, jacobian)
+        ahead = (np.abs(residual).max(-1) < FAR).sum(1) >= 2
+        known = ahead & (angle >= LEAST_ANGLE) & (np.linalg.cond(information) < 1e12)
+        covariance = np.full((len(points), 3, 3), np.nan)
+        covariance[known] = np.linalg.inv(information[known])
+        unseen = ~(known[:, None] & (self.trust > 0))
+        residual = np.where(unseen[..., None] | (np.abs(residual) >= FAR), np.nan, residual)
+
+        def spread(values: np.ndarray, empty: float = np.nan) -> np.ndarray:
+            whole = np.full((len(several), *values.shape[1:]), empty)
+            whole[several] = values
+            return whole
+
+        return Triangulated(
+            points=spread(np.where(known[:, None], points, np.nan)),
+            covariance=spread(covariance),
+            residuals=spread(residual),
+            weights=spread(np.where(unseen, 0.0, tau), 0.0),
+            scale=sigma,
+        )
+
+    def descend(self, points: np.ndarray, sigma: float) -> np.ndarray:
+        """Gauss–Newton, damped point by point: a step that does not help is taken back, and a shorter one tried."""
+        points = points.copy()
+        going = np.arange(len(points))
+        residual, jacobian = self._look(points)
+        cost, damping = self._cost(residual, self.trust, sigma), np.full(len(points), 1e-4)
+        for _ in range(STEPS):
+            trust = self.trust[going]
+            weight = self._tau((residual**2).sum(-1), sigma, trust) * trust
+            weight = np.where(np.abs(residual).max(-1) < FAR, weight, 0.0)
+            weighted = (weight[..., None, None] * jacobian).reshape(len(going), -1, 3)
+            normal = weighted.swapaxes(1, 2) @ jacobian.reshape(len(going), -1, 3)
+            gradient = weighted.swapaxes(1, 2) @ residual.reshape(len(going), -1, 1)
+            ridge = damping * np.trace(normal, axis1=1, axis2=2) + 1e-12
+            trial = points[going] + np.linalg.solve(normal + ridge[:, None, None] * np.eye(3), gradient)[..., 0]
+            new_residual, new_jacobian = self._look(trial, going)
+            new_cost = self._cost(new_residual, trust, sigma)
+            better = new_cost <= cost
+            gain = cost - new_cost
+            points[going[better]] = trial[better]
+            residual = np.where(better[:, None, None], new_residual, residual)
+            jacobian = np.where(better[:, None, None, None], new_jacobian, jacobian)
+            cost = np.where(better, new_cost, cost)
+            damping = np.where(better, damping / 10, damping * 10)
+            more = np.where(better, gain > 1e-9, damping < 1e4)
+            if not more.any():
+                break
+            going, residual, jacobian, cost, damping = (
+                each[more] for each in (going, residual, jacobian, cost, damping)
+            )
+        return points
+
+    def _look(self, points: np.ndarray, which: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n, C, 2), `FAR` where the camera cannot see the point, and derivatives (n, C, 2, 3) of pixels."""
+        residuals, jacobians = [], []
+        for c, camera in enumerate(self.calibration):
+            predicted, by_local, _ = project_with_jacobian(camera, points)
+            residuals.append(np.nan_to_num(self.pixels[which, c] - predicted, nan=FAR))
+            jacobians.append(np.nan_to_num(by_local @ camera.rotation))
+        return np.stack(residuals, 1), np.stack(jacobians, 1)
+
+    @staticmethod
+    def _tau(square: np.ndarray, sigma: float, trust: np.ndarray) -> np.ndarray:
+        return (FREEDOM + 2) / (FREEDOM + trust * square / sigma**2)
+
+    @staticmethod
+    def _cost(residual: np.ndarray, trust: np.ndarray, sigma: float) -> np.ndarray:
+        square = trust * (residual**2).sum(-1) / (FREEDOM * sigma**2)
+        return (0.5 * (FREEDOM + 2) * np.log1p(square)).sum(-1)

@@ -1,0 +1,70 @@
+"""Places that a tracker writes for a point it has lost.
+
+A likelihood of 0 says that nothing was found (OpenPose and COCO write 0, 0, 0), whatever place stands beside it. In
+pixels (0, 0) is the image's corner, where a sub-pixel estimate does not fall exactly. Both are missing. A place that is
+repeated to the last digit while the likelihood is low is the last good one, kept: this is told and no more, since a
+hidden arm may rest.
+"""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from .errors import InputError
+from .recording import Recording
+
+STILL = 3
+"""Rows with one and the same place that are told."""
+LOW = 0.5
+"""Of a keypoint's median likelihood: below it, it is low."""
+
+
+def without_lost(recording: Recording, pixels: bool) -> Recording:
+    """The recording with lost places NaN.
+
+    A likelihood that is 0 for all points in all frames was not written by a tracker, and is dropped.
+
+    Raises InputError when nothing is left of a keypoint that had places.
+    """
+    points, confidence = recording.keypoints.copy(), recording.confidence
+    if confidence is not None and not np.nan_to_num(confidence).any():
+        confidence = None
+    if confidence is not None:
+        points[confidence == 0] = np.nan
+    if pixels:
+        corner = (points == 0).all(axis=-1)
+        corner &= corner.mean(axis=0) < 0.5  # otherwise it is the origin, to which the tracks are relative
+        points[corner] = np.nan
+        for name, rows in zip(recording.keypoint_names, corner.sum(axis=0), strict=True):
+            if rows:
+                warnings.warn(
+                    f"{name} is at the image's corner (0, 0) in {rows} of {len(points)} rows: taken to be missing",
+                    stacklevel=2,
+                )
+    had, has = (np.isfinite(each).any(axis=(0, 2)) for each in (recording.keypoints, points))
+    for name, before, after in zip(recording.keypoint_names, had, has, strict=True):
+        if before and not after:
+            raise InputError(f"keypoint {name!r} is lost in every frame: its likelihood is 0")
+    if confidence is not None:
+        for name, track, sure in zip(recording.keypoint_names, np.moveaxis(points, 1, 0), confidence.T, strict=True):
+            _tell_still(name, track, sure)
+    return replace(recording, keypoints=points, confidence=confidence)
+
+
+def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
+    same = (track[1:] == track[:-1]).all(axis=-1)  # NaN differs from itself
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    runs = [(start, stop + 1) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop + 1 - start >= STILL]
+    if not runs:
+        return
+    low = LOW * np.nanmedian(confidence)
+    doubted = [(start, stop) for start, stop in runs if np.nanmax(confidence[start:stop], initial=-np.inf) < low]
+    if doubted:
+        start, stop = max(doubted, key=lambda run: run[1] - run[0])
+        rows = sum(stop - start for start, stop in doubted)
+        warnings.warn(
+            f"{name} stands at one place to the last digit in {rows} rows, such as {start + 1} to {stop}, where its "
+            f"likelihood is under half of its median: if it was lost there, leave these cells empty",
+            stacklevel=3,
+        )

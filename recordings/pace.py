@@ -1,0 +1,142 @@
+"""Whether a body can have moved at the pace that a recording's times say, and gaps in them.
+
+One body's own clock tells seconds from frame numbers, and radians from degrees: the swing of a pendulum as long as it,
+T = 2π √(L/g). On it
+
+    rows      come at least four times a swing (a quarter of it is the fall from level to hanging), or there is no
+              motion to be seen between them; and no faster than `QUICKEST`
+    speeds    have Froude numbers v²/(g L), the tip's centripetal over gravity's acceleration (Alexander, Physiol. Rev.
+              69, 1989), of the order of 1: the robots and passive pendulums that come with this package lie between 0
+              and 4.3; minutes taken for seconds raise it 3,600-fold, degrees taken for radians 3,283-fold
+
+v is over a hundredth and a half of a swing, which noise does not reach, and exceeded in a quarter of the rows, so that
+neither rest nor a few lost points count. g = 9.81 m/s², whatever gravity does in the body's own plane.
+"""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from .errors import InputError
+from .recording import Recording
+from .units import TIMES
+
+GRAVITY = 9.81  # m/s²
+QUICKEST = 1e-5  # s, ten times a fast camera's interval and a motor controller's
+USUAL = 0.02  # s, between a film's 1/30 and a robot's log
+FASTEST = 20.0  # Froude number: four turns a second of a link of .3 m
+BASELINE = 0.1  # √(L/g), over which a speed is taken
+
+
+def swing(length: float) -> float:
+    """Of a pendulum, s."""
+    return 2 * np.pi * float(np.sqrt(length / GRAVITY))
+
+
+def check_interval(recording: Recording, length: float) -> None:
+    """Raise InputError when rows with an observation are too far apart, or too near, for seconds.
+
+    Args:
+        recording: its times, whatever they were meant to be.
+        length: of the body, m.
+    """
+    time = recording.time[_observed(recording)]
+    if len(time) < 2:
+        return
+    interval = float(np.median(np.diff(time)))
+    slowest = swing(length) / 4
+    if np.spacing(np.abs(time).max()) > 0.01 * interval:
+        raise InputError(
+            f"times near {time[0]:.9g} s have too few digits for rows {interval:.3g} s apart: count from the first row"
+        )
+    if QUICKEST <= interval <= slowest:
+        return
+    whole = bool((time == np.round(time)).all()) and interval == 1.0
+    fitting = [unit for unit, size in TIMES.items() if 10 * QUICKEST <= interval * size <= slowest]
+    likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / USUAL)), default=None)
+    if whole:
+        hint = "these look like frame numbers: pass --units frames --fps with the frame rate"
+    elif likely is not None:
+        hint = f"these look like {likely}: pass --units {likely}"
+    else:
+        hint = "give times in seconds, and the right --fps"
+    limit = f"swings once in {4 * slowest:.2g} s" if interval > slowest else "is filmed and read less often"
+    raise InputError(
+        f"rows are {interval:.3g} s apart (median), but an arm of {length:.2g} m {limit}; {hint} "
+        "(--units s if seconds they are)"
+    )
+
+
+def froude(places: np.ndarray, time: np.ndarray, length: float) -> float:
+    """v²/(g L) of places (T, D), m, at times (T,), s; NaN rows are passed over, and 0 comes of fewer than two."""
+    seen = np.isfinite(places).all(axis=-1)
+    places, time = places[seen], time[seen]
+    if len(time) < 2:
+        return 0.0
+    rows = round(BASELINE * np.sqrt(length / GRAVITY) / np.median(np.diff(time)))
+    rows = min(max(rows, 1), len(time) - 1)
+    speed = np.linalg.norm(places[rows:] - places[:-rows], axis=-1) / (time[rows:] - time[:-rows])
+    return float(np.quantile(speed, 0.75) ** 2 / (GRAVITY * length))
+
+
+def bridged(recording: Recording, length: float) -> Recording:
+    """Rows without an observation, a frame interval apart, across each step longer than a quarter of a swing.
+
+    A step that long is beyond any integrator and any torque that is held over it; empty rows let the bands widen
+    instead. Commands are held. It is told.
+
+    Args:
+        recording: any.
+        length: of the body, m.
+
+    Raises InputError when it would take more rows than were recorded: what lies before and after such a gap has
+    nothing to do with each other.
+    """
+    time, interval = recording.time, recording.frame_interval
+    step = np.diff(time)
+    more = np.where(step > swing(length) / 4, np.ceil(step / interval - 1e-6) - 1, 0)
+    if not more.any():
+        return recording
+    worst = int(step.argmax())
+    where = (
+        f"rows {worst + 1} and {worst + 2} are {step[worst]:.3g} s apart ({time[worst]:g}, then {time[worst + 1]:g} s)"
+    )
+    if more.sum() > len(time):
+        raise InputError(
+            f"{where}, too long a gap to say anything across it: use the rows before or after it, "
+            f"--frames :{worst + 1} or {worst + 1}:"
+        )
+    more = more.astype(int)
+    source = np.repeat(np.arange(len(time)), np.append(more + 1, 1))
+    first = np.flatnonzero(np.diff(source, prepend=-1))
+    part = np.arange(len(source)) - first[source]
+    share = part / (np.append(more, 0)[source] + 1)
+    filled = time[source] + share * np.append(step, 0.0)[source]
+
+    def rows(values: np.ndarray | None, held: bool = False) -> np.ndarray | None:
+        if values is None:
+            return None
+        values = values[source]
+        if not held:
+            values[part > 0] = np.nan
+        return values
+
+    warnings.warn(
+        f"{where}: gaps longer than {swing(length) / 4:.2g} s are bridged by {more.sum()} rows without an observation",
+        stacklevel=2,
+    )
+    return replace(
+        recording,
+        time=filled,
+        keypoints=rows(recording.keypoints),
+        confidence=rows(recording.confidence),
+        angles=rows(recording.angles),
+        torques=rows(recording.torques, held=True),
+    )
+
+
+def _observed(recording: Recording) -> np.ndarray:
+    """(T,) whether a row has a place or an angle; a row may carry a command alone."""
+    seen = np.isfinite(recording.keypoints).any(axis=(1, 2))
+    return seen if recording.angles is None else seen | np.isfinite(recording.angles).any(axis=1)

@@ -1,0 +1,38 @@
+"""Paths as a user gives them: what cannot be one is an error with the path in it, before anything is opened.
+
+A link that leads back to itself, a NUL in a name, a device without end, a pipe that nobody fills: the first two are no
+OSError to Python, the last two would be read for ever.
+"""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+
+def resolved(path: str | Path) -> Path:
+    """The absolute `path`, links followed and ~ expanded; it need not be there.
+
+    Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no UTF-8, and a name that
+    is too long.
+    """
+    try:
+        str(path).encode()  # else no file could say in UTF-8 where it came from
+        whole = Path(path).expanduser()
+        whole.exists()  # a name that is too long is an OSError here
+        return whole.resolve()
+    except (ValueError, RuntimeError) as error:
+        looping = isinstance(error, RuntimeError)
+        what = "its links lead round in a circle" if looping else "no path may hold such a character"
+        raise OSError(errno.ELOOP if looping else errno.EINVAL, what, str(path)) from None
+
+
+def check_readable(path: str | Path) -> Path:
+    """Return `path` if an ordinary file is there. Raises OSError, with `filename` and `strerror`, if not."""
+    resolved(path)
+    mode = os.stat(path).st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "expected an ordinary file, this is a device or a pipe", str(path))
+    return Path(path)

@@ -1,0 +1,147 @@
+"""Whether numbers can be what they are said to be: lengths against a body, angles against its keypoints, pace.
+
+A wrong unit is off by a factor of 10 or far more; what is refused here is off by more than any real recording at hand.
+What was declared (`--units`) is believed where nothing but its size speaks against it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .errors import InputError
+from .pace import FASTEST, check_interval, froude
+from .recording import Recording
+from .units import RADIANS, Units, median_distances
+
+LARGEST_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
+LARGEST_ANGLE = 50.0  # rad, eight turns of a joint; degrees exceed it
+WORST_LINK_RATIO = 3.0  # observed over given link length; a wrong unit is off by far more
+WORST_BODY_LENGTH = 0.2  # of a body whose lengths are shares of its own
+OFF, CLOSE = 0.5, 0.15  # rad, medians of an angle that is not what keypoints show, and of one that is
+
+
+def check_magnitudes(recording: Recording, units: Units) -> None:
+    """Raise InputError when lengths are too large for metres, or angles for radians that nobody declared."""
+    if recording.length_unit == "m" and (extent := _extent(recording)) > LARGEST_EXTENT:
+        raise InputError(
+            f"keypoints spread over {extent:.3g} m, too much for one body; these look like pixels: "
+            "pass --units px (or mm, cm)"
+        )
+    if units.angle is None and recording.angles is not None:
+        largest = np.nanmax(np.abs(recording.angles), initial=0.0)
+        if largest > LARGEST_ANGLE:
+            raise InputError(
+                f"angles reach {largest:.3g}, too much for radians; these look like degrees: "
+                "pass --units deg (--units rad if radians they are)"
+            )
+
+
+def check_plausible(
+    recording: Recording,
+    link_lengths: Sequence[float],
+    base: Sequence[float] | None = (0.0, 0.0),
+    units: Units | None = None,
+) -> None:
+    """Compare a recording with a body: distances, its own clock, angles with keypoints. A wrong unit shows at once.
+
+    Args:
+        recording: keypoints along the chain: the K links' tips, or the base and then the K tips; angles of K joints.
+        link_lengths: K lengths, in the recording's unit.
+        base: place of the first joint in the recording's frame, when it is not itself a keypoint; None leaves the
+            first link unchecked.
+        units: what the file's numbers were declared to be.
+
+    Raises:
+        InputError: a distance that is off by more than a factor of 3, times or speeds that are not this body's
+            (:mod:`.pace`), angles that are the keypoints' in the other unit. Of keypoints that are in pixels or not
+            this chain only the times are compared.
+    """
+    units = units or Units()
+    lengths, total = list(link_lengths), float(sum(link_lengths))
+    if recording.length_unit == "px":
+        total = 1.0  # of an arm whose size is not known, at most
+    if recording.length_unit == "body length" and abs(total - 1) > WORST_BODY_LENGTH:
+        raise InputError(
+            f"keypoints are in body lengths, in which a body is 1 long, but this body's links are {total:.3g} long: "
+            "give its lengths as shares of it, or scale the keypoints by its own length"
+        )
+    if units.time is None:
+        check_interval(recording, total)
+    if recording.length_unit == "px" or recording.keypoints.shape[1] not in (len(lengths), len(lengths) + 1):
+        chain = None
+    else:
+        chain, names = _chain(recording, len(lengths), base)
+        for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
+            if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= WORST_LINK_RATIO:
+                raise InputError(
+                    f"{names[k]} and {names[k + 1]} lie {observed:.3g} {recording.length_unit} apart (median), but the "
+                    f"body's link is {length:.3g} {recording.length_unit} long: check --units, or the body's lengths"
+                )
+    if recording.length_unit == "m":  # elsewhere g is not known
+        _check_speeds(recording, chain, lengths, units)
+    angles = recording.angles
+    if chain is not None and angles is not None and angles.shape[1] == len(lengths):
+        _check_agreement(chain, angles, units)
+
+
+def _chain(recording: Recording, links: int, base: Sequence[float] | None) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Joints and the last tip (T, K + 1, S), and their names."""
+    points, names = recording.keypoints, recording.keypoint_names
+    if points.shape[1] > links:
+        return points, names
+    origin = np.full((len(points), 1, points.shape[-1]), np.nan)
+    if base is not None:
+        origin[..., :] = 0.0
+        origin[..., : len(base)] = base
+    return np.concatenate([origin, points], axis=1), ("the base", *names)
+
+
+def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Sequence[float], units: Units) -> None:
+    angles = recording.angles
+    if angles is not None and angles.shape[1] == len(lengths) and units.angle is None:
+        for name, angle, length in zip(recording.joint_names, angles.T, lengths, strict=True):
+            if (number := froude(length * angle[:, None], recording.time, length)) > FASTEST:
+                raise InputError(
+                    f"joint {name} turns so fast that the tip of its link of {length:.3g} m feels {number:.3g} times "
+                    "gravity in a quarter of the rows; these look like degrees: pass --units deg (--units rad if "
+                    "radians they are), or time is not in seconds"
+                )
+    if chain is not None and units.time is None:
+        for k, length in enumerate(lengths):
+            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:
+                raise InputError(
+                    f"{recording.keypoint_names[k - len(lengths)]} moves so fast about the joint before it that it "
+                    f"feels {number:.3g} times gravity in a quarter of the rows: check that times are seconds and "
+                    "--fps is right (--units s if they are)"
+                )
+
+
+def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> None:
+    """Angles against the links' directions, in the unit said and in the other one."""
+    links = np.diff(chain, axis=1)
+    if links.shape[-1] != 2:
+        return
+    seen = np.arctan2(links[..., 1], links[..., 0])
+
+    def off(factor: float) -> float:
+        difference = seen - factor * np.cumsum(angles, axis=1)
+        wrapped = np.abs((difference + np.pi) % (2 * np.pi) - np.pi)
+        return float(np.median(wrapped[np.isfinite(wrapped)])) if np.isfinite(wrapped).any() else np.nan
+
+    said = units.angle or "rad"
+    other = "deg" if said == "rad" else "rad"
+    if off(1.0) > OFF and off(RADIANS[other] / RADIANS[said]) < CLOSE:
+        raise InputError(
+            f"angles taken as {said} are {off(1.0):.2g} rad (median) from the directions that the keypoints show, "
+            f"taken as {other} they fit: pass --units {other}"
+        )
+
+
+def _extent(recording: Recording) -> float:
+    """Median over frames of the box diagonal of the keypoints; of a single keypoint's whole track."""
+    points = recording.keypoints if recording.keypoints.shape[1] > 1 else recording.keypoints.swapaxes(0, 1)
+    points = points[np.isfinite(points).all(axis=-1).any(axis=1)]  # rows may carry a command and no keypoints
+    if len(points) == 0:
+        return 0.0
+    size = np.nanmax(points, axis=1) - np.nanmin(points, axis=1)
+    return float(np.median(np.linalg.norm(size, axis=-1)))

@@ -1,0 +1,67 @@
+"""Gaps too small to matter."""
+
+import numpy as np
+import pytest
+import torch
+from pendulum import causes
+from robot_log import ARM, robot_log
+
+from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.assessment.matters import matters, tolerated
+from invdyn.diagnosis.report.sentences import kind, verdict
+from invdyn.models.effects import EFFECTS
+
+KEPT = ("clock_rate", "base_motion", "viscous_friction")
+
+
+def diagnosed(damping, **options):
+    left_out = [name for name in EFFECTS if name not in KEPT]
+    return diagnose(robot_log(1.0, damping), ARM, without=left_out, **options)
+
+
+def test_another_engines_integration_is_no_gap():
+    """MuJoCo's usual step errs in the first order; whatever imitates that best is not called a gap."""
+    found = diagnosed(0.0)
+    assert kind(found) == "none"
+    assert not found.gap.matters
+    assert all(found.gap.residual_torque_rms[name] < limit for name, limit in found.gap.tolerated_torque.items())
+
+
+def test_friction_is_a_gap_and_what_integration_leaves_beside_it_is_not():
+    """How large the share is that does not matter changes what is said of the gap, not its causes."""
+    found = diagnosed(0.1)
+    assert found.gap.detected
+    best = max(found.causes, key=lambda cause: cause.probability + cause.in_part)
+    assert "viscous_friction.elbow" in [effect.key for effect in best.effects]
+    (friction,) = [effect for effect in best.effects if effect.key == "viscous_friction.elbow"]
+    assert friction.parameters["damping"].mean == pytest.approx(0.1, rel=0.05)
+    assert "no effect" not in verdict(found)
+    strict = diagnosed(0.1, tolerance=0.9)
+    assert (strict.gap.detected, strict.gap.probability) == (False, found.gap.probability)
+    assert verdict(strict).startswith("No gap that matters: what the simulation lacks, ")
+    assert strict.to_json()["causes"] == found.to_json()["causes"]
+
+
+def test_a_push_counts_in_its_worst_second():
+    """And detections that are louder than the noise matter whatever the torque."""
+    here, none, _ = causes()
+    limit = tolerated(here, none.path)
+    rows = len(none.path)
+    missing = np.zeros((rows, 1))
+    assert not matters(here, none, none, missing, limit)
+    missing[10:20] = 3 * limit  # a fifth of a second: √0.2 of it in the worst one
+    assert np.sqrt((missing**2).mean()) < 1.1 * limit
+    assert matters(here, none, none, missing, limit)
+    assert not matters(here, none, none, missing, 1.5 * limit)
+
+
+def test_the_tolerance_of_an_engine_is_its_error_of_the_first_order():
+    """θ = A sin ωt has the third derivative −A ω³ cos ωt; where that is large its error is more than the share."""
+    here, none, _ = causes()
+    time, amplitude, omega = here.model.time, 0.5, 20.0
+    path = torch.zeros_like(none.path)
+    path[:, -1] = amplitude * omega * torch.cos(omega * time)
+    (limit,) = tolerated(here, path, 0.0)
+    inertia = 1.0 * 0.3**2 / 3  # of the pendulum's rod about its pivot
+    error = inertia * 0.001 * amplitude * omega**3 / np.sqrt(2)
+    assert limit == pytest.approx(error, rel=0.1)  # differences err by a third of (ωh)²

@@ -1,0 +1,128 @@
+"""A budget ends a search with the best so far, and one that is not hit changes nothing."""
+
+import sys
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+import pytest
+from pendulum import ARM, PENDULUM, recording_of
+
+from invdyn.diagnosis import diagnose
+from invdyn.diagnosis.budget import Budget, Spent
+from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.search import search
+from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.report.sentences import details
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
+
+ROOM = sys.modules[diagnose.__module__]
+KEPT = ("viscous_friction", "payload", "camera_roll")
+LEFT_OUT = tuple(name for name in EFFECTS if name not in KEPT)
+
+
+@cache
+def rubbing():
+    return recording_of(EFFECTS["viscous_friction"]("pivot"), rows=60, damping=0.05)
+
+
+def searched(work, workers=1, seconds=np.inf, clock=lambda: 0.0):
+    bound = replace(setting(rubbing(), PENDULUM), budget=Budget(work, seconds, clock))
+    path, stray = data_path(bound)
+    return search(bound, path, stray, LEFT_OUT, workers), bound.budget
+
+
+def evidence(found):
+    return {key: cause.log_evidence for key, cause in found.pool.items()}
+
+
+@cache
+def whole():
+    return searched(np.inf)
+
+
+def test_work_is_passes_along_rows_by_states_and_sub_steps():
+    model = setting(recording_of(body=ARM), ARM).in_substeps(5).model
+    budget = Budget(work=1000.0)
+    budget.spend(2.0, model, 100)
+    assert budget.done == 400.0  # each of five sub-steps a quarter of what a row takes, and three for the row
+    budget.share = 0.5
+    budget.ask("payload")
+    budget.spend(0.5, model, 100)
+    with pytest.raises(Spent):
+        budget.ask("payload", "armature")
+    assert budget.missed == {"payload", "armature"}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_parts_side_by_side_have_the_same_budget_each_wherever_they_run(workers):
+    model = setting(recording_of(), PENDULUM).in_substeps(1).model
+    budget = Budget(work=100.0, share=1.0)
+
+    def part(rows):
+        budget.spend(1.0, model, rows)
+        if budget.over:
+            budget.missed |= {f"after {rows}"}
+        return rows, budget.done
+
+    rows = [60, 70, 110]
+    assert side_by_side([partial(part, n) for n in rows], workers, budget) == [(n, float(n)) for n in rows]
+    assert (budget.done, budget.missed) == (240.0, {"after 110"})
+
+
+def test_a_budget_that_is_not_hit_changes_nothing():
+    found, budget = whole()
+    enough, _ = searched(2 * budget.done)
+    assert found.missed == enough.missed == 0
+    assert evidence(enough) == evidence(found)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
+def test_the_search_ends_with_the_best_so_far_whatever_the_number_of_workers(share):
+    _, budget = whole()
+    one, spent = searched(share * budget.done)
+    other, again = searched(share * budget.done, workers=2)
+    assert one.missed == other.missed > 0
+    assert evidence(one) == evidence(other)
+    assert spent.done == again.done
+    assert "" in one.pool
+    # What was begun is brought to an end: a refinement's round, or a screen, of two parts at most.
+    assert spent.done < budget.done
+
+
+def test_seconds_end_it_by_the_clock():
+    ticks = iter(range(10**6))
+    found, _ = searched(np.inf, seconds=10.0, clock=lambda: next(ticks))
+    assert found.missed > 0
+    assert next(ticks) < 10**4
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_stopped_diagnosis_is_told(monkeypatch, workers):
+    """Whatever listens stays in this process: it may be nothing that can be sent to another."""
+    tried = []
+
+    def told(done, total, what):
+        tried.append((done, what))
+
+    monkeypatch.setattr(ROOM, "PASSES", 1.0)
+    found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told)
+    assert found.to_json()["search"] == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at}
+    assert found.not_looked_at > 0
+    (line,) = [sentence for sentence in details(found) if "budget" in sentence]
+    assert line.startswith(f"The search stopped at the budget; {found.not_looked_at} candidate")
+    assert (1, "screen and refine; no effect") in tried
+    assert [done for done, _ in tried] == sorted(done for done, _ in tried)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
+def test_no_time_at_all_is_told(seconds):
+    with pytest.raises(InputError, match="expected a budget of some seconds"):
+        diagnose(rubbing(), PENDULUM, budget=seconds)
+
+
+def test_a_tolerance_is_a_share():
+    with pytest.raises(InputError, match="expected a tolerance from 0 to 1"):
+        diagnose(rubbing(), PENDULUM, tolerance=-0.1)

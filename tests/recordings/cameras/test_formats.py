@@ -1,0 +1,256 @@
+"""Calibrations of five programs: small files of the same kind, files by the programs themselves, and what is none."""
+
+import json
+
+import numpy as np
+import pytest
+from scenes import looking, ring, swinging
+
+from invdyn.recordings import InputError
+from invdyn.recordings.cameras.camera import Calibration
+from invdyn.recordings.cameras.camera_tables import write_calibration
+from invdyn.recordings.cameras.formats import read_calibration
+from invdyn.recordings.cameras.opencv_storage import read_storage
+from invdyn.recordings.cameras.projection import project
+
+ANIPOSE = """
+[cam_0]
+name = "left"
+size = [ 640, 480,]
+matrix = [ [ 800.0, 0.0, 320.0,], [ 0.0, 810.0, 240.0,], [ 0.0, 0.0, 1.0,],]
+distortions = [ -0.1, 0.0, 0.0, 0.0, 0.0,]
+rotation = [ 0.0, 0.0, 0.0,]
+translation = [ 0.0, 0.0, 0.0,]
+[cam_1]
+name = "right"
+size = [ 640, 480,]
+matrix = [ [ 800.0, 0.0, 320.0,], [ 0.0, 810.0, 240.0,], [ 0.0, 0.0, 1.0,],]
+distortions = [ -0.1, 0.0, 0.0, 0.0, 0.0,]
+rotation = [ 0.0, 1.5707963267948966, 0.0,]
+translation = [ 100.0, 0.0, 0.0,]
+[metadata]
+adjusted = false
+error = 0.31
+"""
+QUALISYS = """<?xml version='1.0'?>
+<calibration type="regular"><cameras>
+<camera active="1" avg-residual="0.5" model="none" serial="one" viewrotation="0">
+<fov_video bottom="1079" left="10" right="1929" top="0"/>
+<transform r11="1" r12="0" r13="0" r21="0" r22="1" r23="0" r31="0" r32="0" r33="1" x="1000" y="2000" z="3000"/>
+<intrinsic centerPointU="61440" centerPointV="34560" focalLengthU="64000" focalLengthV="64640" skew="0"
+ radialDistortion1="-0.1" radialDistortion2="0.02" radialDistortion3="0.003" tangentalDistortion1="0.001"
+ tangentalDistortion2="0.002"/>
+</camera>
+<camera active="0" model="none" serial="off" viewrotation="0"/>
+</cameras></calibration>
+"""
+YAML = """%YAML:1.0
+---
+calibration_time: "Thu 01 Jan 2026 10:00:00"
+nr_of_frames: 12
+image_width: 640
+image_height: 480
+# flags: +zero_tangent_dist
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 8.0000000000000000e+02, 0., 320., 0.,
+       810., 240., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -1.0e-01, 2.0e-02, 0., 0., -.5 ]
+"""
+
+
+def same(one, other):
+    assert one.names == other.names
+    assert one.metric == other.metric
+    for a, b in zip(one, other, strict=True):
+        for field in ("matrix", "distortion", "rotation", "translation"):
+            # A rotation goes through a vector and back.
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field), rtol=0, atol=2e-15 * 2000)
+        assert (a.size, a.fisheye) == (b.size, b.fisheye)
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_our_own_file_reads_back(tmp_path, metric):
+    fish = looking('a "fish" \\ eye', (1, 1, 1), distortion=(0.1, 0.2, 0.3, 0.4), fisheye=True, size=(8, 6))
+    calibration = Calibration((*ring(3).cameras, fish), metric, error=0.25)
+    write_calibration(calibration, tmp_path / "calibration.toml")
+    again = read_calibration(tmp_path / "calibration.toml")
+    same(again, calibration)
+    assert again.error == 0.25
+
+
+def test_a_file_of_aniposelib_has_the_unit_that_is_said(tmp_path):
+    (tmp_path / "c.toml").write_text(ANIPOSE)
+    unknown, millimetres = read_calibration(tmp_path / "c.toml"), read_calibration(tmp_path / "c.toml", "mm")
+    assert unknown.names == ("left", "right")
+    assert (unknown.metric, millimetres.metric) == (False, True)
+    assert unknown.baseline("left", "right") == pytest.approx(100)
+    assert millimetres.baseline("left", "right") == pytest.approx(0.1)
+    assert unknown.error == 0.31
+    np.testing.assert_allclose(unknown.cameras[1].rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-15)
+
+
+def test_a_file_of_pose2sim_is_in_metres(tmp_path):
+    text = ANIPOSE.replace("0.0, 0.0, 0.0, 0.0,]", "0.0, 0.0, 0.0]").replace(
+        "translation", "fisheye = false\ntranslation"
+    )
+    (tmp_path / "c.toml").write_text(text)
+    assert read_calibration(tmp_path / "c.toml").metric
+    with pytest.raises(InputError, match="says its own unit"):
+        read_calibration(tmp_path / "c.toml", "mm")
+
+
+def test_pose2sims_own_file(data_folder):
+    calibration = read_calibration(data_folder / "sports2d" / "Calib_demo.toml")
+    (camera,) = calibration
+    assert calibration.metric
+    assert camera.size == (1768, 994)
+    assert np.linalg.norm(camera.position) == pytest.approx(np.linalg.norm([-3.5101, 1.7079, 10.0]), abs=1e-3)
+
+
+def test_qualisys_by_hand(tmp_path):
+    (tmp_path / "c.qca.txt").write_text(QUALISYS)
+    calibration = read_calibration(tmp_path / "c.qca.txt")
+    (camera,) = calibration
+    assert calibration.metric
+    assert camera.size == (1920, 1080)
+    np.testing.assert_allclose(camera.matrix, [[1000, 0, 950], [0, 1010, 540], [0, 0, 1]])
+    np.testing.assert_allclose(camera.distortion, [-0.1, 0.02, 0.001, 0.002, 0.003])
+    np.testing.assert_allclose(camera.position, [1, 2, 3])
+    # It looks along −z of the scene, with y up: below it, to its right and upwards is right and up in the picture.
+    u, v = project(camera, np.array([1.1, 2.1, 1.0]))
+    assert u > 950
+    assert v < 540
+
+
+def test_qualisys_own_file_and_a_triangulation_of_its_films(data_folder):
+    folder = data_folder / "multiview_walker"
+    calibration = read_calibration(folder / "Calib.qca.txt")
+    assert calibration.names == ("cam01", "cam02", "cam03", "cam04")
+    points = np.genfromtxt(folder / "triangulated_mediapipe_arm3d_m.csv", delimiter=",", skip_header=1)[:, 1:]
+    points = points.reshape(-1, 8, 3)
+    for camera in calibration:
+        tracks = np.genfromtxt(folder / f"{camera.name}_mediapipe2d.csv", delimiter=",", skip_header=1)[:, 1:]
+        miss = np.linalg.norm(project(camera, points) - tracks.reshape(-1, 8, 3)[..., :2], axis=-1)
+        assert np.nanmedian(miss) < 25  # 10 to 17: the tracker's; a wrong law of the file would be off by 100 s
+
+
+def test_opencv_yaml_by_hand(tmp_path):
+    (tmp_path / "front.yml").write_text(YAML)
+    (camera,) = read_calibration(tmp_path / "front.yml")
+    assert camera.name == "front"
+    assert camera.size == (640, 480)
+    np.testing.assert_allclose(camera.matrix, [[800, 0, 320], [0, 810, 240], [0, 0, 1]])
+    np.testing.assert_allclose(camera.distortion, [-0.1, 0.02, 0, 0, -0.5])
+
+
+@pytest.mark.parametrize("suffix", ["yml", "json"])
+def test_opencvs_own_writer(tmp_path, suffix):
+    cv2 = pytest.importorskip("cv2")
+    calibration = ring(2)
+    one, two = calibration
+    turn = two.rotation @ one.rotation.T
+    path = tmp_path / f"stereo.{suffix}"
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, values in (
+        ("M1", one.matrix),
+        ("D1", one.distortion[None]),
+        ("M2", two.matrix),
+        ("D2", two.distortion[None]),
+        ("R", turn),
+        ("T", (two.translation - turn @ one.translation)[:, None]),
+    ):
+        file.write(name, np.ascontiguousarray(values))
+    file.release()
+    read = read_calibration(path, "m")
+    assert read.metric
+    # Seen from camera 1 the scene is what it was.
+    points = swinging(5)
+    np.testing.assert_allclose(
+        project(read.cameras[1], points @ one.rotation.T + one.translation), project(two, points), atol=1e-9
+    )
+
+
+def test_several_files_of_opencv_need_poses(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.yml").write_text(YAML)
+    with pytest.raises(InputError, match="nothing of where the camera stands"):
+        read_calibration([tmp_path / "a.yml", tmp_path / "b.yml"])
+    pose = "R: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ 0., 0., 0.1 ]\nT: [ 1., 2, 3. ]\n"
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.yml").write_text(YAML + pose)
+    read = read_calibration([tmp_path / "a.yml", tmp_path / "b.yml"], "cm")
+    assert read.names == ("a", "b")
+    np.testing.assert_allclose(read.cameras[1].translation, [0.01, 0.02, 0.03])
+
+
+BAD = {
+    "no TOML": ("c.toml", "[cam", "expected a calibration in TOML"),
+    "no camera": ("c.toml", "[arm]\nlength = 1\n", "no camera in it"),
+    "no translation": ("c.toml", ANIPOSE.replace("translation = [ 100", "shift = [ 100"), "'translation' is missing"),
+    "a name twice": ("c.toml", ANIPOSE.replace("right", "left"), "two cameras are called 'left'"),
+    "another unit": ("c.toml", ANIPOSE + 'unit = "inch"\n', "unit must be"),
+    "rational lens": ("c.toml", ANIPOSE.replace("0.0, 0.0, 0.0, 0.0,]", "0, 0, 0, 0, 1, 2, 3]"), "Brown's law has 5"),
+    "no XML": ("c.qca.txt", "camera one", "expected a Qualisys calibration in XML"),
+    "an entity": ("c.qca.txt", '<!DOCTYPE a [<!ENTITY b "c">]><calibration/>', "defines entities"),
+    "other XML": ("c.xml", "<opencv_storage/>", "got <opencv_storage>"),
+    "a turned view": ("c.qca.txt", QUALISYS.replace('viewrotation="0"', 'viewrotation="90"'), "turned by 90"),
+    "a word": ("c.qca.txt", QUALISYS.replace('"64000"', '"wide"'), "focalLengthU is 'wide'"),
+    "no intrinsic": ("c.qca.txt", QUALISYS.replace("<intrinsic", "<lens"), "is missing"),
+    "YAML with a tag": ("c.yml", "%YAML:1.0\n---\na: !!python/object:os.system 1\n", "line 3"),
+    "YAML with an alias": ("c.yml", "%YAML:1.0\n---\na: *b\n", "line 3"),
+    "an open list": ("c.yml", "%YAML:1.0\n---\na: [ 1, 2\n", "does not end"),
+    "another YAML": ("c.yml", "- a\n- b\n", "line 1"),
+    "no matrix": ("c.yml", "%YAML:1.0\n---\nwidth: 3\n", "no camera in it"),
+    "short data": ("c.yml", YAML.replace("rows: 3", "rows: 4"), "'camera_matrix' is no matrix"),
+    "broken JSON": ("c.json", '{"camera_matrix": ', "broken JSON"),
+    "unknown suffix": ("c.mat", "", "cannot tell the kind"),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "named"), BAD.values(), ids=BAD.keys())
+def test_bad_files_are_told_in_one_line(tmp_path, name, text, named):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=named) as caught:
+        read_calibration(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("name", "text"), [("c.toml", ANIPOSE), ("c.qca.txt", QUALISYS), ("c.yml", YAML)])
+def test_a_damaged_file_is_read_or_told(tmp_path, name, text):
+    """Cut anywhere, or with some characters replaced: a calibration or one line, never a traceback."""
+    rng, messages = np.random.default_rng(0), []
+    for _ in range(150):
+        letters = list(text[: rng.integers(1, len(text))] if rng.random() < 0.3 else text)
+        for _ in range(rng.integers(1, 6)):
+            letters[rng.integers(len(letters))] = '0a[]="<-.:e\n #!'[rng.integers(15)]
+        (tmp_path / name).write_text("".join(letters))
+        try:
+            assert len(read_calibration(tmp_path / name)) > 0
+        except InputError as error:
+            messages.append(str(error))
+    assert len(messages) > 50
+    assert not [message for message in messages if "\n" in message]
+
+
+def test_a_unit_must_be_known(tmp_path):
+    (tmp_path / "c.toml").write_text(ANIPOSE)
+    with pytest.raises(InputError, match="unknown unit 'inch'"):
+        read_calibration(tmp_path / "c.toml", "inch")
+
+
+def test_nested_blocks_and_texts(tmp_path):
+    text = '%YAML:1.0\n---\nouter:\n   inner:\n      a: 1\n      b: "x: y"\n   c: [ .5, -.Inf, .Nan ]\nd: -2.e-1\n'
+    (tmp_path / "c.yml").write_text(text)
+    tree = read_storage(tmp_path / "c.yml")
+    assert tree["outer"]["inner"] == {"a": 1.0, "b": "x: y"}
+    np.testing.assert_equal(tree["outer"]["c"], [0.5, -np.inf, np.nan])
+    assert tree["d"] == -0.2
+    (tmp_path / "c.json").write_text(json.dumps({"outer": {"a": 1}, "d": [[1, 2], [3, 4]]}))
+    assert read_storage(tmp_path / "c.json")["d"].shape == (2, 2)

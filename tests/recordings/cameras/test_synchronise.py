@@ -1,0 +1,51 @@
+"""Clocks that run ahead are found from the motion, to a small part of a frame."""
+
+import numpy as np
+import pytest
+from scenes import ring, swinging
+
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.cameras.projection import project
+from invdyn.recordings.cameras.scene import reconstruct
+from invdyn.recordings.cameras.synchronise import find_offsets
+from invdyn.recordings.cameras.views import at_one_time
+
+RATE = 60.0
+TRUE = {"cam2": 0.020, "cam3": -0.031}
+NAMES = ("shoulder", "elbow", "wrist")
+
+
+def tracks(calibration, frames=60, noise=1.0, moving=True):
+    """Each camera's tracks under its own clock: stamps are the moment plus the offset."""
+    fine = swinging(100 * frames)  # 100 moments a frame
+    rng, found = np.random.default_rng(0), {}
+    time = np.arange(10, frames - 10) / RATE
+    for camera in calibration:
+        moment = time - TRUE.get(camera.name, 0.0)
+        points = fine[np.rint(100 * RATE * moment).astype(int)] if moving else np.tile(fine[:1], (len(time), 1, 1))
+        pixels = project(camera, points)
+        found[camera.name] = Recording(time, pixels + noise * rng.standard_normal(pixels.shape), NAMES)
+    return found
+
+
+def test_offsets_are_found():
+    calibration = ring(3)
+    given = tracks(calibration)
+    steps = []
+    found = find_offsets(given, calibration, 0.1, lambda *step: steps.append(step))
+    # 1 px is 3 mm, 3 ms of a limb at 1 m/s; over the root of some hundred pixels, and as much again to spare.
+    assert found == pytest.approx(TRUE, abs=1e-3)
+    assert steps == [(1, 2, "offsets"), (2, 2, "offsets")]
+    scene = reconstruct(at_one_time(given, calibration, found))
+    assert scene.scale < 1.3
+    assert reconstruct(at_one_time(given, calibration)).scale > 2 * scene.scale
+
+
+def test_what_cannot_be_found_is_told():
+    calibration = ring(2)
+    with pytest.raises(InputError, match="nothing moves enough"):
+        find_offsets(tracks(calibration, moving=False), calibration, 0.1)
+    late = tracks(calibration)
+    late["cam2"] = Recording(late["cam2"].time + 0.1, late["cam2"].keypoints, NAMES)
+    with pytest.raises(InputError, match=r"'cam2' seems to be off by more than 0\.07 s"):
+        find_offsets(late, calibration, 0.07)

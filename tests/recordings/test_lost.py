@@ -1,0 +1,70 @@
+import warnings
+
+import numpy as np
+import pytest
+
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.lost import without_lost
+
+TIME = np.arange(40) / 40
+
+
+def tracks(confidence=None):
+    rng = np.random.default_rng(2)
+    points = rng.uniform(100, 300, (40, 2, 2))
+    return Recording(TIME, points, ("knee", "heel"), confidence=confidence)
+
+
+def sure():
+    return np.random.default_rng(3).uniform(0.9, 1.0, (40, 2))
+
+
+def test_a_likelihood_of_0_is_missing_wherever_the_point_lies():
+    confidence = sure()
+    confidence[5:9, 1] = 0.0
+    recording = without_lost(tracks(confidence), pixels=False)
+    lost = np.isnan(recording.keypoints).all(axis=-1)
+    np.testing.assert_array_equal(lost, confidence == 0)
+    np.testing.assert_array_equal(recording.keypoints[~lost], tracks().keypoints[~lost])
+
+
+def test_a_likelihood_that_is_0_throughout_says_nothing():
+    recording = without_lost(tracks(np.zeros((40, 2))), pixels=True)
+    assert recording.confidence is None
+    assert np.isfinite(recording.keypoints).all()
+    one = sure()
+    one[:, 0] = 0.0
+    with pytest.raises(InputError, match="'knee' is lost in every frame"):
+        without_lost(tracks(one), pixels=True)
+
+
+def test_the_corner_of_an_image_is_missing_and_told():
+    recording = tracks()
+    points = recording.keypoints.copy()
+    points[10:17, 0] = 0.0
+    recording = Recording(TIME, points, recording.keypoint_names)
+    with pytest.warns(UserWarning, match=r"knee is at the image's corner \(0, 0\) in 7 of 40 rows"):
+        cleaned = without_lost(recording, pixels=True)
+    np.testing.assert_array_equal(np.isnan(cleaned.keypoints[:, 0, 0]), points[:, 0, 0] == 0)
+    np.testing.assert_array_equal(without_lost(recording, pixels=False).keypoints, points)  # a place like others
+    points[:, 0] = 0.0  # the origin of the tracks, not a lost point
+    relative = Recording(TIME, points, recording.keypoint_names)
+    np.testing.assert_array_equal(without_lost(relative, pixels=True).keypoints, points)
+
+
+@pytest.mark.parametrize(("low", "rows", "told"), [(0.1, 5, True), (0.95, 5, False), (0.1, 2, False)])
+def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
+    confidence = sure()
+    confidence[20 : 20 + rows, 1] = low
+    recording = tracks(confidence)
+    points = recording.keypoints.copy()
+    points[20 : 20 + rows, 1] = [140.0, 150.0]
+    recording = Recording(TIME, points, recording.keypoint_names, confidence=confidence)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        kept = without_lost(recording, pixels=True)
+    np.testing.assert_array_equal(kept.keypoints, points)
+    assert [
+        str(each.message).startswith("heel stands at one place to the last digit in 5 rows, such as 21 to 25")
+        for each in caught
+    ] == [True] * told

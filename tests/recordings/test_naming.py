@@ -1,0 +1,40 @@
+import pytest
+
+from invdyn.recordings import InputError, load
+from invdyn.recordings.naming import alike, nearest
+
+
+def test_names_alike_differ_in_case_and_separators_alone():
+    assert alike("Left Elbow", ["wrist", "left_elbow"]) == "left_elbow"
+    assert alike("elbow", ["elbow", "elbows"]) is None
+    assert nearest("Knee", ["keen", "knee"]) == "knee"
+    assert nearest("wirst", ["elbow", "wrist"]) == "wrist"
+    assert nearest("x", []) is None
+
+
+def film(tmp_path, *names):
+    lines = [",".join(["scorer", *["net"] * (2 * len(names))])]
+    lines.append(",".join(["bodyparts", *(name for name in names for _ in "xy")]))
+    lines.append(",".join(["coords", *["x", "y"] * len(names)]))
+    lines += [
+        ",".join([str(t), *(f"{90 + 7 * t + 40 * p + axis}" for p in range(len(names)) for axis in (0, 1))])
+        for t in range(4)
+    ]
+    (tmp_path / "rec.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path / "rec.csv"
+
+
+def test_a_base_named_alike_is_offered_and_one_that_is_not_tracked_is_told(tmp_path):
+    options = {"units": "px", "fps": 30, "keypoints": ("toe",), "base": "left_hip"}
+    with pytest.raises(InputError, match="keypoint 'Left hip' differs from the first joint's name, 'left_hip'"):
+        load(film(tmp_path, "Left hip", "toe"), **options)
+    with pytest.warns(UserWarning, match=r"base 'left_hip' is not tracked \(the file has pelvis, toe\)"):
+        assert load(film(tmp_path, "pelvis", "toe"), **options).keypoint_names == ("toe",)
+    with pytest.raises(InputError, match=r"'toe' is missing: .*closest: 'Toe'"):
+        load(film(tmp_path, "left_hip", "Toe"), **options)
+
+
+def test_the_projects_own_file_offers_the_base_too(tmp_path):
+    (tmp_path / "rec.csv").write_text("time,Hip_x,Hip_y,toe_x,toe_y\n0,0,0,.3,0\n.1,0,0,.3,0\n")
+    with pytest.raises(InputError, match=r"unknown 'Hip' \(closest: 'hip'\)"):
+        load(tmp_path / "rec.csv", keypoints=("toe",), base="hip")

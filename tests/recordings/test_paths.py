@@ -1,0 +1,59 @@
+"""Paths that cannot be one, or lead to what is no ordinary file, are an OSError with the path in it."""
+
+import errno
+import os
+
+import pytest
+
+from invdyn.recordings import atomic_path, check_readable, resolved
+
+
+@pytest.fixture
+def here(tmp_path):
+    """A folder with a file, a loop of links, a pipe, a device, and a folder."""
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "link").symlink_to("file")
+    (tmp_path / "loop").symlink_to("back")
+    (tmp_path / "back").symlink_to("loop")
+    (tmp_path / "zeros").symlink_to("/dev/zero")
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path
+
+
+def test_an_ordinary_file_is_readable(here):
+    assert check_readable(here / "file").read_text() == "x"
+    assert check_readable(here / "link").read_text() == "x"
+    assert resolved(here / "link") == (here / "file").resolve()
+    assert resolved(here / "not there" / "yet") == here.resolve() / "not there" / "yet"
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("loop", errno.ELOOP),
+        ("loop/x", errno.ELOOP),
+        ("a\0b", errno.EINVAL),
+        ("\udce9", errno.EINVAL),
+        ("x" * 5000, errno.ENAMETOOLONG),
+        ("zeros", errno.EINVAL),
+        ("pipe", errno.EINVAL),
+        ("folder", errno.EISDIR),
+        ("none", errno.ENOENT),
+        ("file/x", errno.ENOTDIR),
+    ],
+)
+def test_what_cannot_be_read_is_named(here, name, code):
+    with pytest.raises(OSError) as caught:  # noqa: PT011  the number says which
+        check_readable(here / name)
+    assert caught.value.errno == code
+    assert caught.value.filename in (str(here / name), here / name)
+
+
+@pytest.mark.parametrize("name", ["loop", "loop/x", "a\0b", "x" * 5000, "pipe", "zeros", "folder"])
+def test_what_cannot_be_written_is_named(here, name):
+    before = sorted(os.listdir(here))
+    with pytest.raises(OSError) as caught, atomic_path(here / name):  # noqa: PT011
+        pass
+    assert str(here) in str(caught.value.filename)
+    assert sorted(os.listdir(here)) == before
