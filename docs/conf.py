@@ -4,6 +4,7 @@ Formulas become MathML here, so pages need no script for them. Pages of the API,
 written anew from the code before each build (`reference_pages.py`).
 """
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +42,9 @@ suppress_warnings = [
 ]
 
 
+_BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
+
+
 def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
     """A visitor that writes a formula as MathML and is done with its node."""
 
@@ -49,6 +53,18 @@ def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
         raise SkipNode
 
     return visit
+
+
+def _as_written(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Show a docstring as it is written: a module's indented formulas stay as they are, and |x| is no markup."""
+    shown, paragraph = [], True
+    for line in lines:
+        indented = line.startswith("    ")
+        if what == "module" and indented and paragraph:
+            shown += ["::", ""]
+        paragraph = not line.strip()
+        shown.append(line if indented and what == "module" else _BARS.sub(r"\\|", line))
+    lines[:] = shown
 
 
 def _write_pages(app: Sphinx) -> None:
@@ -61,3 +77,4 @@ def setup(app: Sphinx) -> None:
     """Register the formulas' renderer and the pages that are written from the code."""
     app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
     app.connect("builder-inited", _write_pages, priority=100)
+    app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon
