@@ -5,12 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 
-.PHONY: help install demo test lint clean
+.PHONY: help install demo test lint notebooks docs clean
 
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
 	@echo "make lint     check style, format and types"
+	@echo "make docs     build the documentation site into build/site"
+	@echo "make notebooks  execute the notebooks into docs/tutorials"
 	@echo "make install  everything for development into $(VENV)"
 	@echo "make clean    remove $(VENV) and the demo"
 	@echo "PYTHON=python3.12 chooses another interpreter (3.11 or newer) for $(VENV)."
@@ -30,8 +32,19 @@ lint: $(VENV)/.development
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# A notebook is executed again when its text has changed.
+TUTORIALS := $(patsubst notebooks/%.py,docs/tutorials/%.ipynb,$(wildcard notebooks/0*.py))
+notebooks: $(TUTORIALS)
+
+docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
+	OMP_NUM_THREADS=1 $(BIN)/jupytext --to ipynb --execute --output $@ $<
+
+docs: notebooks
+	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
+	@echo "build/site/index.html"
+
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo build docs/tutorials/*.ipynb
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -46,5 +59,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,robots,fast,video,tracks,cameras,cluster,checkpoint]'
+	$(PIP) -e '.[dev,docs,robots,fast,video,tracks,cameras,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

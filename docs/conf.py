@@ -1,0 +1,80 @@
+"""Sphinx: the site of README, docs, notebooks and docstrings. `make docs` builds it; no request leaves a page.
+
+Formulas become MathML here, so pages need no script for them. Pages of the API, the effects and the command line are
+written anew from the code before each build (`reference_pages.py`).
+"""
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from docutils.nodes import Element, SkipNode
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS))
+
+project, author, copyright = "invdyn", "The invdyn authors", "The invdyn authors, Apache-2.0"
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+exclude_patterns = ["pictures.py", "reference_pages.py"]
+html_theme = "furo"
+html_title = "invdyn"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
+templates_path: list[str] = []
+
+myst_enable_extensions = ["dollarmath", "colon_fence", "html_image"]
+myst_heading_anchors = 4
+nb_execution_mode = "off"  # `make notebooks` has executed them
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_use_rtype = False
+suppress_warnings = [
+    "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too
+    "autosummary",
+]
+
+
+_BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
+
+
+def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
+    """A visitor that writes a formula as MathML and is done with its node."""
+
+    def visit(writer: HTML5Translator, node: Element) -> None:
+        writer.body.append(convert(node.astext(), display=display))
+        raise SkipNode
+
+    return visit
+
+
+def _as_written(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Show a docstring as it is written: a module's indented formulas stay as they are, and |x| is no markup."""
+    shown, paragraph = [], True
+    for line in lines:
+        indented = line.startswith("    ")
+        if what == "module" and indented and paragraph:
+            shown += ["::", ""]
+        paragraph = not line.strip()
+        shown.append(line if indented and what == "module" else _BARS.sub(r"\\|", line))
+    lines[:] = shown
+
+
+def _write_pages(app: Sphinx) -> None:
+    from reference_pages import write_pages
+
+    write_pages(DOCS / "reference")
+
+
+def setup(app: Sphinx) -> None:
+    """Register the formulas' renderer and the pages that are written from the code."""
+    app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
+    app.connect("builder-inited", _write_pages, priority=100)
+    app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon

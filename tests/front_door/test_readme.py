@@ -1,0 +1,60 @@
+"""Everything in README.md runs, in the order in which it stands there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+README = Path(__file__).parents[2] / "README.md"
+LONGEST = 900
+"""Words: whoever reads on finds the rest in docs/."""
+
+
+def blocks(language):
+    """Contents of the fenced blocks of a language ("" for none)."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    return [block for said, block in found if said == language]
+
+
+def commands():
+    lines = [line for block in blocks("") for line in block.replace("\\\n", " ").splitlines()]
+    return [line for line in lines if line.startswith("invdyn ")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the reader's own files: an arm, and tracks of it in pixels as DeepLabCut writes them."""
+    folder = tmp_path_factory.mktemp("reader")
+    (folder / "my_arm.toml").write_text(
+        'name = "mine"\n[[links]]\nname = "forearm"\njoint = "elbow"\ntip = "wrist"\nlength = 0.26\nmass = 1.5\n'
+    )
+    rng, time = np.random.default_rng(0), np.arange(60) / 30
+    angle = -1.2 + 0.5 * np.sin(3 * time)
+    wrist = 400 + 0.26 / 0.0021 * np.stack([np.cos(angle), -np.sin(angle)], -1)
+    points = np.stack([np.full_like(wrist, 400.0), wrist], 1) + 0.5 * rng.standard_normal((60, 2, 2))
+    sure = np.full((60, 2, 1), 0.98)
+    columns = pd.MultiIndex.from_product(
+        [["net"], ["elbow", "wrist"], ["x", "y", "likelihood"]], names=["scorer", "bodyparts", "coords"]
+    )
+    pd.DataFrame(np.concatenate([points, sure], -1).reshape(60, -1), columns=columns).to_csv(folder / "tracks.csv")
+    return folder
+
+
+def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
+    monkeypatch.chdir(folder)
+    for line in commands():
+        found = run(*shlex.split(line)[1:])
+        assert found.exit_code == 0, f"{line}: {found.stderr}"
+    for snippet in blocks("python"):
+        exec(compile(snippet, str(README), "exec"), {})
+    assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {p.name for p in folder.iterdir()}
+    assert (folder / "diagnosis" / "report.html").exists()
+    assert "nan" not in capsys.readouterr().out.lower()
+
+
+def test_it_is_short():
+    prose = re.sub(r"```.*?```", "", README.read_text("utf-8"), flags=re.DOTALL)
+    assert len(prose.split()) <= LONGEST
