@@ -113,7 +113,9 @@ def _arm(kind: type | None = None):
     hold = np.array([4.0, 1.2])
     sweep = np.stack([2 * np.sin(3 * time), 0.8 * np.sin(5 * time)], -1)
     still = dict.fromkeys(("initial.angle_scale", "initial.velocity_scale", "noise.angle", "noise.velocity"), 1e-6)
-    model = ArmModel(body, time, command=hold * np.cos(time)[:, None] + sweep, parameters=still | {"torque.scale": 1e-6})
+    model = ArmModel(
+        body, time, command=hold * np.cos(time)[:, None] + sweep, parameters=still | {"torque.scale": 1e-6}
+    )
     if kind is None:
         return model
     effect = kind.everywhere(body, body.keypoint_names)[-1]

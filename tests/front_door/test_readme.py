@@ -50,7 +50,9 @@ def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
         assert found.exit_code == 0, f"{line}: {found.stderr}"
     for snippet in blocks("python"):
         exec(compile(snippet, str(README), "exec"), {})
-    assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {p.name for p in folder.iterdir()}
+    assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {
+        p.name for p in folder.iterdir()
+    }
     assert (folder / "diagnosis" / "report.html").exists()
     assert "nan" not in capsys.readouterr().out.lower()
 
