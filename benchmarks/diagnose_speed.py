@@ -17,7 +17,7 @@ from invdyn.diagnosis import diagnose, save
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
@@ -84,7 +84,7 @@ def growth() -> None:
 
 def screened(recording: Recording, share: float) -> tuple[int, float]:
     """Candidates, an even share of the catalogue's, and the least seconds of CPU of three screens of them."""
-    bound = setting(recording, ARM)
+    bound = diagnosis_problem(recording, ARM)
     path, _ = data_path(bound)
     bound = finely_stepped(bound.shaped(path), path)
     among = [effect for effect in considered(bound) if not is_searched(effect)][:: round(1 / share)]

@@ -3,6 +3,6 @@
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.diagnose import diagnose, save
 from invdyn.diagnosis.hypotheses.search import search
-from invdyn.diagnosis.problem.diagnosis_problem import Setting, setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 
-__all__ = ["Diagnosis", "Setting", "diagnose", "save", "search", "setting"]
+__all__ = ["Diagnosis", "DiagnosisProblem", "diagnose", "diagnosis_problem", "save", "search"]

@@ -26,12 +26,12 @@ from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.pool import Search
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import NotEnoughData, Setting, cannot_follow, setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.prior import MOST
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -110,14 +110,14 @@ def diagnose(
         raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
     report(0, "bind")
     try:
-        bound = setting(recording, body, passive=passive)
+        bound = diagnosis_problem(recording, body, passive=passive)
     except NotEnoughData as error:
         whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
         return nothing_to_say(whole, body, seed, passive, str(error))
     work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
     bound = replace(bound, budget=allowed)
-    other = None if held_out is None else replace(setting(held_out, body, passive=passive), budget=allowed)
+    other = None if held_out is None else replace(diagnosis_problem(held_out, body, passive=passive), budget=allowed)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "
@@ -134,7 +134,7 @@ def diagnose(
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
-    def held(cause: Refined) -> tuple[Closed, Unseen]:
+    def held(cause: FittedHypothesis) -> tuple[Closed, Unseen]:
         there = unseen(bound, none, cause, other)
         return closed(*there.scores, there.rows, time, seed), there
 
@@ -144,7 +144,7 @@ def diagnose(
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
-    there = replace(there, setting=replace(there.setting, budget=allowed))  # not a copy that came from another process
+    there = replace(there, problem=replace(there.problem, budget=allowed))  # not a copy that came from another process
     left = there.leaves
     if left:
         weighed = in_part_only(weighed)
@@ -169,7 +169,9 @@ def diagnose(
     return result
 
 
-def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = MOST) -> tuple[Setting, Search]:
+def _searched(
+    bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST
+) -> tuple[DiagnosisProblem, HypothesisPool]:
     """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
         with diverging():
@@ -181,7 +183,9 @@ def _searched(bound: Setting, without: Sequence[str], workers: int, most: int = 
         raise cannot_follow(bound) from error
 
 
-def _followed(bound: Setting, none: Refined, best: Refined, formula: Formula | None) -> tuple[str, ...]:
+def _followed(
+    bound: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, formula: Formula | None
+) -> tuple[str, ...]:
     """Variables that the torque which the simulation lacks follows: those of a formula for all of it, in which a cause
     is not known. None where the torque is unknown, or all that the best cause changes is how the motion is seen.
     """

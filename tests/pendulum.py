@@ -7,7 +7,7 @@ import torch
 from oracles import Chain
 
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import DECAY, LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import DECAY, LOOSE, diagnosis_problem
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -54,7 +54,7 @@ def path_of(here):
 @cache
 def causes(damping=DAMPING):
     """The pendulum's setting, "no effect" and viscous friction."""
-    here = setting(recorded(damping), PENDULUM)
+    here = diagnosis_problem(recorded(damping), PENDULUM)
     path = path_of(here)
     return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
 
@@ -69,7 +69,7 @@ def wheel(commanded=False):
     recording = Recording(
         time, np.zeros((60, 0, 2)), (), angles=angle[:, None], torques=torques, joint_names=("pivot",)
     )
-    return setting(recording, WHEEL, passive=not commanded)
+    return diagnosis_problem(recording, WHEEL, passive=not commanded)
 
 
 def wheel_chain(model, kappa=1.0, damping=0.0):

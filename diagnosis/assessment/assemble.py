@@ -28,11 +28,11 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
-from invdyn.diagnosis.hypotheses.pool import Search, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.hypotheses.shortlist import FAINT
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -45,8 +45,8 @@ CREDIBLE = 0.95
 
 
 def assembled(
-    bound: Setting,
-    found: Search,
+    bound: DiagnosisProblem,
+    found: HypothesisPool,
     weighed: Weighed,
     shares: Closed,
     fresh: bool,
@@ -176,7 +176,7 @@ def assembled(
     )
 
 
-def _unseen(bound: Setting, found: Search) -> set[str]:
+def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     """Keys of the effects that this recording could not have shown.
 
     Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
@@ -190,12 +190,12 @@ def _unseen(bound: Setting, found: Search) -> set[str]:
     return unseen
 
 
-def _posterior(bound: Setting, best: Refined, weighed: Weighed, seed: int) -> az.InferenceData:
+def _posterior(bound: DiagnosisProblem, best: FittedHypothesis, weighed: Weighed, seed: int) -> az.InferenceData:
     run = weighed.confirmed.get(best.key) or confirm(bound, best, seed)
     return posterior(bound, best, run, seed)
 
 
-def _nothing(found: Search) -> float:
+def _nothing(found: HypothesisPool) -> float:
     return next(s.log_evidence for s in found.first if s.effect is None)
 
 
@@ -226,7 +226,7 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
     return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
 
 
-def _method(bound: Setting, found: Search, weighed: Weighed, held_out: str) -> dict[str, str]:
+def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, held_out: str) -> dict[str, str]:
     model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "

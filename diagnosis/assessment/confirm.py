@@ -26,8 +26,8 @@ from scipy.stats import multivariate_t
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.predict import best_size
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -59,7 +59,7 @@ class Confirmed:
     """What SMC says of a cause.
 
     Attributes:
-        log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with :attr:`.Refined.log_evidence`.
+        log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with :attr:`.FittedHypothesis.log_evidence`.
         values: (M, p) parameters.
         result: of the filters, evidences weighted by how their parameters were drawn; None where they died.
     """
@@ -71,83 +71,91 @@ class Confirmed:
 
 
 def confirm_all(
-    setting: Setting, causes: Sequence[Refined], seed: int = 0, temper: float = 1.0, workers: int = 1
+    problem: DiagnosisProblem, causes: Sequence[FittedHypothesis], seed: int = 0, temper: float = 1.0, workers: int = 1
 ) -> list[Confirmed]:
     """Confirm each cause, a second time those whose evidence, raised to the power ``temper``, is not clear by then.
 
     One cause has none to be weighed against; and if filters of one of several died, or one filter speaks for all,
     evidence by SMC cannot weigh them: that is all then.
     """
-    runs = side_by_side([partial(confirm, setting, cause, derived(seed, 0)) for cause in causes], workers)
+    runs = side_by_side([partial(confirm, problem, cause, derived(seed, 0)) for cause in causes], workers)
     if len(runs) < 2 or any(not run.log_evidence_sd < HOPELESS for run in runs):
         return runs
     unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, SURE)]
-    again = [partial(confirm, setting, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
+    again = [partial(confirm, problem, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
     both = dict(zip(unclear, side_by_side(again, workers), strict=True))
     return [both.get(i, run) for i, run in enumerate(runs)]
 
 
 def confirm(
-    setting: Setting, cause: Refined, seed: int = 0, filters: int = FILTERS, before: Confirmed | None = None
+    problem: DiagnosisProblem,
+    cause: FittedHypothesis,
+    seed: int = 0,
+    filters: int = FILTERS,
+    before: Confirmed | None = None,
 ) -> Confirmed:
     """Run so many filters of ``PARTICLES`` particles under the cause, and weigh them with those of a run ``before``.
 
     Where a filter dies, because parameters that may be let the simulation run away, or data that no noise explains,
     there is no evidence (−∞, and NaN as its error) and no result.
     """
-    run = _run(setting, cause, seed, filters)
+    run = _run(problem, cause, seed, filters)
     if run is None:
         return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
     values, result = run
     if before is not None and before.result is not None:
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
-    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(setting.regime))[top]
+    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(problem.regime))[top]
     rest += sum(cause.noise_log.values())
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 
-def _run(setting: Setting, cause: Refined, seed: int, filters: int) -> tuple[Tensor, FilterResult] | None:
+def _run(
+    problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, filters: int
+) -> tuple[Tensor, FilterResult] | None:
     """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
-    values, log_ratio = _draw(setting, cause, filters, seed)
+    values, log_ratio = _draw(problem, cause, filters, seed)
     try:
         with diverging():
-            result = _filtered(setting, cause, values, best_size(setting, cause), seed)
+            result = _filtered(problem, cause, values, best_size(problem, cause), seed)
     except (SMCFailed, Diverged):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 
 
-def _filtered(setting: Setting, cause: Refined, values: Tensor, size: float, seed: int) -> FilterResult:
+def _filtered(
+    problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float, seed: int
+) -> FilterResult:
     """One filter for each set of parameters (M, p), under a residual of ``size``."""
-    model = _model(setting, cause, values, size)
+    model = _model(problem, cause, values, size)
     start = cause.path.expand(len(values), *cause.path.shape)
     # Their guides differ in where they lead, and next to nothing in how: one set's slopes do for all.
-    slopes = slopes_along(scaled(setting, cause.model, size, cause.kappa), cause.path)
-    smoothers = gauss_newton(model, setting.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
+    slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
+    smoothers = gauss_newton(model, problem.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
     # No linearised dynamics tell where a gap's state goes.
     block = BLOCK if model.driven is None else 1
     with seeded(seed):
-        return BlockFilter(model, smoothers, PARTICLES, block=block).run(setting.observations)
+        return BlockFilter(model, smoothers, PARTICLES, block=block).run(problem.observations)
 
 
-def _model(setting: Setting, cause: Refined, values: Tensor, size: float) -> ArmModel:
+def _model(problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float) -> ArmModel:
     """The cause's model with each set of parameters (M, p)."""
-    among = unknowns(setting, cause.effects)
+    among = unknowns(problem, cause.effects)
     model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
-    return scaled(setting, model, size, cause.kappa)
+    return scaled(problem, model, size, cause.kappa)
 
 
-def scaled(setting: Setting, model: ArmModel, size: float, kappa: float) -> ArmModel:
+def scaled(problem: DiagnosisProblem, model: ArmModel, size: float, kappa: float) -> ArmModel:
     """``model`` with a residual of ``size`` and all noise ``kappa`` times as large."""
-    quiet = setting.with_residual(size * kappa, model)
+    quiet = problem.with_residual(size * kappa, model)
     names = ("emission.keypoint_scale", "emission.angle_scale", "noise.angle", "noise.velocity")
     return quiet.replace(**{n: kappa * quiet.parameters[n] for n in names if n in quiet.parameters})
 
 
-def _draw(setting: Setting, cause: Refined, count: int, seed: int) -> tuple[Tensor, Tensor]:
+def _draw(problem: DiagnosisProblem, cause: FittedHypothesis, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Parameters (M, p), antithetic in pairs, and log p(φ)/q(φ) (M,)."""
-    among = unknowns(setting, cause.effects)
+    among = unknowns(problem, cause.effects)
     p = len(among.names)
     if not p:
         return torch.zeros(count, 0, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
@@ -165,29 +173,29 @@ def _draw(setting: Setting, cause: Refined, count: int, seed: int) -> tuple[Tens
     return torch.as_tensor(values), torch.where(torch.as_tensor(inside), ratio, -torch.inf)
 
 
-def posterior(setting: Setting, cause: Refined, confirmed: Confirmed, seed: int) -> az.InferenceData:
+def posterior(problem: DiagnosisProblem, cause: FittedHypothesis, confirmed: Confirmed, seed: int) -> az.InferenceData:
     """Posterior of torques, angles and effect parameters under a cause, one chain a filter.
 
     Where filters died, it is that of the model linearised along the cause's path, at the estimates.
     """
     with seeded(seed), torch.no_grad():
         # One model for all chains' predictions: the parameters differ by less than the paths know.
-        at_mean = scaled(setting, cause.model, best_size(setting, cause), cause.kappa)
+        at_mean = scaled(problem, cause.model, best_size(problem, cause), cause.kappa)
         if confirmed.result is None:
-            smoother = gauss_newton(at_mean, setting.observations, start=cause.path, max_iterations=3)
+            smoother = gauss_newton(at_mean, problem.observations, start=cause.path, max_iterations=3)
             paths = GaussianChain.of(smoother).sample((len(confirmed.values), DRAWS))
         else:
             paths = genealogy(confirmed.result, DRAWS)
         idata = to_inference_data(
-            replace(setting.problem, model=at_mean),
+            replace(problem.problem, model=at_mean),
             paths,
             confirmed.result,
             method="diagnosis",
             seed=seed,
-            settings={"cause": cause.key, "regime": setting.regime},
+            settings={"cause": cause.key, "regime": problem.regime},
         )
     draws = idata["posterior"].sizes["draw"]
-    for name, column in zip(unknowns(setting, cause.effects).names, confirmed.values.T, strict=True):
+    for name, column in zip(unknowns(problem, cause.effects).names, confirmed.values.T, strict=True):
         idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.repeat(column[:, None], draws, 1))
     for name, value in cause.noise.items():
         idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.full((len(confirmed.values), draws), value))

@@ -15,20 +15,20 @@ from itertools import combinations
 import numpy as np
 
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import SPIKE, filter_of, linear_of, whiten
 
 
-def change(setting: Setting, screened: Added) -> np.ndarray:
+def change(problem: DiagnosisProblem, screened: Added) -> np.ndarray:
     """What an effect explains of the whitened data, (N,)."""
-    model, path, best = setting.model, screened.path, screened.best
-    levels, common = np.array([SPIKE]), unknowns(setting, ())
-    about = filter_of(setting, model, path, levels, linear_of(setting, model, path))
+    model, path, best = problem.model, screened.path, screened.best
+    levels, common = np.array([SPIKE]), unknowns(problem, ())
+    about = filter_of(problem, model, path, levels, linear_of(problem, model, path))
     body = slopes(model, common, common.mean, 0.05 * common.sd, path)
-    columns = whiten(setting, about, beside([screened.columns, body])).columns[0]
+    columns = whiten(problem, about, beside([screened.columns, body])).columns[0]
     offset, free = int(best.offset is not None), len(best.free)
     basis, _ = np.linalg.qr(columns[:, 1 + offset + free :])
     columns = columns - basis @ (basis.T @ columns)
@@ -39,13 +39,15 @@ def change(setting: Setting, screened: Added) -> np.ndarray:
     return b - A @ np.linalg.solve(A.T @ A + np.diag(precision), towards)
 
 
-def overlaps(setting: Setting, rivals: Sequence[str], first: Sequence[Screened]) -> tuple[tuple[str, str, float], ...]:
+def overlaps(
+    problem: DiagnosisProblem, rivals: Sequence[str], first: Sequence[Screened]
+) -> tuple[tuple[str, str, float], ...]:
     """Of every two of the rivals' keys, (one, other, overlap); of those alone that the first screen had as one effect.
 
     Two that it followed along different paths are compared each along its own.
     """
     found = {key(s.effect): s for s in added(first)}
-    changed = {name: change(setting, found[name]) for name in rivals if name in found}
+    changed = {name: change(problem, found[name]) for name in rivals if name in found}
     return tuple((one, other, _alike(changed[one], changed[other])) for one, other in combinations(changed, 2))
 
 

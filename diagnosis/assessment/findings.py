@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.assessment.result import Estimate, Finding
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched, log_spread
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
 from invdyn.models.effects.base import Effect, Parameter
@@ -40,10 +40,12 @@ def key(effect: Effect) -> str:
     return ".".join([effect.name, *place(effect).values()])
 
 
-def finding(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float = 1.0) -> Finding:
+def finding(
+    problem: DiagnosisProblem, cause: FittedHypothesis, effect: Effect, seed: int, temper: float = 1.0
+) -> Finding:
     """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds; ``temper`` is ζ."""
-    parameters = effect.parameters(setting.model.scale)
-    draws = _draws(setting, cause, effect, seed, temper)
+    parameters = effect.parameters(problem.model.scale)
+    draws = _draws(problem, cause, effect, seed, temper)
     described = {
         name: (values.reshape(-1).numpy(), unit)
         for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
@@ -57,19 +59,21 @@ def finding(setting: Setting, cause: Refined, effect: Effect, seed: int, temper:
     return Finding(effect.name, effect.side, place(effect), estimates)
 
 
-def _draws(setting: Setting, cause: Refined, effect: Effect, seed: int, temper: float) -> dict[str, np.ndarray]:
+def _draws(
+    problem: DiagnosisProblem, cause: FittedHypothesis, effect: Effect, seed: int, temper: float
+) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
-    names = [f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)]
+    names = [f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)]
     if is_searched(effect):
-        parameters = effect.parameters(setting.model.scale)
+        parameters = effect.parameters(problem.model.scale)
         return {p.name: _searched(cause, p, f"{effect.key}.{p.name}", temper, rng) for p in parameters}
-    among = unknowns(setting, cause.effects)
+    among = unknowns(problem, cause.effects)
     drawn = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
     drawn = np.clip(drawn, among.lower, among.upper)
     return {name.rsplit(".", 1)[1]: drawn[:, among.names.index(name)] for name in names}
 
 
-def _searched(cause: Refined, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:
+def _searched(cause: FittedHypothesis, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:
     """Draws (``DRAWS``,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
     value, prior = cause.noise[name], log_spread(p)
     share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
@@ -82,7 +86,7 @@ def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float
     return variance / (temper + (1 - temper) * variance)
 
 
-def tempered_covariance(cause: Refined, among: Unknowns, temper: float) -> np.ndarray:
+def tempered_covariance(cause: FittedHypothesis, among: Unknowns, temper: float) -> np.ndarray:
     """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
     # In units of the prior's spreads, where S = I and no eigenvalue of the posterior's covariance is above one.
     values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))

@@ -25,13 +25,13 @@ import torch
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
-from invdyn.diagnosis.hypotheses.pool import Search
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.hypotheses.swap_step import without
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
@@ -54,25 +54,25 @@ class Closed:
     per_frame: dict[str, float]
 
 
-def split(setting: Setting) -> tuple[Setting, np.ndarray]:
+def split(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, np.ndarray]:
     """The setting before its last rows, and which rows (T,) those are."""
-    seen = np.flatnonzero((~torch.isnan(setting.observations)).any(-1).numpy())
+    seen = np.flatnonzero((~torch.isnan(problem.observations)).any(-1).numpy())
     first = int(seen[int(SHARE * len(seen))])
-    return setting.until(first), np.arange(len(setting.observations)) >= first
+    return problem.until(first), np.arange(len(problem.observations)) >= first
 
 
 @dataclass(frozen=True)
 class Unseen:
-    """No effect and a cause, as other rows know them, along the paths of those (T,) ``rows`` of ``setting`` that count.
+    """No effect and a cause, as other rows know them, along the paths of those (T,) ``rows`` of ``problem`` that count.
 
     Attributes:
         leaves: whether the cause surely leaves something on another recording (:mod:`.transfer`).
         fresh: whether its parameters do not know these rows; what earlier ones do not show is as all of them give it.
     """
 
-    setting: Setting
-    none: Refined
-    cause: Refined
+    problem: DiagnosisProblem
+    none: FittedHypothesis
+    cause: FittedHypothesis
     rows: np.ndarray
     leaves: bool = False
     fresh: bool = True
@@ -80,13 +80,15 @@ class Unseen:
     @property
     def scores(self) -> tuple[Scores, Scores]:
         """Scores without and with the cause."""
-        none, cause = (scores(self.setting, each, self.rows) for each in (self.none, self.cause))
+        none, cause = (scores(self.problem, each, self.rows) for each in (self.none, self.cause))
         return none, cause
 
 
-def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | None = None) -> Unseen:
-    """No effect and a cause that were found in ``setting`` on what they have not seen."""
-    there, rows, taken = _apart(setting, other)
+def unseen(
+    problem: DiagnosisProblem, none: FittedHypothesis, cause: FittedHypothesis, other: DiagnosisProblem | None = None
+) -> Unseen:
+    """No effect and a cause that were found in ``problem`` on what they have not seen."""
+    there, rows, taken = _apart(problem, other)
     none, cause = taken(none), taken(cause)
     leaves = other is not None and leaves_there(other, none, cause)
     fresh = other is not None or not cause.effects or bool(cause.covariance.any())
@@ -94,44 +96,51 @@ def unseen(setting: Setting, none: Refined, cause: Refined, other: Setting | Non
 
 
 def by_effect(
-    setting: Setting, found: Search, cause: Refined, there: Unseen, other: Setting | None, seed: int
+    problem: DiagnosisProblem,
+    found: HypothesisPool,
+    cause: FittedHypothesis,
+    there: Unseen,
+    other: DiagnosisProblem | None,
+    seed: int,
 ) -> dict[str, Closed]:
     """What each effect of ``cause`` closes that the others leave, by the effect's key.
 
     The others' parameters are those of the set without it, fitted to what the cause was fitted to. An effect without
     which nothing can be followed is left out.
     """
-    _, rows, taken = _apart(setting, other)
-    time, (nothing, everything) = there.setting.model.time.numpy(), there.scores
+    _, rows, taken = _apart(problem, other)
+    time, (nothing, everything) = there.problem.model.time.numpy(), there.scores
 
     def alone(effect: Effect) -> Closed | None:
         rest = tuple(e for e in cause.effects if e is not effect)
-        lesser = found.pool.get(key_of(rest)) or attempt(without, setting, cause, effect, FIRM)
+        lesser = found.pool.get(key_of(rest)) or attempt(without, problem, cause, effect, FIRM)
         lesser = lesser and attempt(taken, lesser)
-        scored = None if lesser is None else attempt(scores, there.setting, lesser, rows)
+        scored = None if lesser is None else attempt(scores, there.problem, lesser, rows)
         return None if scored is None else closed(nothing, everything, rows, time, seed, besides=scored)
 
-    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers, setting.budget)
+    shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers, problem.budget)
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 
-def _apart(setting: Setting, other: Setting | None) -> tuple[Setting, np.ndarray, Callable[[Refined], Refined]]:
+def _apart(
+    problem: DiagnosisProblem, other: DiagnosisProblem | None
+) -> tuple[DiagnosisProblem, np.ndarray, Callable[[FittedHypothesis], FittedHypothesis]]:
     """Where a cause is tried on what it has not seen: the setting, which of its rows count, and the cause there."""
     if other is not None:
         start, _ = data_path(other)
-        return other, np.ones(len(other.observations), bool), lambda cause: carried(setting, cause, other, start)
-    train, rows = split(setting)
-    return setting, rows, lambda cause: _fitted_before(setting, cause, train)
+        return other, np.ones(len(other.observations), bool), lambda cause: carried(problem, cause, other, start)
+    train, rows = split(problem)
+    return problem, rows, lambda cause: _fitted_before(problem, cause, train)
 
 
-def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
+def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: DiagnosisProblem) -> FittedHypothesis:
     """``cause`` as the first rows know it, along the path that all rows have; with the parameters that all rows give
     it, and no more to learn of them, where the first ones do not know it.
     """
     values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
     settled = replace(cause, covariance=np.zeros_like(cause.covariance))
     try:
-        begun, size = cause.path[: len(train.observations)], best_size(setting, cause)
+        begun, size = cause.path[: len(train.observations)], best_size(problem, cause)
         with diverging():
             fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
     except Diverged:
@@ -140,7 +149,7 @@ def _fitted_before(setting: Setting, cause: Refined, train: Setting) -> Refined:
     return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
 
 
-def _shown_later(cause: Refined, fitted: Refined) -> bool:
+def _shown_later(cause: FittedHypothesis, fitted: FittedHypothesis) -> bool:
     """Whether the rows that a cause is ``fitted`` on say next to nothing of some parameter of its effects."""
     mine = np.array([not name.startswith("body.") for name in cause.names], dtype=bool)
     return bool((fitted.sd[mine] > LATER * cause.sd[mine]).any())

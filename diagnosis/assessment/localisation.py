@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from invdyn.diagnosis.assessment.result import Interval, Where
-from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 
@@ -26,7 +26,7 @@ def joints_of(effect: Effect) -> list[int]:
 
 def where(
     model: ArmModel,
-    causes: Mapping[str, tuple[Refined, float]],
+    causes: Mapping[str, tuple[FittedHypothesis, float]],
     outside: float,
     regime: str,
     residual: np.ndarray,
@@ -85,7 +85,7 @@ def _normal(shares: dict[str, float]) -> dict[str, float]:
     return {name: (value / total if total > 0 else 0.0) for name, value in shares.items()}
 
 
-def acting(causes: Mapping[str, tuple[Refined, float]]) -> tuple[Interval, ...]:
+def acting(causes: Mapping[str, tuple[FittedHypothesis, float]]) -> tuple[Interval, ...]:
     """When the most probable cause is at work, where it lasts for a while; its probability for a share."""
     cause, probability = max(causes.values(), key=lambda pair: pair[1])
     known = dict(zip(cause.names, cause.mean.tolist(), strict=True))

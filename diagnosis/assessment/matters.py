@@ -16,8 +16,8 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.pool import LOUD
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 
 TOLERANCE = 0.005
@@ -28,9 +28,9 @@ WORST = 1.0
 """s over which a torque counts in the mean."""
 
 
-def tolerated(setting: Setting, path: Tensor, share: float = TOLERANCE) -> np.ndarray:
+def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = TOLERANCE) -> np.ndarray:
     """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
-    model = setting.model
+    model = problem.model
     time, velocity = model.time.numpy(), path[:, -model.body.num_joints :].numpy()
     jerk = np.gradient(np.gradient(velocity, time, axis=0), time, axis=0)
     step = min(STEP, float(np.median(np.diff(time))))
@@ -38,11 +38,13 @@ def tolerated(setting: Setting, path: Tensor, share: float = TOLERANCE) -> np.nd
     return np.maximum(share * np.array(model.scale.torque), own)
 
 
-def matters(setting: Setting, none: Refined, best: Refined, missing: np.ndarray, limit: np.ndarray) -> bool:
+def matters(
+    problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
+) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    if setting.regime == "unknown_torque" or none.kappa > LOUD or any(is_noise(effect) for effect in best.effects):
+    if problem.regime == "unknown_torque" or none.kappa > LOUD or any(is_noise(effect) for effect in best.effects):
         return True
-    rows = max(round(WORST / float(setting.model.dt[1:].median())), 1)
+    rows = max(round(WORST / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))
     total = np.concatenate([np.zeros((1, missing.shape[1])), (missing**2).cumsum(0)])
     worst = np.sqrt((total[rows:] - total[:-rows]).max(0) / rows)

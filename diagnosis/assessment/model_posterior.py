@@ -31,10 +31,10 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.assessment.confirm import SURE, Confirmed, confirm_all
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.innovation_tests import CHANCE, along_motion, prediction_errors, show_more
-from invdyn.diagnosis.hypotheses.pool import LITTLE, Search, others
+from invdyn.diagnosis.hypotheses.pool import LITTLE, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.predict import best_size
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another, believed
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
@@ -51,19 +51,19 @@ ALONG = 0.05
 class Weighed:
     """Causes with probabilities, sorted, and those of their explaining a part; what the catalogue lacks; SMC by key."""
 
-    causes: dict[str, tuple[Refined, float]]
+    causes: dict[str, tuple[FittedHypothesis, float]]
     in_part: dict[str, float]
     outside: float
     confirmed: dict[str, Confirmed]
     log_evidence: dict[str, float]
 
     @property
-    def best(self) -> Refined:
+    def best(self) -> FittedHypothesis:
         """The most probable cause, whatever is left besides it."""
         return next(iter(self.causes.values()))[0]
 
 
-def _alone(bound: Setting, found: Search, cause: Refined) -> float:
+def _alone(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> float:
     """Posterior share of residuals that are nothing, or little beside the one that the simulation needs.
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
@@ -87,7 +87,7 @@ def _alone(bound: Setting, found: Search, cause: Refined) -> float:
     return believed(len(others(cause))) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
-def weigh(bound: Setting, found: Search, seed: int) -> Weighed:
+def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
     """Confirm the best by SMC, and turn scores into probabilities."""
     ranked = found.ranked
     close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
@@ -120,7 +120,9 @@ def in_part_only(weighed: Weighed) -> Weighed:
     return replace(weighed, causes=causes, in_part=in_part, outside=min(sum(in_part.values()), 1.0))
 
 
-def only(bound: Setting, found: Search, cause: Refined, log_evidence: dict[str, float]) -> Weighed:
+def only(
+    bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, log_evidence: dict[str, float]
+) -> Weighed:
     """The one cause that there is, and what the catalogue lacks beside it."""
     share = _alone(bound, found, cause)
     return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

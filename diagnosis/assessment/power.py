@@ -5,8 +5,8 @@ likely a missing torque of that size is than none. "No gap" is an answer where a
 gap" where none is; in a few frames, or between detections as far apart as the arm is long, both are as likely.
 """
 
-from invdyn.diagnosis.hypotheses.pool import Search
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
 LARGE = 0.2
@@ -15,21 +15,21 @@ OUT_OF_QUESTION = 3.0
 """Nats by which the one must be less likely than the other: twenty to one."""
 
 
-def too_little(setting: Setting, found: Search) -> str | None:
+def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
     """Why the rows do not tell whether there is a gap; None where they do, or an effect was found in them.
 
     An unknown torque may be of any size, and what is asked there is whether the camera shows something.
     """
-    if setting.regime == "unknown_torque" or found.ranked[0].effects:
+    if problem.regime == "unknown_torque" or found.ranked[0].effects:
         return None
-    levels = sizes(setting.regime)
+    levels = sizes(problem.regime)
     by_size = found.pool[""].by_size - log_prior(levels)
     hidden = levels[(levels >= LARGE) & (by_size > by_size[0] - OUT_OF_QUESTION)]
     if not len(hidden) or by_size.max() > by_size[0] + OUT_OF_QUESTION:
         return None
-    time, torque = setting.model.time, float(hidden.max() * setting.typical.max())
+    time, torque = problem.model.time, float(hidden.max() * problem.typical.max())
     rows, seconds = len(time), float(time[-1] - time[0])
     return (
-        f"{setting.problem.recording.name}: not enough data: in {rows} rows of {seconds:.2g} s a torque of "
+        f"{problem.problem.recording.name}: not enough data: in {rows} rows of {seconds:.2g} s a torque of "
         f"{torque:.2g} N·m could be missing and not show; give a longer recording, or a less noisy one"
     )

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.assessment.gap_closure import SHARE
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import SLAB, Whitened, filter_of, linear_of, whiten
@@ -81,23 +81,23 @@ The unit 1 and the constant term are left out in words: "+0.1 × u[elbow] on elb
 """
 
 
-def describe(setting: Setting, cause: Refined, path: Tensor) -> Formula | None:
+def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -> Formula | None:
     """Formula of what is left under ``cause``; None where no term earns its place."""
     terms, features = _library(cause, path)
-    linear = linear_of(setting, cause.model, path)
+    linear = linear_of(problem, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
     decay = torch.full_like(cause.model.parameters["torque.decay"], STEADY)
-    response = linear_of(setting, cause.model.replace(**{"torque.decay": decay}), path).F[:, :, :K].copy()
+    response = linear_of(problem, cause.model.replace(**{"torque.decay": decay}), path).F[:, :, :K].copy()
     response[:, :K] = 0.0  # a torque on joint j, from row to row
     g = np.stack(
         [response[:, :, joint] * feature[:, None] for (_, joint, _, _), feature in zip(terms, features, strict=True)],
         -1,
     )
-    d = np.zeros((len(path), setting.observations.shape[-1], len(terms)))
+    d = np.zeros((len(path), problem.observations.shape[-1], len(terms)))
     levels = np.array([1e-3, *SLAB[:-1]])
-    about = filter_of(setting, cause.model, path, levels, linear)
-    whitened = whiten(setting, about, Columns(g.reshape(len(path) - 1, D, -1), d))
-    typical = setting.typical.numpy()
+    about = filter_of(problem, cause.model, path, levels, linear)
+    whitened = whiten(problem, about, Columns(g.reshape(len(path) - 1, D, -1), d))
+    typical = problem.typical.numpy()
     sd = np.array(
         [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]
     )
@@ -135,7 +135,7 @@ def _is_product(name: str) -> bool:
     return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
-def _library(cause: Refined, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
+def _library(cause: FittedHypothesis, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
     """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))

@@ -23,8 +23,8 @@ from invdyn.diagnosis.hypotheses.continuation import CLOSE, FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, scores, whitened
 from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
@@ -35,22 +35,24 @@ TELLS = 1e-6
 """rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
 
 
-def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> Refined:
-    """``cause``, found in ``setting``, with its model and path on another recording.
+def carried(
+    problem: DiagnosisProblem, cause: FittedHypothesis, other: DiagnosisProblem, start: Tensor
+) -> FittedHypothesis:
+    """``cause``, found in ``problem``, with its model and path on another recording.
 
     ``start`` (T, D) is the path that the other recording's data ask for (:func:`.continuation.data_path`).
     Gauss–Newton by itself may end in a poor one, and so may a homotopy; where joints stick, also one after the
     other. Raises CannotFollow where no path can be followed.
     """
-    model, size = cause.carried_to(other), best_size(setting, cause)
+    model, size = cause.carried_to(other), best_size(problem, cause)
     rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
 
-    def along(begun: Refined, *, by_itself: bool) -> Refined:
+    def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
         start = begun.path if by_itself else led(other, begun.model, begun.path, size)
         quiet = other.with_residual(max(size, FIRM), begun.model)
         return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST, CLOSE))
 
-    def score(there: Refined | None) -> float:
+    def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)
         total = np.nan if found is None else found.score[seen].sum()
         return float(total) if np.isfinite(total) else -np.inf
@@ -74,12 +76,12 @@ def carried(setting: Setting, cause: Refined, other: Setting, start: Tensor) -> 
 
 
 @torch.no_grad()
-def turned(there: Refined) -> list[Refined]:
+def turned(there: FittedHypothesis) -> list[FittedHypothesis]:
     """A cause on a recording, a whole turn of one joint away, either way, where its torques tell, and no encoder does.
 
     None where it is all the same to them, as it is to gravity and friction.
     """
-    model, path, found = there.model, there.path, list[Refined]()
+    model, path, found = there.model, there.path, list[FittedHypothesis]()
     if model.observation.encoders:
         return found
     rows, joints = torch.arange(len(path)), model.body.num_joints
@@ -95,7 +97,7 @@ def turned(there: Refined) -> list[Refined]:
     return found
 
 
-def leaves_there(other: Setting, none: Refined, cause: Refined) -> bool:
+def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedHypothesis) -> bool:
     """Whether a cause surely leaves something on another recording, to which both were carried."""
     # What happened at some moment of the first recording does not happen in another.
     if any(effect.dated for effect in cause.effects):
@@ -104,7 +106,7 @@ def leaves_there(other: Setting, none: Refined, cause: Refined) -> bool:
     return leaves(there, without)
 
 
-def _by_size(other: Setting, there: Refined) -> np.ndarray:
+def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:
     """Log evidence (G,) of another recording's rows and each size of the residual."""
     levels = sizes(other.regime)
     rows = whitened(other, there, there.path, levels, posterior_columns(other, there))

@@ -21,8 +21,8 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.refine import expansions, refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import grid, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
@@ -55,11 +55,11 @@ class Play:
         tried: cause by width; None where the simulation does not run.
     """
 
-    setting: Setting
-    base: Refined
+    problem: DiagnosisProblem
+    base: FittedHypothesis
     effect: Effect
     parameter: Parameter
-    tried: dict[float, Refined | None] = field(default_factory=dict)
+    tried: dict[float, FittedHypothesis | None] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -67,7 +67,7 @@ class Play:
         return f"{self.effect.key}.{self.parameter.name}"
 
     @property
-    def best(self) -> Refined | None:
+    def best(self) -> FittedHypothesis | None:
         """Of all widths that were tried."""
         return max((c for c in self.tried.values() if c is not None), key=lambda c: c.log_evidence, default=None)
 
@@ -78,17 +78,17 @@ class Play:
 
     def along_base(self, widths: Sequence[float]) -> list[float]:
         """Log evidence of each width along the base's own path, with the gap as that drives it."""
-        setting, base, levels = self.setting, self.base, sizes(self.setting.regime)
-        common, gained = unknowns(setting, base.effects), []
+        problem, base, levels = self.problem, self.base, sizes(self.problem.regime)
+        common, gained = unknowns(problem, base.effects), []
         for model in map(self.model, widths):
             path = lifted(model, base.path)
             columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
-            whitened = whiten(setting, filter_of(setting, model, path, levels), columns)
+            whitened = whiten(problem, filter_of(problem, model, path, levels), columns)
             evidence = np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)])
             gained.append(float(logsumexp(evidence + log_prior(levels))) + sum(base.noise_log.values()))
         return gained
 
-    def refined(self, width: float) -> Refined:
+    def refined(self, width: float) -> FittedHypothesis:
         """The base's unknowns, from those of the nearest width, along a path that is led to this one.
 
         Or along the best one's own, if that is near.
@@ -99,24 +99,26 @@ class Play:
         if self.best is not None and abs(np.log(width / self.best.noise[self.name])) < NEAR:
             path = self.best.path
         else:
-            path = led(self.setting, model, lifted(model, self.base.path), FIRM)
+            path = led(self.problem, model, lifted(model, self.base.path), FIRM)
         values = nearest.values | {self.name: width}
-        return refine(self.setting, effects, values, path, FIRM, **self.base.searched, rounds=ROUNDS)
+        return refine(self.problem, effects, values, path, FIRM, **self.base.searched, rounds=ROUNDS)
 
     def score(self, log_width: float) -> float:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
         width = min(float(np.exp(log_width)), upper_bound(self.parameter))
         if width not in self.tried:
-            self.setting.budget.ask(key_of((*self.base.effects, self.effect)))
+            self.problem.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
         return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], np.array([width]))
 
 
-def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+def refine_play(
+    problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float = -np.inf
+) -> FittedHypothesis | None:
     """``base`` and play; None if nothing is gained, or if what was looked at first stays under ``enough`` nats."""
-    (parameter,), points = grid(effect, setting.model.scale)
-    play, widths = Play(setting, base, effect, parameter), [width for (width,) in points]
+    (parameter,), points = grid(effect, problem.model.scale)
+    play, widths = Play(problem, base, effect, parameter), [width for (width,) in points]
     least = max(base.log_evidence + EARNED, enough)
     # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
     if base.complete and max(play.along_base(widths[1:4:2])) < least:
@@ -147,7 +149,7 @@ def refine_play(setting: Setting, base: Refined, effect: Effect, enough: float =
     found = replace(cause, log_evidence=evidence, by_size=by_size, noise_log=noise_log, noise_sd=noise_sd)
     if not found.names:
         return found
-    settled = refine(setting, found.effects, found.values, found.path, FIRM, **found.searched, rounds=3)
+    settled = refine(problem, found.effects, found.values, found.path, FIRM, **found.searched, rounds=3)
     return max(found, settled, key=lambda each: each.log_evidence)
 
 

@@ -7,7 +7,7 @@ lets the arm follow the data under any simulation, with heavy tails where there 
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.latent_response import driven
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
@@ -25,22 +25,22 @@ STEPS = 3
 """They take in the middle, from a path that is near."""
 
 
-def data_path(setting: Setting) -> tuple[Tensor, bool]:
+def data_path(problem: DiagnosisProblem) -> tuple[Tensor, bool]:
     """The path that the data ask for: the simulation under a large residual, robust against stray detections.
 
     And whether there are any.
     """
-    loose = setting.with_residual(setting.loose)
-    path = gauss_newton(loose, setting.observations).path
+    loose = problem.with_residual(problem.loose)
+    path = gauss_newton(loose, problem.observations).path
     rows = torch.arange(len(path))
     with torch.no_grad():
         seen = loose.emission(path, rows).base_dist
-        far = ((setting.observations - seen.loc) / seen.scale).abs() > STRAY
+        far = ((problem.observations - seen.loc) / seen.scale).abs() > STRAY
     if not bool(far.any()):
         return path, False
     # What jumps has led the first path to where it is: it must not be what the second one starts from.
-    start = gauss_newton(loose, setting.usual).path
-    return gauss_newton(_heavy_tailed(loose), setting.observations, start=start).path, True
+    start = gauss_newton(loose, problem.usual).path
+    return gauss_newton(_heavy_tailed(loose), problem.observations, start=start).path, True
 
 
 def _heavy_tailed(model: ArmModel) -> ArmModel:
@@ -49,7 +49,7 @@ def _heavy_tailed(model: ArmModel) -> ArmModel:
     return other.replace(**{"emission.df": torch.full((1,), 3.0, dtype=model.dtype)})
 
 
-def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+def led(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
     """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
 
     Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
@@ -58,26 +58,26 @@ def led(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
     names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
     for slack in SLACK:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = setting.with_residual(min(max(setting.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
-        path = gauss_newton_path(quiet, setting.observations, path, ITERATIONS, CLOSE)
-        setting.budget.spend(ITERATIONS, loose, len(path))
+        quiet = problem.with_residual(min(max(problem.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
+        path = gauss_newton_path(quiet, problem.observations, path, ITERATIONS, CLOSE)
+        problem.budget.spend(ITERATIONS, loose, len(path))
     return path
 
 
-def firmed(setting: Setting, model: ArmModel, path: Tensor, size: float) -> Tensor:
+def firmed(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
     """A path (T, D) under ``model`` and a smaller residual, of ``size``, than it was found with.
 
     Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need to be led,
     and the better of both paths is taken.
     """
-    quiet = setting.with_residual(max(size, FIRM), model)
-    own = gauss_newton_path(quiet, setting.observations, path, PATIENT, CLOSE)
-    setting.budget.spend(STEPS, model, len(path))
+    quiet = problem.with_residual(max(size, FIRM), model)
+    own = gauss_newton_path(quiet, problem.observations, path, PATIENT, CLOSE)
+    problem.budget.spend(STEPS, model, len(path))
     if not model.effects.abrupt:
         return own
-    other = led(setting, model, path, size)
+    other = led(problem, model, path, size)
     with torch.no_grad():
-        better = quiet.log_joint(own, setting.observations) >= quiet.log_joint(other, setting.observations)
+        better = quiet.log_joint(own, problem.observations) >= quiet.log_joint(other, problem.observations)
     return own if better else other
 
 

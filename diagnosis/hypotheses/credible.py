@@ -5,14 +5,14 @@ rest than in motion grows with speed. Such a cause explains a part at most
 (:mod:`.model_posterior`), and the search goes on as if it left something (:mod:`.search`).
 """
 
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import at_far_end
 from invdyn.models.effects.joint_limit import have_room
 
 
-def credible(bound: Setting, cause: Refined) -> bool:
+def credible(bound: DiagnosisProblem, cause: FittedHypothesis) -> bool:
     """Whether what was found of each effect is what its name says, and is not as large as anything may be."""
     mean, sd = cause.values, dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
     for effect in cause.effects:

@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
@@ -24,11 +24,13 @@ TIMES, GAIN = 5, 1.0
 """How often it is moved at most, and the nats that a move must gain."""
 
 
-def relocated(setting: Setting, base: Refined, effect: Effect, cause: Refined) -> Refined:
+def relocated(
+    problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, cause: FittedHypothesis
+) -> FittedHypothesis:
     """``cause``, which is ``base`` and an effect that acts for a while, moved in time while that is better."""
-    common = unknowns(setting, base.effects)
+    common = unknowns(problem, base.effects)
     names = {name: f"{effect.key}.{name}" for name in ("moment", "duration")}
-    first, last = setting.model.time[[0, -1]].tolist()
+    first, last = problem.model.time[[0, -1]].tolist()
     for _ in range(TIMES):
         known = cause.values
         moment, duration = (known[name] for name in names.values())
@@ -37,12 +39,12 @@ def relocated(setting: Setting, base: Refined, effect: Effect, cause: Refined) -
         times = [(m - half, m + half) for m, half in middles if first < m < last]
         point = np.array([known[name] for name in common.names])
         model = common.set_in(base.model, point)
-        best = screen(setting, model, cause.path, [effect], common, point, times=times)
+        best = screen(problem, model, cause.path, [effect], common, point, times=times)
         (likely,) = added(best)
         values = likely.values
         start = known | {f"{effect.key}.{name}": value for name, value in values.items()}
         size = float(likely.size)
-        other = refine(setting, cause.effects, start, cause.path, size, **base.searched)
+        other = refine(problem, cause.effects, start, cause.path, size, **base.searched)
         if other.log_evidence < cause.log_evidence + GAIN:
             return cause
         cause = other

@@ -21,7 +21,7 @@ import numpy as np
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.multi_start import scan
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, Search, others
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.shortlist import (
     HOPELESS,
@@ -33,8 +33,8 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     refine_promising,
 )
 from invdyn.diagnosis.hypotheses.swap_step import free_beside
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import Screened, screen, screen_in_halves
@@ -43,31 +43,31 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
 
-def extend(setting: Setting, found: Search, base: Refined, width: int) -> list[Screened]:
+def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, width: int) -> list[Screened]:
     """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
-    known = setting.regime != "unknown_torque"
+    known = problem.regime != "unknown_torque"
     alone = known and not others(base)
-    screened, best = screened_with(setting, found, base, alone)
+    screened, best = screened_with(problem, found, base, alone)
     found.first = found.first or best
     # What changes the scatter need not wait for what else explains the gap: how much that is worth, the screen says.
     promised = found.top if base.complete or not known else max(found.top, best[0].log_evidence)
     least = -np.inf if known else idle(screened)
-    gears, scatter = _searchable(setting, found, base, free)
+    gears, scatter = _searchable(problem, found, base, free)
     early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
-    refine_promising(setting, found, base, best, width, _sought(setting, base, early, max(promised - HOPELESS, least)))
-    refine_kin(setting, found, len(base.effects) + 1)
-    if not known and show_more(setting, found.ranked[0], prediction_errors(setting, found.ranked[0])):
-        refine_barred(setting, found, base, best)
+    refine_promising(problem, found, base, best, width, _sought(problem, base, early, max(promised - HOPELESS, least)))
+    refine_kin(problem, found, len(base.effects) + 1)
+    if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
+        refine_barred(problem, found, base, best)
         least = -np.inf
     if alone:
         if not found.ranked[0].complete:
-            refine_clearing(setting, found, base, best)
+            refine_clearing(problem, found, base, best)
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
-            if (cause := attempt(scan, setting, base, effect, found.top - HOPELESS)) is not None:
+            if (cause := attempt(scan, problem, base, effect, found.top - HOPELESS)) is not None:
                 found.add(cause)
     if not base.complete:
         broken = not early or found.top < promised - HOPELESS / 2
@@ -76,40 +76,42 @@ def extend(setting: Setting, found: Search, base: Refined, width: int) -> list[S
         enough = max(found.top - HOPELESS, least)
         # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
-        driven = _sought(setting, base, [] if plain else gears, enough if found.explained else max(fair, least))
-        late = _sought(setting, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers, setting.budget):
+        driven = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
+        late = _sought(problem, base, scatter if broken else [], enough)
+        for causes in side_by_side([*driven, *late], found.workers, problem.budget):
             for cause in causes:
                 found.add(cause)
     return screened
 
 
-def screened_with(setting: Setting, found: Search, base: Refined, alone: bool) -> tuple[list[Screened], list[Screened]]:
+def screened_with(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, alone: bool
+) -> tuple[list[Screened], list[Screened]]:
     """The screen beside ``base`` along its path, and, of the first effect (``alone``), each where it does best."""
-    straight, common = free_beside(found, base.effects), unknowns(setting, base.effects)
+    straight, common = free_beside(found, base.effects), unknowns(problem, base.effects)
     if base.effects:
         model, path, point = base.model, base.path, base.mean
     else:
         # The body as it is stated: without a cause its numbers have been bent to stand in for one.
-        model, path, point = setting.model, found.path, common.mean
+        model, path, point = problem.model, found.path, common.mean
     few = base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if alone and not few and found.aside is not None:
-        parts = [partial(screen, setting, model, along, straight, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers, setting.budget)
+        parts = [partial(screen, problem, model, along, straight, common, point) for along in (path, found.aside)]
+        screened, other = side_by_side(parts, found.workers, problem.budget)
         return screened, _aside(screened, other)
-    screened = screen_in_halves(found.workers, setting, model, path, straight, common, point, few)
+    screened = screen_in_halves(found.workers, problem, model, path, straight, common, point, few)
     return screened, screened
 
 
 def _searchable(
-    setting: Setting, found: Search, base: Refined, free: Sequence[Effect]
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, free: Sequence[Effect]
 ) -> tuple[list[Effect], list[Effect]]:
     """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
     beside = others(base)
     # Where joints stick, too, play takes minutes; and beside what explains less than stray detections do, they come
     # first.
-    slips = len(beside) < 2 and not base.model.effects.has_friction and setting.regime != "unknown_torque"
+    slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime != "unknown_torque"
     slips = slips and (not beside or base.log_evidence > found.cleaned - HOPELESS)
     searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
     gears: list[Effect] = [e for e in searched if isinstance(e, HiddenHinge)]
@@ -117,12 +119,12 @@ def _searchable(
 
 
 def _sought(
-    setting: Setting, base: Refined, effects: Sequence[Effect], enough: float
-) -> list[Callable[[], list[Refined]]]:
+    problem: DiagnosisProblem, base: FittedHypothesis, effects: Sequence[Effect], enough: float
+) -> list[Callable[[], list[FittedHypothesis]]]:
     """Searches of ``effects`` beside ``base``, each given up under ``enough`` nats, for :func:`side_by_side`."""
 
-    def searched(effect: Effect) -> list[Refined]:
-        cause = attempt(refine_searched, setting, base, effect, enough)
+    def searched(effect: Effect) -> list[FittedHypothesis]:
+        cause = attempt(refine_searched, problem, base, effect, enough)
         return [] if cause is None else [cause]
 
     return [partial(searched, effect) for effect in effects]

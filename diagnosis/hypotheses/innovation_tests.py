@@ -29,8 +29,8 @@ import torch
 
 from invdyn.diagnosis.hypotheses.pool import LOUD
 from invdyn.diagnosis.hypotheses.predict import best_size, seen_tips, whitened
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.inference.posterior.initialise import jitter
 from invdyn.models.effects.base import Effect
@@ -49,29 +49,29 @@ COMPANY = 0.25
 """Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
 
 
-def show_more(setting: Setting, cause: Refined, errors: np.ndarray) -> bool:
+def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:
     """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
-    if loudness(setting, cause) > LOUD:
+    if loudness(problem, cause) > LOUD:
         return True
     alike, chance = correlation(errors)
-    company, by_chance = in_concert(setting, cause)
+    company, by_chance = in_concert(problem, cause)
     return alike > ALIKE + CHANCE * chance or company > COMPANY + CHANCE * by_chance
 
 
-def prediction_errors(setting: Setting, cause: Refined) -> np.ndarray:
+def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.ndarray:
     """Whitened one-step prediction errors (T, O), NaN where nothing was seen.
 
     With unknown torque under an ample one: what is then alike in them, no torque can do.
     """
-    size = best_size(setting, cause) * (AMPLE if setting.regime == "unknown_torque" else 1.0)
-    rows = whitened(setting, cause, cause.path, [size])
-    errors = np.full(setting.observations.shape, np.nan)
+    size = best_size(problem, cause) * (AMPLE if problem.regime == "unknown_torque" else 1.0)
+    rows = whitened(problem, cause, cause.path, [size])
+    errors = np.full(problem.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
-    errors[np.isnan(setting.observations.numpy())] = np.nan
+    errors[np.isnan(problem.observations.numpy())] = np.nan
     return errors
 
 
-def loudness(setting: Setting, cause: Refined) -> float:
+def loudness(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
     grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
     observation = cause.model.observation
@@ -81,12 +81,12 @@ def loudness(setting: Setting, cause: Refined) -> float:
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
     rows = rows if isinstance(rows, MistakenRows) else rows.base_dist
     draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
-    drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * setting.observations
+    drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * problem.observations
 
     def shown(observations: torch.Tensor) -> np.ndarray:
-        return jitter(calm(setting.model.time, observations, setting.starts).numpy()[:, points])
+        return jitter(calm(problem.model.time, observations, problem.starts).numpy()[:, points])
 
-    own, theirs = np.mean([shown(each) for each in drawn], 0), shown(setting.observations)
+    own, theirs = np.mean([shown(each) for each in drawn], 0), shown(problem.observations)
     known = (own > 0) & (theirs > 0)
     return float(np.exp(np.log(own[known] / theirs[known]).mean())) if known.any() else cause.kappa
 
@@ -98,7 +98,7 @@ def correlation(errors: np.ndarray) -> tuple[float, float]:
     return (float(np.nanmean(pairs) / np.nanmean(errors**2)), count**-0.5) if count else (0.0, 1.0)
 
 
-def along_motion(errors: np.ndarray, cause: Refined) -> tuple[float, float]:
+def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, float]:
     """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
 
     Whatever their sizes and distribution. Of the faster half of all detections: at rest there is no direction. The
@@ -116,7 +116,7 @@ def along_motion(errors: np.ndarray, cause: Refined) -> tuple[float, float]:
     return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
 
 
-def in_concert(setting: Setting, cause: Refined) -> tuple[float, float]:
+def in_concert(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[float, float]:
     """How far keypoints stray in the same rows, and its sd if each does by itself (of one chance coincidence at least).
 
     Where the cause has rows swapped or mistimed, or knows of no stray detections, there is nothing to ask: 0.
@@ -124,7 +124,7 @@ def in_concert(setting: Setting, cause: Refined) -> tuple[float, float]:
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
     if not isinstance(rows, MistakenRows) or not rows.strays or rows.swaps or rows.shift:
         return 0.0, 1.0
-    stray = rows.stray(setting.observations).numpy()
+    stray = rows.stray(problem.observations).numpy()
     together = by_chance = most = 0.0
     for one, other in combinations(stray.T, 2):
         seen = ~np.isnan(one + other)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 
-from invdyn.diagnosis.problem.cause import Refined
+from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.unknowns import upper_bound
 from invdyn.models.effects.inertial_error import InertialError
 from invdyn.models.effects.payload import Payload
@@ -21,7 +21,7 @@ from invdyn.models.effects.scale import Scale
 NUMBERS = ("mass", "com", "inertia")
 
 
-def nearest_load(cause: Refined, error: InertialError, payload: Payload, scale: Scale) -> tuple[float, float]:
+def nearest_load(cause: FittedHypothesis, error: InertialError, payload: Payload, scale: Scale) -> tuple[float, float]:
     """Mass, kg, of the ``payload`` nearest to one of a cause's effects, an ``error`` of the last link, and how far.
 
     In standard deviations of what was found. Both effects are bound.

@@ -13,11 +13,11 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses import period_equivalents as period
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.load_equivalents import nearest_load
-from invdyn.diagnosis.hypotheses.pool import Search, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, HOPELESS, attempt, softer
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Hidden
@@ -36,7 +36,7 @@ ALLOWED = 3.0
 """Standard deviations from a special case up to which an effect's parameters allow it."""
 
 
-def refine_kin(setting: Setting, found: Search, number: int) -> None:
+def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
     """Refine the relatives of what was found, of causes with so many effects, from values that follow.
 
     And the softer forms of the best few of those that leave something, a residual or errors of prediction that are
@@ -46,57 +46,57 @@ def refine_kin(setting: Setting, found: Search, number: int) -> None:
     near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - HOPELESS]
     for cause in near:
         for mine in cause.effects:
-            _refine_twins(setting, found, cause, mine)
-            _refine_wider(setting, found, cause, mine)
-            _refine_narrower(setting, found, cause, mine)
-            _refine_load(setting, found, cause, mine)
-            _refine_bent(setting, found, cause, mine)
+            _refine_twins(problem, found, cause, mine)
+            _refine_wider(problem, found, cause, mine)
+            _refine_narrower(problem, found, cause, mine)
+            _refine_load(problem, found, cause, mine)
+            _refine_bent(problem, found, cause, mine)
     least, none = found.top - HOPELESS, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
     ideal = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
     ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
-    rough = [c for c in ideal if not c.complete or show_more(setting, c, prediction_errors(setting, c))]
+    rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     rough.sort(key=lambda cause: -cause.log_evidence)
     for cause in rough[: SOFTER // number]:
-        refine_softer(setting, found, cause)
+        refine_softer(problem, found, cause)
 
 
-def _refine_twins(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+def _refine_twins(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine a cause with the exact equivalents of one of its effects, unless they have arrived."""
-    for other, values in _twins(setting, cause, mine).items():
-        twin = next((e for e in found.candidates if _is(setting, e, other)), None)
-        if twin is None or any(_is(setting, e, other) for e in cause.effects):
+    for other, values in _twins(problem, cause, mine).items():
+        twin = next((e for e in found.candidates if _is(problem, e, other)), None)
+        if twin is None or any(_is(problem, e, other) for e in cause.effects):
             continue
-        if setting.regime == "unknown_torque" and imitable(twin):
+        if problem.regime == "unknown_torque" and imitable(twin):
             continue
         there = found.pool.get(_in_place(cause, mine, twin))
         arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
         if not arrived and not _followed(found, cause, mine, twin):
-            refine_instead(setting, found, cause, mine, twin, values, [cause.path, found.path])
+            refine_instead(problem, found, cause, mine, twin, values, [cause.path, found.path])
 
 
-def _is(setting: Setting, effect: Effect, name: str) -> bool:
+def _is(problem: DiagnosisProblem, effect: Effect, name: str) -> bool:
     """Whether an effect is that on the whole arm; by name on a single joint, whose effect is that on all."""
-    return effect.key == name or (setting.model.body.num_joints == 1 and effect.name == name)
+    return effect.key == name or (problem.model.body.num_joints == 1 and effect.name == name)
 
 
-def _twins(setting: Setting, cause: Refined, mine: Effect) -> dict[str, dict[str, float]]:
+def _twins(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> dict[str, dict[str, float]]:
     """Parameters with which other effects, by name, are the exact equivalents of one of a cause's."""
     known = cause.values
     twins = {}
-    if _is(setting, mine, mine.name):
+    if _is(problem, mine, mine.name):
         for other, same in mine.twins.items():
             twins[other] = {its: known[f"{mine.key}.{own}"] for own, its in same.items()}
-    body = setting.model.scale.body
-    swings = setting.regime == "passive" and setting.model.body.num_joints == 1 and bool(body.gravity.any())
+    body = problem.model.scale.body
+    swings = problem.regime == "passive" and problem.model.body.num_joints == 1 and bool(body.gravity.any())
     if swings and mine.name in period.NAMES:
-        own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+        own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
         twins |= period.equivalents(period.factor(mine, own, body), body)
     return twins
 
 
-def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+def _refine_wider(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine a cause with what contains one of its effects, from where the two are the same, if it leaves something."""
     for wider in found.candidates:
         narrow = wider.contains.get(mine.name)
@@ -107,10 +107,10 @@ def _refine_wider(setting: Setting, found: Search, cause: Refined, mine: Effect)
             continue
         known = cause.values
         values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
-        refine_instead(setting, found, cause, mine, *_as_soft(setting, cause, mine, wider, values), [cause.path])
+        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, wider, values), [cause.path])
 
 
-def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+def _refine_narrower(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine a cause with a special case of one of its effects that its parameters allow: it may not have arrived.
 
     Where several parameters are to be the same one, that which is known best gives its value.
@@ -128,29 +128,29 @@ def _refine_narrower(setting: Setting, found: Search, cause: Refined, mine: Effe
         off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
         if max(off) > ALLOWED or _followed(found, cause, mine, narrow, _softness(mine)):
             continue
-        refine_instead(setting, found, cause, mine, *_as_soft(setting, cause, mine, narrow, values), [cause.path])
+        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, narrow, values), [cause.path])
 
 
-def _refine_load(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+def _refine_load(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine a cause with a payload in place of an error of the last link (:mod:`.load_equivalents`)."""
     payload = next((e for e in found.candidates if isinstance(e, Payload)), None)
-    last = setting.model.body.num_joints - 1
+    last = problem.model.body.num_joints - 1
     if payload is None or not isinstance(mine, InertialError) or mine.place != (last,):
         return
     there = found.pool.get(_in_place(cause, mine, payload))
     if payload.key in cause.key.split("+") or (there and there.log_evidence > cause.log_evidence - ALIKE):
         return
-    mass, off = nearest_load(cause, mine, payload, setting.model.scale)
+    mass, off = nearest_load(cause, mine, payload, problem.model.scale)
     if off < ALLOWED and not _followed(found, cause, mine, payload):
-        refine_instead(setting, found, cause, mine, payload, {"mass": mass}, [cause.path])
+        refine_instead(problem, found, cause, mine, payload, {"mass": mass}, [cause.path])
 
 
-def _refine_bent(setting: Setting, found: Search, cause: Refined, mine: Effect) -> None:
+def _refine_bent(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine the best cause with a link that bends in place of soft tissue at its tip, which looks much like it.
 
     A screen sees little of what a bend explains along a path of its own: once, beside a stop, 67 nats of 184.
     """
-    if not isinstance(mine, SoftTissue) or setting.regime == "unknown_torque" or cause is not found.ranked[0]:
+    if not isinstance(mine, SoftTissue) or problem.regime == "unknown_torque" or cause is not found.ranked[0]:
         return
     bent = next((e for e in found.candidates if isinstance(e, LinkFlexibility) and e.place == mine.place), None)
     if bent is None or any(isinstance(effect, Hidden) for effect in cause.effects if effect is not mine):
@@ -158,10 +158,10 @@ def _refine_bent(setting: Setting, found: Search, cause: Refined, mine: Effect) 
     there = found.pool.get(_in_place(cause, mine, bent))
     if (there and there.log_evidence > cause.log_evidence) or _followed(found, cause, mine, bent):
         return
-    stiffness, damping = bent.parameters(setting.model.scale)
+    stiffness, damping = bent.parameters(problem.model.scale)
     for start in stiffness.grid[1::2]:  # from one that is too stiff Gauss–Newton finds no softer one
         values = {"stiffness": start, "damping": damping.grid[0]}
-        refine_instead(setting, found, cause, mine, bent, values, [found.path])
+        refine_instead(problem, found, cause, mine, bent, values, [found.path])
         if (there := found.pool.get(_in_place(cause, mine, bent))) is not None and there.complete:
             break
 
@@ -172,18 +172,18 @@ def _softness(effect: Effect) -> str:
 
 
 def _as_soft(
-    setting: Setting, cause: Refined, mine: Effect, other: Effect, values: dict[str, float]
+    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, other: Effect, values: dict[str, float]
 ) -> tuple[Effect, dict[str, float]]:
     """A relative and its values, as soft as one of a cause's effects is."""
     form = other
     for _ in range(mine.softness):
         form = form.softened() or form
-    own = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
-    wanted = [p.name for p in form.parameters(setting.model.scale)]
+    own = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
+    wanted = [p.name for p in form.parameters(problem.model.scale)]
     return form, {name: own[name] for name in wanted if name in own} | values
 
 
-def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:
+def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
     """Refine a cause with the softer form of each of its effects that has one; the better one stays.
 
     And with that one's, where it has one and something is left.
@@ -191,7 +191,7 @@ def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:
     for mine in cause.effects:
         form, best = mine, cause
         while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
-            refined = softer(setting, best, form)
+            refined = softer(problem, best, form)
             if refined is None:
                 break
             found.add(refined)
@@ -200,12 +200,12 @@ def refine_softer(setting: Setting, found: Search, cause: Refined) -> None:
             form, best = next(e for e in refined.effects if e.key == form.key), refined
 
 
-def _in_place(cause: Refined, mine: Effect, other: Effect) -> str:
+def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
     """Key of a cause with another effect in place of one."""
     return key_of((*(e for e in cause.effects if e is not mine), other))
 
 
-def _followed(found: Search, cause: Refined, mine: Effect, other: Effect, form: str = "") -> bool:
+def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Effect, form: str = "") -> bool:
     """Whether the relative, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
     key = _in_place(cause, mine, other) + form
     if found.relatives.get(key, -np.inf) > cause.log_evidence - ALIKE:
@@ -215,9 +215,9 @@ def _followed(found: Search, cause: Refined, mine: Effect, other: Effect, form: 
 
 
 def refine_instead(
-    setting: Setting,
-    found: Search,
-    cause: Refined,
+    problem: DiagnosisProblem,
+    found: HypothesisPool,
+    cause: FittedHypothesis,
     mine: Effect,
     other: Effect,
     values: dict[str, float],
@@ -227,9 +227,9 @@ def refine_instead(
     effects = (*(e for e in cause.effects if e is not mine), other)
     kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
     values = kept | {f"{other.key}.{name}": value for name, value in values.items()}
-    size = float(sizes(setting.regime)[int(cause.by_size.argmax())])
+    size = float(sizes(problem.regime)[int(cause.by_size.argmax())])
     for path in starts:
-        refined = attempt(refine, setting, effects, values, path, size, **cause.searched)
+        refined = attempt(refine, problem, effects, values, path, size, **cause.searched)
         if refined is not None:
             found.add(refined)
             if refined.complete:

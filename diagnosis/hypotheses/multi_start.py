@@ -13,21 +13,21 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.refine import ROUNDS, refine
 from invdyn.diagnosis.hypotheses.shortlist import SHARE
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.models.effects.base import Effect
 
 
-def scan(setting: Setting, base: Refined, effect: Effect, enough: float) -> Refined:
+def scan(problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float) -> FittedHypothesis:
     """Refine an effect from the best of its starting values, each on a path of its own, if that has ``enough`` nats."""
     effects = (*base.effects, effect)
-    model = setting.model.with_effects(*effects)
+    model = problem.model.with_effects(*effects)
 
-    def refined(values: dict[str, float], path: Tensor, rounds: int) -> Refined:
+    def refined(values: dict[str, float], path: Tensor, rounds: int) -> FittedHypothesis:
         known = {name: torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
         there = model.replace(**{f"effect.{k}": v for k, v in known.items() if f"effect.{k}" in model.parameters})
-        path = led(setting, there, lifted(model, path), FIRM)
-        return refine(setting, effects, values, path, FIRM, rounds=rounds, **base.searched)
+        path = led(problem, there, lifted(model, path), FIRM)
+        return refine(problem, effects, values, path, FIRM, rounds=rounds, **base.searched)
 
     tried = []
     for point in product(*effect.scan.values()):

@@ -7,8 +7,8 @@ from math import log
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import ALPHA_WITHIN, MOST, another, log_prior_of, tempered
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
@@ -26,7 +26,7 @@ FEW = 5.0
 
 
 @dataclass
-class Search:
+class HypothesisPool:
     """The pool of causes that were refined, and what the first screen said of all.
 
     Attributes:
@@ -43,7 +43,7 @@ class Search:
     """
 
     candidates: list[Effect]
-    pool: dict[str, Refined]
+    pool: dict[str, FittedHypothesis]
     first: list[Screened]
     path: Tensor
     stray: bool
@@ -68,7 +68,7 @@ class Search:
         beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
         return tempered(self.top - beside, ALPHA_WITHIN)
 
-    def score(self, cause: Refined) -> float:
+    def score(self, cause: FittedHypothesis) -> float:
         """Log posterior but for a constant.
 
         Stray detections gain thousands of nats: what is more likely than they alone is measured from there. A cause
@@ -80,7 +80,7 @@ class Search:
         rest = log(another(len(cause.effects), self.most)) if self.leaves(cause) else 0.0
         return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
 
-    def leaves(self, cause: Refined) -> bool:
+    def leaves(self, cause: FittedHypothesis) -> bool:
         """Whether a residual surely gains evidence beside a cause."""
         return leaves(cause, self.pool[""])
 
@@ -90,11 +90,11 @@ class Search:
         return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
 
     @property
-    def ranked(self) -> list[Refined]:
+    def ranked(self) -> list[FittedHypothesis]:
         """The pool, best first, without sets that a part of them beats."""
         scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
 
-        def earns_its_size(cause: Refined) -> bool:
+        def earns_its_size(cause: FittedHypothesis) -> bool:
             mine = frozenset(e.key for e in cause.effects)
             return all(scores[mine] > score for other, score in scores.items() if other < mine)
 
@@ -106,7 +106,7 @@ class Search:
         """Whether the best cause has an effect and leaves nothing."""
         return self.ranked[0].complete and bool(self.ranked[0].effects)
 
-    def add(self, cause: Refined) -> None:
+    def add(self, cause: FittedHypothesis) -> None:
         """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
         if not cause.plausible:
             return
@@ -115,12 +115,12 @@ class Search:
             self.pool[cause.key] = cause
 
 
-def others(cause: Refined) -> list[Effect]:
+def others(cause: FittedHypothesis) -> list[Effect]:
     """A cause's effects but those that leave stray detections."""
     return [effect for effect in cause.effects if effect.name not in MISTAKES]
 
 
-def leaves(cause: Refined, none: Refined) -> bool:
+def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
     """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside ``none``.
 
     A limb's own torque is always left, and no cause by itself leaves what no cause explains.
@@ -132,10 +132,10 @@ def leaves(cause: Refined, none: Refined) -> bool:
     return left > FEW + LITTLE**2 * gap
 
 
-def considered(setting: Setting, without: Sequence[str] = ()) -> list[Effect]:
+def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[Effect]:
     """Every effect of the catalogue at every place at which it can act in this regime, bound."""
-    body = setting.model.body
-    observation, commanded = setting.model.observation, setting.regime == "commanded"
+    body = problem.model.body
+    observation, commanded = problem.model.observation, problem.regime == "commanded"
     tracked = list(observation.tracked_names)
     found = []
     for name, kind in EFFECTS.items():

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
 from invdyn.diagnosis.sensitivity.whiten import SPIKE, Whitened, filter_of, sizes, whiten
@@ -45,33 +45,37 @@ class Scores:
     floor: np.ndarray
 
 
-def best_size(setting: Setting, cause: Refined) -> float:
+def best_size(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     """The residual's size that a cause has the highest evidence with."""
-    return float(sizes(setting.regime)[int(cause.by_size.argmax())])
+    return float(sizes(problem.regime)[int(cause.by_size.argmax())])
 
 
 def whitened(
-    setting: Setting, cause: Refined, path: Tensor, levels: Sequence[float] | np.ndarray, columns: Columns | None = None
+    problem: DiagnosisProblem,
+    cause: FittedHypothesis,
+    path: Tensor,
+    levels: Sequence[float] | np.ndarray,
+    columns: Columns | None = None,
 ) -> Whitened:
-    """Innovations of ``setting``'s rows under a cause along a path (T, D), for each size of the residual.
+    """Innovations of ``problem``'s rows under a cause along a path (T, D), for each size of the residual.
 
     And ``columns``, if there are any.
     """
     none = Columns(
-        np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), setting.observations.shape[-1], 0))
+        np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), problem.observations.shape[-1], 0))
     )
-    return whiten(setting, filter_of(setting, cause.model, path, np.array(levels)), columns or none)
+    return whiten(problem, filter_of(problem, cause.model, path, np.array(levels)), columns or none)
 
 
-def scores(setting: Setting, cause: Refined, unseen: np.ndarray | None = None) -> Scores:
-    """One-step predictive scores of ``setting``'s rows under a cause found there or on another recording.
+def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarray | None = None) -> Scores:
+    """One-step predictive scores of ``problem``'s rows under a cause found there or on another recording.
 
     ``unseen`` (T,) are rows that the cause's parameters have not seen: there they are what is known of them and of the
     rows before.
     """
-    quietest = SPIKE if setting.regime != "unknown_torque" else best_size(setting, cause)
-    columns = None if unseen is None else posterior_columns(setting, cause)
-    rows = whitened(setting, cause, cause.path, [best_size(setting, cause), quietest], columns)
+    quietest = SPIKE if problem.regime != "unknown_torque" else best_size(problem, cause)
+    columns = None if unseen is None else posterior_columns(problem, cause)
+    rows = whitened(problem, cause, cause.path, [best_size(problem, cause), quietest], columns)
     seen, kappa = rows.seen, cause.kappa
     known = seen > 0
     constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
@@ -85,9 +89,9 @@ def scores(setting: Setting, cause: Refined, unseen: np.ndarray | None = None) -
     return Scores(score, np.where(known, floor, np.nan))
 
 
-def posterior_columns(setting: Setting, cause: Refined) -> Columns:
+def posterior_columns(problem: DiagnosisProblem, cause: FittedHypothesis) -> Columns:
     """Slopes in p numbers z ~ N(0, I) along a cause's path: its parameters are μ + L z a posteriori."""
-    among = unknowns(setting, cause.model.effects.effects)
+    among = unknowns(problem, cause.model.effects.effects)
     step = np.maximum(NUDGE * cause.sd, 1e-7 * among.sd)
     plain = slopes(cause.model, among, cause.mean, step, cause.path)
     values, vectors = np.linalg.eigh(cause.covariance)
@@ -104,19 +108,19 @@ def _learning(w: np.ndarray) -> np.ndarray:
     return np.diff(0.5 * (fitted - np.linalg.slogdet(G)[1]), prepend=0.0)
 
 
-def smoothed(setting: Setting, cause: Refined) -> GaussianSmoother:
+def smoothed(problem: DiagnosisProblem, cause: FittedHypothesis) -> GaussianSmoother:
     """Posterior of the states under a cause, with its own residual size."""
-    quiet = setting.with_residual(max(best_size(setting, cause), 1e-3), cause.model)
-    return gauss_newton(quiet, setting.observations, start=cause.path, max_iterations=3)
+    quiet = problem.with_residual(max(best_size(problem, cause), 1e-3), cause.model)
+    return gauss_newton(quiet, problem.observations, start=cause.path, max_iterations=3)
 
 
-def residual(setting: Setting, cause: Refined) -> tuple[np.ndarray, np.ndarray, Tensor]:
+def residual(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[np.ndarray, np.ndarray, Tensor]:
     """Mean and sd (T, K) of the residual torque, N·m; and the smoothed path (T, D).
 
     Of a row it is what acts until the next one, in the mean: the state's torque has decayed by a third until then at 50
     rows a second, and is that much larger than what it stands for where that does not decay.
     """
-    smoother = smoothed(setting, cause)
+    smoother = smoothed(problem, cause)
     K, torque = cause.model.body.num_joints, cause.model.torque
     variance = smoother.covariance().diagonal(dim1=-2, dim2=-1)[:, :K]
     one = torch.ones_like(smoother.path[:, :K])

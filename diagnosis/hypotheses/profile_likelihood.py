@@ -21,8 +21,8 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.refine import expansions, refine
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
@@ -34,14 +34,16 @@ TURNS, MUCH = 4, 50.0
 """Times that each of several is looked for again, at most, and nats that the last has to gain beside them for that."""
 
 
-def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: float = -np.inf) -> Refined | None:
+def refine_searched(
+    problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float = -np.inf
+) -> FittedHypothesis | None:
     """``base`` and an effect whose parameters are searched.
 
     None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
     """
     if not is_noise(effect):
-        return refine_play(setting, base, effect, enough)
-    best = _added(setting, base, effect, max(base.log_evidence + EARNED, enough))
+        return refine_play(problem, base, effect, enough)
+    best = _added(problem, base, effect, max(base.log_evidence + EARNED, enough))
     if best is None or best.log_evidence < base.log_evidence + MUCH:
         return best
     turns = [*(each for each in base.effects if is_noise(each)), effect]
@@ -49,32 +51,36 @@ def refine_searched(setting: Setting, base: Refined, effect: Effect, enough: flo
     for each in islice(cycle(turns), TURNS * len(turns)):
         if each is last:
             break  # every other one has had its turn since
-        again = _added(setting, best.less(setting, each), each, -np.inf, best.noise)
+        again = _added(problem, best.less(problem, each), each, -np.inf, best.noise)
         if again is not None and again.log_evidence > best.log_evidence + EARNED:
             best, last = again, each
     return best
 
 
 def _added(
-    setting: Setting, base: Refined, effect: Effect, least: float, values: Mapping[str, float] | None = None
-) -> Refined | None:
+    problem: DiagnosisProblem,
+    base: FittedHypothesis,
+    effect: Effect,
+    least: float,
+    values: Mapping[str, float] | None = None,
+) -> FittedHypothesis | None:
     """``base`` and an effect on the scatter, from the best point of its grid or, where there are any, its ``values``.
 
     None if that stays under ``least`` nats.
     """
-    parameters, points = grid(effect, setting.model.scale)
+    parameters, points = grid(effect, problem.model.scale)
     names = [f"{effect.key}.{p.name}" for p in parameters]
     if values is not None:
         points = [*points, tuple(values[name] for name in names)]
     known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
-    common, levels = unknowns(setting, base.effects), sizes(setting.regime)
+    common, levels = unknowns(problem, base.effects), sizes(problem.regime)
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     model, some = base.model.with_effects(effect), _telling(base, levels)
 
-    def along(cause: Refined) -> tuple[Tensor, Slopes, Linearisation]:
+    def along(cause: FittedHypothesis) -> tuple[Tensor, Slopes, Linearisation]:
         """Path, slopes and linearisation: what changes the scatter alone leaves them, whatever its parameters."""
         tangents = slopes_along(cause.model, cause.path)
-        return cause.path, tangents, linear_of(setting, cause.model, cause.path, tangents)
+        return cause.path, tangents, linear_of(problem, cause.model, cause.path, tangents)
 
     path, tangents, moving = along(base)
     most = np.array([upper_bound(p) for p in parameters])
@@ -83,8 +89,8 @@ def _added(
         """Log evidence with ``some`` sizes of the residual, and their prior weights."""
         given = {f"effect.{n}": torch.tensor([v], dtype=torch.float64) for n, v in zip(names, values, strict=True)}
         here = model.replace(**given)
-        linear = seen_as(moving, seen_rows(here, path, setting.observations), tangents[1])
-        whitened = whiten(setting, filter_of(setting, here, path, levels[some], linear), columns)
+        linear = seen_as(moving, seen_rows(here, path, problem.observations), tangents[1])
+        whitened = whiten(problem, filter_of(problem, here, path, levels[some], linear), columns)
         return np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)]) + log_prior(levels)[some]
 
     def score(log_values: np.ndarray) -> float:
@@ -97,24 +103,24 @@ def _added(
         return None
     # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
     # most detections stray; a limb's own torque is as large as it was found.
-    size = float(levels[base.by_size.argmax()]) if setting.regime == "unknown_torque" else FIRM
+    size = float(levels[base.by_size.argmax()]) if problem.regime == "unknown_torque" else FIRM
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
     begun = np.log(start)
     values = known | dict(zip(names, np.exp(begun).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, size, rounds=2)
+    cause = refine(problem, (*base.effects, effect), values, path, size, rounds=2)
     (path, tangents, moving), some = along(cause), _telling(cause, levels)
     climbed, covariance, integral = climb(score, begun)
     climbed = np.minimum(climbed, np.log(most))
     own = integral - (score(climbed) - log_prior_of(parameters, np.exp(climbed)))
     noise_log = base.noise_log | {effect.key: own}
     values = known | dict(zip(names, np.exp(climbed).tolist(), strict=True))
-    cause = refine(setting, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
+    cause = refine(problem, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
     spreads = np.exp(climbed) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
 
 
-def _telling(cause: Refined, levels: np.ndarray) -> np.ndarray:
+def _telling(cause: FittedHypothesis, levels: np.ndarray) -> np.ndarray:
     """Numbers of the sizes that matter to a cause: its best and their neighbours, and the spike."""
     best = int(cause.by_size.argmax())
     return np.unique(np.clip([0, best - 1, best, best + 1], 0, len(levels) - 1))

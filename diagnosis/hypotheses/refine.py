@@ -23,8 +23,8 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regression
@@ -51,7 +51,7 @@ UNKEPT = 0.5
 
 
 def refine(
-    setting: Setting,
+    problem: DiagnosisProblem,
     effects: Sequence[Effect],
     values: Mapping[str, float],
     path: Tensor,
@@ -62,7 +62,7 @@ def refine(
     enough: float = -np.inf,
     doubtful: float = -np.inf,
     rounds: int = ROUNDS,
-) -> Refined:
+) -> FittedHypothesis:
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
     ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
@@ -71,35 +71,35 @@ def refine(
     searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
     key, ``noise_sd`` their standard deviations.
     """
-    model = setting.model.with_effects(*effects)
+    model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
-    setting.budget.ask(key_of(effects) or "no effect")
-    searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(setting.model.scale)}
+    problem.budget.ask(key_of(effects) or "no effect")
+    searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     integrated = dict(noise_log or {})
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
-    among = unknowns(setting, effects)
+    among = unknowns(problem, effects)
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
     point = np.clip(point, among.lower, among.upper)
     path = lifted(among.set_in(model, point), path)
-    levels = sizes(setting.regime)
+    levels = sizes(problem.regime)
     step = 0.05 * 0.2 * among.sd
-    best: Refined | None = None
+    best: FittedHypothesis | None = None
     worth = most_seen = -np.inf
 
-    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[Refined, np.ndarray, float]:
+    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[FittedHypothesis, np.ndarray, float]:
         """Path and expansion about ``point``; the cause, where its parameters go, and the gain it promises."""
         here = among.set_in(model, point)
-        quiet = setting.with_residual(max(size, FIRM), here)
-        before, path = path, gauss_newton_path(quiet, setting.observations, path, STEPS, CLOSE)
-        setting.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
+        quiet = problem.with_residual(max(size, FIRM), here)
+        before, path = path, gauss_newton_path(quiet, problem.observations, path, STEPS, CLOSE)
+        problem.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
-            path = gauss_newton_path(quiet, setting.observations, path, SHORTER, CLOSE)
-            setting.budget.spend(SHORTER, here, len(path))
+            path = gauss_newton_path(quiet, problem.observations, path, SHORTER, CLOSE)
+            problem.budget.spend(SHORTER, here, len(path))
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
-        whitened = whiten(setting, filter_of(setting, here, path, levels), columns)
+        whitened = whiten(problem, filter_of(problem, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
         by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
@@ -108,7 +108,7 @@ def refine(
         mean, covariance = top.mean[0], top.covariance[0]
         target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
-        cause = Refined(
+        cause = FittedHypothesis(
             effects,
             among.names,
             target,
@@ -133,7 +133,7 @@ def refine(
         """
         nonlocal best, worth, most_seen, step
         for done in range(most):
-            if best is not None and setting.budget.over:
+            if best is not None and problem.budget.over:
                 break
             try:
                 with diverging():
@@ -161,15 +161,15 @@ def refine(
     patient = rounds == ROUNDS
     if patient and model.effects.abrupt:
         # Where joints stick or strike, a path that leaves much to the residual misleads.
-        descend(point, led(setting, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
+        descend(point, led(problem, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
     assert best is not None  # a first step that fails raises
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
-        if patient and not best.complete and best.log_evidence >= enough and not setting.budget.over:
+        if patient and not best.complete and best.log_evidence >= enough and not problem.budget.over:
             size = float(levels[best.by_size.argmax()])
-            firm = firmed(setting, among.set_in(model, best.mean), best.path, stiffness * size)
+            firm = firmed(problem, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)

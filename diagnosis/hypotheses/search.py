@@ -42,14 +42,14 @@ from invdyn.diagnosis.hypotheses.continuation import FIRM, led
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.forward_step import extend, screened_with
 from invdyn.diagnosis.hypotheses.moves import refine_kin
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, Search, considered, others
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HOPELESS, SHARE, attempt, refine_every, refine_promising
 from invdyn.diagnosis.hypotheses.substeps import shortened
 from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
-from invdyn.diagnosis.problem.cause import Refined
-from invdyn.diagnosis.problem.diagnosis_problem import Setting, cannot_follow
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
@@ -66,121 +66,123 @@ FORWARD = len(WIDTH)
 
 
 def search(
-    setting: Setting,
+    problem: DiagnosisProblem,
     path: Tensor,
     stray: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
     most: int = MOST,
-) -> Search:
+) -> HypothesisPool:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
     Of no more than ``most`` effects at once.
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
-    found = replace(_begun(setting, path, stray, considered(setting, left_out), workers), most=most)
-    setting.budget.share = SEARCH
+    found = replace(_begun(problem, path, stray, considered(problem, left_out), workers), most=most)
+    problem.budget.share = SEARCH
     with suppress(Spent):
-        _sought(setting, found)
-    found.missed = len(setting.budget.missed - found.pool.keys())
+        _sought(problem, found)
+    found.missed = len(problem.budget.missed - found.pool.keys())
     return found
 
 
-def _sought(setting: Setting, found: Search) -> None:
+def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     """Look for causes until nothing that is tried is better; raises :class:`.Spent` where the budget ends before."""
-    known, most = setting.regime != "unknown_torque", found.most
+    known, most = problem.regime != "unknown_torque", found.most
     if known and found.stray:
-        _mistaken(setting, found)
+        _mistaken(problem, found)
     extended: set[str] = set()
     for _ in range(max(FORWARD, most) if known else 1):
         best = found.ranked[0]
         if best.key in extended or len(best.effects) >= most:
             break
         extended.add(best.key)
-        screened = extend(setting, found, best, _width(best))
+        screened = extend(problem, found, best, _width(best))
         if known and not best.effects:
-            setting = shortened(setting, found)
-        if known and not best.effects and not _enough(setting, found.ranked[0]):
-            _several(setting, found, screened)
-            reduce(setting, found)
-            _overtaken(setting, found, extended)
-        _without_older(setting, found, best)
-    _settled(setting, found, extended)
+            problem = shortened(problem, found)
+        if known and not best.effects and not _enough(problem, found.ranked[0]):
+            _several(problem, found, screened)
+            reduce(problem, found)
+            _overtaken(problem, found, extended)
+        _without_older(problem, found, best)
+    _settled(problem, found, extended)
     singles = _singles(found)
     if known and singles and most > 1 and not found.ranked[0].complete:
         base = max(singles, key=found.score)
         best = found.ranked[0]
-        refine_every(setting, found, base, screened_with(setting, found, base, False)[0])
+        refine_every(problem, found, base, screened_with(problem, found, base, False)[0])
         if found.ranked[0].key != best.key:
-            _settled(setting, found, extended)
+            _settled(problem, found, extended)
 
 
-def _enough(setting: Setting, cause: Refined) -> bool:
+def _enough(problem: DiagnosisProblem, cause: FittedHypothesis) -> bool:
     """Whether a cause leaves nothing, by effects that are what they are called."""
-    return cause.complete and credible(setting, cause)
+    return cause.complete and credible(problem, cause)
 
 
-def _settled(setting: Setting, found: Search, extended: set[str]) -> None:
+def _settled(problem: DiagnosisProblem, found: HypothesisPool, extended: set[str]) -> None:
     """Leave effects out and exchange them until the best set stays.
 
     Where it leaves something others may join what was exchanged, and what is left if it has not been ``extended`` yet:
     a large effect may be reached only by way of several that imitate it, and hide a small one until then.
     """
-    reduce(setting, found)
-    while setting.regime != "unknown_torque" and found.ranked[0].effects:
+    reduce(problem, found)
+    while problem.regime != "unknown_torque" and found.ranked[0].effects:
         before = found.ranked[0]
-        exchange(setting, found)
+        exchange(problem, found)
         best = found.ranked[0]
         grows = not best.complete and len(best.effects) < found.most
         if best.key == before.key and (not grows or best.key in extended):
             break
         if grows:
             extended.add(best.key)
-            extend(setting, found, best, SWAPS if best.key != before.key else _width(best))
-        reduce(setting, found)
+            extend(problem, found, best, SWAPS if best.key != before.key else _width(best))
+        reduce(problem, found)
         if found.ranked[0].key == before.key:
             break
 
 
-def _width(base: Refined) -> int:
+def _width(base: FittedHypothesis) -> int:
     """Candidates that are refined beside a base."""
     return WIDTH[min(len(others(base)), FORWARD - 1)]
 
 
-def _begun(setting: Setting, path: Tensor, stray: bool, candidates: list[Effect], workers: int) -> Search:
+def _begun(
+    problem: DiagnosisProblem, path: Tensor, stray: bool, candidates: list[Effect], workers: int
+) -> HypothesisPool:
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
-    def along_its_own() -> tuple[Tensor, Refined | None]:
-        usual = setting.observing(setting.usual) if stray else setting
-        aside = led(usual, setting.model, path, FIRM)
-        return aside, attempt(refine, setting, (), {}, aside, FIRM)
+    def along_its_own() -> tuple[Tensor, FittedHypothesis | None]:
+        usual = problem.observing(problem.usual) if stray else problem
+        aside = led(usual, problem.model, path, FIRM)
+        return aside, attempt(refine, problem, (), {}, aside, FIRM)
 
-    starts: list[Callable[[], Any]] = [partial(attempt, refine, setting, (), {}, path, setting.loose)]
-    if setting.regime != "unknown_torque":
+    starts: list[Callable[[], Any]] = [partial(attempt, refine, problem, (), {}, path, problem.loose)]
+    if problem.regime != "unknown_torque":
         starts.append(partial(attempt, along_its_own))
-    none, *rest = side_by_side(starts, workers, setting.budget)
+    none, *rest = side_by_side(starts, workers, problem.budget)
     if none is None or None in rest:
-        raise cannot_follow(setting)
-    found = Search(candidates, {none.key: none}, [], path, stray, workers=workers)
+        raise cannot_follow(problem)
+    found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers)
     for found.aside, alone in rest:
         if alone is not None:
             found.add(alone)
     return found
 
 
-def _without_older(setting: Setting, found: Search, best: Refined) -> None:
+def _without_older(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
     """Where the ``best`` effect has become two, look for a better one in place of the older."""
     grown = found.ranked[0]
     if len(grown.effects) != 2 or len(best.effects) != 1:
         return
     newer, older = sorted(grown.effects, key=lambda effect: effect.key == best.key)
-    base = found.pool.get(newer.key) or attempt(without, setting, grown, older, setting.loose)
+    base = found.pool.get(newer.key) or attempt(without, problem, grown, older, problem.loose)
     if base is not None:
         found.add(base)
-        extend(setting, found, base, SWAPS)
+        extend(problem, found, base, SWAPS)
 
 
-def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
+def _overtaken(problem: DiagnosisProblem, found: HypothesisPool, extended: set[str]) -> None:
     """Where several have overtaken the best single effect, extend that one, too, unless it is one of two that suffice.
 
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
@@ -193,10 +195,10 @@ def _overtaken(setting: Setting, found: Search, extended: set[str]) -> None:
         return
     if base.key not in extended:
         extended.add(base.key)
-        extend(setting, found, base, WIDTH[1])
+        extend(problem, found, base, WIDTH[1])
 
 
-def _mistaken(setting: Setting, found: Search) -> None:
+def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     """Refine what leaves stray detections by itself, along the path that does not follow them and the simulation's own.
 
     Beside it other effects are looked for, as little else shows until that is said. Instead of it stands one by itself
@@ -207,36 +209,36 @@ def _mistaken(setting: Setting, found: Search) -> None:
     for path in (path for path in (found.aside, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
             base = none.moved_to(none.model, path)
-            if (cause := attempt(refine_searched, setting, base, effect)) is not None:
+            if (cause := attempt(refine_searched, problem, base, effect)) is not None:
                 found.add(cause)
         if found.ranked[0].complete:
             return
     if not found.ranked[0].effects:
         return
-    _, screened = screened_with(setting, found, none, True)
+    _, screened = screened_with(problem, found, none, True)
     tried = replace(found, pool=dict(found.pool))
-    refine_promising(setting, tried, none, screened, INSTEAD)
+    refine_promising(problem, tried, none, screened, INSTEAD)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
 
 
-def _singles(found: Search) -> list[Refined]:
+def _singles(found: HypothesisPool) -> list[FittedHypothesis]:
     """Causes of one effect, but for those that leave stray detections."""
     return [cause for cause in found.pool.values() if len(others(cause)) == 1]
 
 
-def _several(setting: Setting, found: Search, screened: Sequence[Screened]) -> None:
+def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
-    common, none = unknowns(setting, ()), found.pool[""].log_evidence
-    for sets in together(setting, setting.model, found.path, screened, common, found.candidates, SETS):
+    common, none = unknowns(problem, ()), found.pool[""].log_evidence
+    for sets in together(problem, problem.model, found.path, screened, common, found.candidates, SETS):
         if len(sets[0].effects) > found.most:
             break
         for each in sets:
             top = found.top
             limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
-            cause = attempt(refine, setting, each.effects, each.values, found.path, each.size, **limits)
+            cause = attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:
                 found.add(cause)
-        refine_kin(setting, found, len(sets[0].effects))
+        refine_kin(problem, found, len(sets[0].effects))
         if found.ranked[0].complete:
             break

@@ -22,10 +22,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from invdyn.diagnosis.hypotheses.event_timing import relocated
-from invdyn.diagnosis.hypotheses.pool import Search, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added
 from invdyn.diagnosis.sensitivity.whiten import sizes
@@ -58,12 +58,12 @@ FAINT = 3.0
 
 
 def refine_promising(
-    setting: Setting,
-    found: Search,
-    base: Refined,
+    problem: DiagnosisProblem,
+    found: HypothesisPool,
+    base: FittedHypothesis,
     screened: Sequence[Screened],
     width: int,
-    besides: Sequence[Callable[[], list[Refined]]] = (),
+    besides: Sequence[Callable[[], list[FittedHypothesis]]] = (),
 ) -> None:
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
 
@@ -80,7 +80,7 @@ def refine_promising(
         > bare - doubt
     ]
     most = screened[0].log_evidence - nothing
-    if setting.regime == "unknown_torque":
+    if problem.regime == "unknown_torque":
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
     promising = promising[:width]
@@ -95,16 +95,18 @@ def refine_promising(
             "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
         }
         parts = [
-            partial(_refined, setting, base, each, limits)
+            partial(_refined, problem, base, each, limits)
             for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        for causes in side_by_side(parts if first else [*parts, *besides], found.workers, setting.budget):
+        for causes in side_by_side(parts if first else [*parts, *besides], found.workers, problem.budget):
             for cause in causes:
                 found.add(cause)
 
 
-def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+def refine_clearing(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
+) -> None:
     """Refine those added to ``base`` that leave less than half of the gap where the residual is next to nothing."""
     none = next(s for s in screened if s.effect is None)
     least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
@@ -112,13 +114,15 @@ def refine_clearing(setting: Setting, found: Search, base: Refined, screened: Se
     clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - HOPELESS}
-    parts = [partial(_refined, setting, base, each, limits) for each in clear]
-    for causes in side_by_side(parts, found.workers, setting.budget):
+    parts = [partial(_refined, problem, base, each, limits) for each in clear]
+    for causes in side_by_side(parts, found.workers, problem.budget):
         for cause in causes:
             found.add(cause)
 
 
-def refine_every(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+def refine_every(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
+) -> None:
     """Refine all of the screened effects on what is seen, added to ``base``, that were not, until one leaves nothing.
 
     A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
@@ -127,15 +131,17 @@ def refine_every(setting: Setting, found: Search, base: Refined, screened: Seque
     left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
         limits = {"enough": found.top - HOPELESS}
-        parts = [partial(_refined, setting, base, each, limits) for each in left[first : first + PAIR]]
-        for causes in side_by_side(parts, found.workers, setting.budget):
+        parts = [partial(_refined, problem, base, each, limits) for each in left[first : first + PAIR]]
+        for causes in side_by_side(parts, found.workers, problem.budget):
             for cause in causes:
                 found.add(cause)
         if found.explained:
             return
 
 
-def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequence[Screened]) -> None:
+def refine_barred(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
+) -> None:
     """Refine those added to ``base`` that no torque imitates and that gain less in the screen than one that it does.
 
     For where the best cause's errors of prediction show more, though a torque may do anything: a large effect on what
@@ -148,18 +154,20 @@ def refine_barred(setting: Setting, found: Search, base: Refined, screened: Sequ
     soft = {s.effect.key for s in seen if s.effect.softened() is not None}
     barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
 
-    def refined(each: Added) -> list[Refined]:
+    def refined(each: Added) -> list[FittedHypothesis]:
         known = found.pool.get(key_of((*base.effects, each.effect)))
-        causes = [known] if known else _refined(setting, base, each, {})
+        causes = [known] if known else _refined(problem, base, each, {})
         ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
-        return causes + [form for c in ideal if (form := softer(setting, c, each.effect)) is not None]
+        return causes + [form for c in ideal if (form := softer(problem, c, each.effect)) is not None]
 
-    for causes in side_by_side([partial(refined, each) for each in barred], found.workers, setting.budget):
+    for causes in side_by_side([partial(refined, each) for each in barred], found.workers, problem.budget):
         for cause in causes:
             found.add(cause)
 
 
-def _refined(setting: Setting, base: Refined, each: Added, limits: dict[str, Any]) -> list[Refined]:
+def _refined(
+    problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
+) -> list[FittedHypothesis]:
     """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
 
     Where both end far under the base, once more from there.
@@ -170,20 +178,20 @@ def _refined(setting: Setting, base: Refined, each: Added, limits: dict[str, Any
             break
         values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
         effects = (*base.effects, each.effect)
-        cause = attempt(refine, setting, effects, values, each.path, each.size, **base.searched, **limits)
+        cause = attempt(refine, problem, effects, values, each.path, each.size, **base.searched, **limits)
         if cause is not None and not cause.plausible and cause.log_evidence > limits.get("enough", -np.inf):
-            cause = softer(setting, cause, each.effect, **limits) or cause
+            cause = softer(problem, cause, each.effect, **limits) or cause
         if cause is not None:
             refined.append(cause)
             if cause.complete:
                 break
     if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
-        again = attempt(_from_base, setting, base, each, limits)
+        again = attempt(_from_base, problem, base, each, limits)
         refined += [again] if again is not None else []
     if "moment" in each.effect.located and refined:
         best = max(refined, key=lambda cause: cause.log_evidence)
         moved = (
-            attempt(relocated, setting, base, each.effect, best)
+            attempt(relocated, problem, base, each.effect, best)
             if best.log_evidence > limits.get("enough", -np.inf)
             else None
         )
@@ -191,26 +199,28 @@ def _refined(setting: Setting, base: Refined, each: Added, limits: dict[str, Any
     return refined
 
 
-def _from_base(setting: Setting, base: Refined, each: Added, limits: dict[str, Any]) -> Refined:
+def _from_base(
+    problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
+) -> FittedHypothesis:
     """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
     none_of_it = {
-        p.name: p.absent for p in each.effect.parameters(setting.model.scale) if p.absent not in (None, np.inf)
+        p.name: p.absent for p in each.effect.parameters(problem.model.scale) if p.absent not in (None, np.inf)
     }
     values = {f"{each.effect.key}.{name}": value for name, value in (each.values | none_of_it).items()} | base.values
-    size = float(sizes(setting.regime)[int(base.by_size.argmax())])
-    return refine(setting, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
+    size = float(sizes(problem.regime)[int(base.by_size.argmax())])
+    return refine(problem, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
 
 
-def softer(setting: Setting, cause: Refined, mine: Effect, **limits: Any) -> Refined | None:
+def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:
     """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
     form = mine.softened()
     if form is None:
         return None
     effects = (*(e for e in cause.effects if e.key != mine.key), form)
-    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(setting.model.scale)}
+    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
     values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
-    size = max(float(sizes(setting.regime)[int(cause.by_size.argmax())]), SOFTENED)
-    return attempt(refine, setting, effects, values, cause.path, size, **cause.searched, **limits)
+    size = max(float(sizes(problem.regime)[int(cause.by_size.argmax())]), SOFTENED)
+    return attempt(refine, problem, effects, values, cause.path, size, **cause.searched, **limits)
 
 
 def idle(screened: Sequence[Screened]) -> float:

@@ -11,12 +11,12 @@ import numpy as np
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, lifted
 from invdyn.diagnosis.hypotheses.moves import refine_instead, refine_kin, refine_softer
-from invdyn.diagnosis.hypotheses.pool import FEW, Search
+from invdyn.diagnosis.hypotheses.pool import FEW, HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, HOPELESS, attempt, refine_promising
-from invdyn.diagnosis.problem.cause import Refined, key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
@@ -28,7 +28,7 @@ SWAPS, FAIR = 2, 0.3
 cause leaves nothing, of what the best effect does."""
 
 
-def reduce(setting: Setting, found: Search) -> None:
+def reduce(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
 
     A set may be what it took to get near the parameters of one of its members; and what stands beside an ideal friction
@@ -39,18 +39,18 @@ def reduce(setting: Setting, found: Search) -> None:
     while len(best.effects) > 1:
         for effect in best.effects:
             rest = tuple(e for e in best.effects if e is not effect)
-            cause = None if key_of(rest) in tried else attempt(without, setting, best, effect, FIRM)
+            cause = None if key_of(rest) in tried else attempt(without, problem, best, effect, FIRM)
             if cause is not None:
                 found.add(cause)
             tried.add(key_of(rest))
             if key_of(rest) in found.pool:
-                refine_softer(setting, found, found.pool[key_of(rest)])
+                refine_softer(problem, found, found.pool[key_of(rest)])
         if found.ranked[0] is best:
             return
         best = found.ranked[0]
 
 
-def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Refined | None:
+def without(problem: DiagnosisProblem, whole: FittedHypothesis, effect: Effect, size: float) -> FittedHypothesis | None:
     """A set without one of its effects, from its path and values, under a residual of ``size``; None if it is no gain.
 
     Several that were searched may have left a part to each other: without one, the others are searched anew.
@@ -58,17 +58,17 @@ def without(setting: Setting, whole: Refined, effect: Effect, size: float) -> Re
     rest = tuple(e for e in whole.effects if e is not effect)
     searched = [e for e in rest if is_searched(e)]
     if not searched:
-        return refine(setting, rest, whole.values, whole.path, size)
+        return refine(problem, rest, whole.values, whole.path, size)
     if not is_searched(effect):
-        return refine(setting, rest, whole.values, whole.path, size, **whole.searched)
-    cause: Refined | None
-    cause = refine(setting, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)
+        return refine(problem, rest, whole.values, whole.path, size, **whole.searched)
+    cause: FittedHypothesis | None
+    cause = refine(problem, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)
     for each in searched:
-        cause = cause and refine_searched(setting, cause, each)
+        cause = cause and refine_searched(problem, cause, each)
     return cause
 
 
-def exchange(setting: Setting, found: Search) -> None:
+def exchange(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     """Look for a better effect in place of each of the best set's, along the path that it has found.
 
     Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
@@ -81,9 +81,9 @@ def exchange(setting: Setting, found: Search) -> None:
         if is_searched(old):
             continue
         if any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
-            _beside_play(setting, found, best, old)
+            _beside_play(problem, found, best, old)
             continue
-        common, model = unknowns(setting, rest), setting.model
+        common, model = unknowns(problem, rest), problem.model
         point = common.mean
         if rest:
             known = dict(zip(best.names, best.mean.tolist(), strict=True))
@@ -97,18 +97,18 @@ def exchange(setting: Setting, found: Search) -> None:
         if not free:
             continue
         path = lifted(model, best.path)
-        screened = screen_in_halves(found.workers, setting, model, path, free, common, point, best.complete)
+        screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
         least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
         by_size = np.r_[-np.inf, best.by_size[1:]]
         bared = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
-        refine_promising(setting, found, bared, near, SWAPS)
-    refine_kin(setting, found, len(best.effects))
+        refine_promising(problem, found, bared, near, SWAPS)
+    refine_kin(problem, found, len(best.effects))
 
 
-def _beside_play(setting: Setting, found: Search, best: Refined, old: Effect) -> None:
+def _beside_play(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis, old: Effect) -> None:
     """Refine what by itself does as well as ``old`` in its place: play leaves no path that a screen could be along.
 
     Where that is better, and play is all the rest, play is searched anew beside it.
@@ -121,19 +121,19 @@ def _beside_play(setting: Setting, found: Search, best: Refined, old: Effect) ->
     near = [c for c in singles if c.log_evidence > alone.log_evidence - FEW and not is_searched(c.effects[0])]
     for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:
         other = cause.effects[0]
-        own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(setting.model.scale)}
-        refine_instead(setting, found, best, old, other, own, [best.path])
+        own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(problem.model.scale)}
+        refine_instead(problem, found, best, old, other, own, [best.path])
         swapped = found.pool.get(key_of((*rest, other)))
         better = swapped is not None and swapped.log_evidence > best.log_evidence and not swapped.complete
         if better and len(rest) == 1:
-            again = attempt(refine_searched, setting, cause, rest[0], found.top - HOPELESS)
+            again = attempt(refine_searched, problem, cause, rest[0], found.top - HOPELESS)
             if again is not None:
                 found.add(again)
         if found.explained:
             return
 
 
-def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:
+def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:
     """Effects that, where nothing else was in, gained a fair share of what the best one did; all, if nobody knows."""
     gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
     if not gained:
@@ -142,7 +142,7 @@ def _likely(found: Search, effects: Sequence[Effect]) -> list[Effect]:
     return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]
 
 
-def free_beside(found: Search, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
+def free_beside(found: HypothesisPool, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
     """Effects with columns that may join those that are ``taken``, but for ``others``."""
     keys = {effect.key for effect in (*taken, *others)}
     busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)

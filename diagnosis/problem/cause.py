@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import coarsened
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -18,7 +18,7 @@ from invdyn.models.effects.composition import PREFIX
 
 
 @dataclass(frozen=True)
-class Refined:
+class FittedHypothesis:
     """A cause, one or several effects together, with its parameters' posterior.
 
     Attributes:
@@ -84,25 +84,25 @@ class Refined:
         """What :func:`refine` needs to know of parameters that were searched."""
         return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
 
-    def less(self, setting: Setting, effect: Effect) -> "Refined":
+    def less(self, problem: DiagnosisProblem, effect: Effect) -> "FittedHypothesis":
         """The same path and parameters without one of the effects whose parameters were searched, nothing refined."""
         rest = tuple(other for other in self.effects if other.key != effect.key)
-        names = {f"{effect.key}.{p.name}" for p in effect.parameters(setting.model.scale)}
+        names = {f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
         kept = {n: v for n, v in self.model.parameters.items() if n.removeprefix(PREFIX) not in names}
         return replace(
             self,
             effects=rest,
-            model=setting.model.with_effects(*rest).replace(**kept),
+            model=problem.model.with_effects(*rest).replace(**kept),
             noise={n: v for n, v in self.noise.items() if n not in names},
             noise_sd={n: v for n, v in self.noise_sd.items() if n not in names},
             noise_log={key: v for key, v in self.noise_log.items() if key != effect.key},
         )
 
-    def moved_to(self, model: ArmModel, path: Tensor) -> "Refined":
+    def moved_to(self, model: ArmModel, path: Tensor) -> "FittedHypothesis":
         """The same cause with another model and path."""
         return replace(self, model=model, path=path)
 
-    def carried_to(self, other: Setting) -> ArmModel:
+    def carried_to(self, other: DiagnosisProblem) -> ArmModel:
         """The model of another recording with this cause's effects and parameters, and with the noise that they know.
 
         What is said of the noise is said of its scale: another recording's own jitter is no part of it, but at a

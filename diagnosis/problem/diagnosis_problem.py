@@ -79,7 +79,7 @@ class Uncertain:
 
 
 @dataclass(frozen=True)
-class Setting:
+class DiagnosisProblem:
     """A recording bound to the simulation of it.
 
     Attributes:
@@ -124,8 +124,8 @@ class Setting:
         torque = torch.tensor(self.model.scale.torque, dtype=torch.float64)
         return torque if self.shape is None else torque * torch.tensor(self.shape, dtype=torch.float64)
 
-    def shaped(self, path: Tensor) -> "Setting":
-        """The setting with a residual that is spread over the joints as it is along ``path`` (T, D).
+    def shaped(self, path: Tensor) -> "DiagnosisProblem":
+        """The problem with a residual that is spread over the joints as it is along ``path`` (T, D).
 
         One number is the size of all joints' residuals. A joint that lacks little would hide, under the size that
         another one needs, what a cause improves there. Effects are looked for where the joints turn along it.
@@ -137,16 +137,16 @@ class Setting:
         model = self.model.turning(angle.amin(0), angle.amax(0))
         return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
 
-    def in_substeps(self, count: int) -> "Setting":
-        """The same setting in so many integrator sub-steps a row."""
+    def in_substeps(self, count: int) -> "DiagnosisProblem":
+        """The same problem in so many integrator sub-steps a row."""
         return replace(self, problem=replace(self.problem, model=self.model.in_substeps(count)))
 
-    def observing(self, observations: Tensor) -> "Setting":
-        """The same setting with other observations (T, O)."""
+    def observing(self, observations: Tensor) -> "DiagnosisProblem":
+        """The same problem with other observations (T, O)."""
         return replace(self, problem=replace(self.problem, observations=observations))
 
-    def until(self, row: int) -> "Setting":
-        """The same setting seen up to a ``row``, which is not."""
+    def until(self, row: int) -> "DiagnosisProblem":
+        """The same problem seen up to a ``row``, which is not."""
         return replace(self.observing(self.observations[:row]), starts=tuple(s for s in self.starts if s < row))
 
     def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
@@ -180,7 +180,9 @@ def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
     return tuple(found)
 
 
-def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False) -> Setting:
+def diagnosis_problem(
+    recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False
+) -> DiagnosisProblem:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     given = [recording] if isinstance(recording, Recording) else recording
     recording, begins = joined([thinned(each) for each in given])
@@ -215,7 +217,7 @@ def setting(recording: Recording | Sequence[Recording], body: Body, *, passive: 
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model = model.in_substeps(sufficient_substeps(model, usual))
-    return Setting(replace(problem, model=model), regime, uncertain, tuple(starts))
+    return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
 def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
@@ -266,10 +268,10 @@ class CannotFollow(InputError, Diverged):
     """Of the user's body on a recording; of a candidate, which is then none."""
 
 
-def cannot_follow(setting: Setting) -> CannotFollow:
+def cannot_follow(bound: DiagnosisProblem) -> CannotFollow:
     """The error of a simulation that runs away from its recording whatever is added to it."""
     return CannotFollow(
-        f"{setting.problem.recording.name}: body {setting.model.body.name!r} cannot follow it, even with torque of its "
+        f"{bound.problem.recording.name}: body {bound.model.body.name!r} cannot follow it, even with torque of its "
         "own at each joint: check units of torques (N·m), lengths and masses, signs and zeros of joints, or give a "
         "calmer stretch: --frames 0:500"
     )

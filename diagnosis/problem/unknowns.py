@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from pyro.distributions import Distribution, LogNormal, Normal
 
-from invdyn.diagnosis.problem.diagnosis_problem import Setting, Uncertain
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, Uncertain
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
@@ -72,11 +72,11 @@ class Unknowns:
         return model.replace(**changed)
 
 
-def unknowns(setting: Setting, effects: Sequence[Effect]) -> Unknowns:
+def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
     """Unknowns of bound ``effects``, but for those that are searched (:mod:`.noise`), and of the setting's body."""
-    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(setting.model.scale)]
+    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(problem.model.scale)]
     rows = [(name, p.prior, centre(p), spread(p), lower_bound(p), upper_bound(p)) for name, p in found]
-    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in setting.uncertain]
+    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in problem.uncertain]
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import MOST, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.evidence import learned, regression
@@ -57,7 +57,7 @@ class _Part:
 
 
 def together(
-    setting: Setting,
+    problem: DiagnosisProblem,
     model: ArmModel,
     path: Tensor,
     screened: Sequence[Screened],
@@ -94,9 +94,9 @@ def together(
         )
         pieces.append(each.columns)
         start += each.columns.g.shape[-1]
-    levels = sizes(setting.regime)
+    levels = sizes(problem.regime)
     rest = slopes(model, common, common.mean, 0.05 * common.sd, path)
-    whitened = whiten(setting, filter_of(setting, model, path, levels), beside([*pieces, rest]))
+    whitened = whiten(problem, filter_of(problem, model, path, levels), beside([*pieces, rest]))
     shared = start + np.arange(len(common.names))
 
     def evaluate(sets: Sequence[tuple[int, ...]]) -> list[Together]:

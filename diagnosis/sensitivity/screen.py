@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
@@ -41,7 +41,9 @@ HINGED, BEGUN = 10, 20
 """It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
 
 
-def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisation) -> list[tuple[float, float]]:
+def windows(
+    problem: DiagnosisProblem, model: ArmModel, path: Tensor, linear: Linearisation
+) -> list[tuple[float, float]]:
     """Stretches of time in which a burst of torque on the joints would explain most: ``PEAKS`` for each of three sizes.
 
     And a short one within the first of them, where that explains surely more: what strikes within a row or two and is
@@ -50,9 +52,9 @@ def windows(setting: Setting, model: ArmModel, path: Tensor, linear: Linearisati
     K = model.body.num_joints
     response = linear.F[:, :, :K].copy()
     response[:, :K] = 0.0
-    about = filter_of(setting, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
+    about = filter_of(problem, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
 
-    count = int((~setting.observations.isnan()).sum())
+    count = int((~problem.observations.isnan()).sum())
 
     def gains_of(times: Sequence[tuple[float, float]]) -> np.ndarray:
         """Twice the nats (3, W) that a burst in each stretch explains, under each size."""
@@ -210,7 +212,7 @@ def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[
 
 
 def screen(
-    setting: Setting,
+    problem: DiagnosisProblem,
     model: ArmModel,
     path: Tensor,
     effects: Sequence[Effect],
@@ -225,30 +227,30 @@ def screen(
     leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
     those where it would explain most if none are given.
     """
-    setting.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
-    levels = sizes(setting.regime)
-    levels = levels[:3] if quiet and setting.regime != "unknown_torque" else levels
+    problem.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
+    levels = sizes(problem.regime)
+    levels = levels[:3] if quiet and problem.regime != "unknown_torque" else levels
     # What an effect adds is small: half of the sub-steps tell it as well.
     quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
     weights = log_prior(levels)
     screened: list[Screened] = []
-    linear = linear_of(setting, model, path)
-    about = filter_of(setting, model, path, levels, linear)
+    linear = linear_of(problem, model, path)
+    about = filter_of(problem, model, path, levels, linear)
     if not times and any("moment" in effect.located for effect in effects):
-        times = windows(setting, model, path, linear)
+        times = windows(problem, model, path, linear)
     for found, pieces, first in blocks(quick, effects, path, times):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
-        setting.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
-        whitened = products(setting, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
+        problem.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
+        whitened = products(problem, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
         none = table[:, -1] + weights
         likely = int(none.argmax())
         kappa = float(results[likely].kappa[-1])
         # Beside a limb's own torque; a simulation would have none, were its gap explained.
-        shown = whitened.gram[likely if setting.regime == "unknown_torque" else 0]
+        shown = whitened.gram[likely if problem.regime == "unknown_torque" else 0]
         keys = [h.effect.key for h in found]
         for key in dict.fromkeys(keys):
             mine = [i for i, other in enumerate(keys) if other == key]
@@ -278,12 +280,12 @@ def screen(
 
 
 def screen_in_halves(
-    workers: int, setting: Setting, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
+    workers: int, problem: DiagnosisProblem, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
     halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
     one, *rest = side_by_side(
-        [partial(screen, setting, model, path, half, *given) for half in halves], workers, setting.budget
+        [partial(screen, problem, model, path, half, *given) for half in halves], workers, problem.budget
     )
     return sorted([*one, *(s for other in rest for s in added(other))], key=lambda s: -s.log_evidence)
 

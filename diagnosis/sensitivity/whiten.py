@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.diagnosis_problem import Setting
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.innovations import Gains, gains, innovations
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, linearise
@@ -70,13 +70,13 @@ def sizes(regime: str) -> np.ndarray:
     return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
 
 
-def linear_of(setting: Setting, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
+def linear_of(problem: DiagnosisProblem, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
     """``model`` linearised about ``path``, with a residual of size one, where it begins, too.
 
     With ``slopes`` that are known, if they are.
     """
-    known = {name: torch.zeros_like(sd) for name, sd in setting.begun.items()}
-    return linearise(setting.with_residual(1.0, model).replace(**known), path, setting.observations, slopes=slopes)
+    known = {name: torch.zeros_like(sd) for name, sd in problem.begun.items()}
+    return linearise(problem.with_residual(1.0, model).replace(**known), path, problem.observations, slopes=slopes)
 
 
 @dataclass(frozen=True)
@@ -101,36 +101,40 @@ class Filter:
 
 
 def filter_of(
-    setting: Setting, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
+    problem: DiagnosisProblem, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
 ) -> Filter:
     """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
-    setting.budget.spend(LINEARISED * (linear is None) + len(levels) * FILTERED, model, len(path))
-    linear = linear or linear_of(setting, model, path)
+    problem.budget.spend(LINEARISED * (linear is None) + len(levels) * FILTERED, model, len(path))
+    linear = linear or linear_of(problem, model, path)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
     covariance = square(scale[:, None, :, None] * linear.L)
-    for sd in setting.begun.values():
-        covariance[:, [0, *setting.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
-    late = model.replace(**setting.begun).late(torch.arange(1, len(path))) if setting.begun else None
+    for sd in problem.begun.values():
+        covariance[:, [0, *problem.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
+    late = model.replace(**problem.begun).late(torch.arange(1, len(path))) if problem.begun else None
     if late is not None:
-        ahead = np.setdiff1d(np.arange(1, len(path)), setting.starts)
+        ahead = np.setdiff1d(np.arange(1, len(path)), problem.starts)
         covariance[:, ahead[:, None], np.arange(joints), np.arange(joints)] += late.numpy()[ahead - 1] ** 2
     filtered = gains(linear.F, covariance[:, 1:], linear.E, covariance[:, 0])
     return Filter(levels, linear, filtered)
 
 
-def products(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
+def products(
+    problem: DiagnosisProblem, about: Filter, columns: Columns, groups: Sequence[slice] | None = None
+) -> Whitened:
     """What :func:`whiten` gives, and of many numbers the products alone: whitened for one size after the other."""
     count = len(about.sizes) * columns.d.shape[0] * columns.d.shape[1] * (1 + columns.d.shape[2])
     if count <= LARGE:
-        return whiten(setting, about, columns, groups)
-    gram = np.concatenate([whiten(setting, about.at(g), columns, groups).gram for g in range(len(about.sizes))])
+        return whiten(problem, about, columns, groups)
+    gram = np.concatenate([whiten(problem, about.at(g), columns, groups).gram for g in range(len(about.sizes))])
     none = replace(columns, g=columns.g[..., :0], d=columns.d[..., :0])
-    return replace(whiten(setting, about, none), gram=gram)
+    return replace(whiten(problem, about, none), gram=gram)
 
 
-def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[slice] | None = None) -> Whitened:
+def whiten(
+    problem: DiagnosisProblem, about: Filter, columns: Columns, groups: Sequence[slice] | None = None
+) -> Whitened:
     """Whiten the data and ``columns`` by a filter.
 
     Of thousands of columns not all products are wanted: those within ``groups``, which are numbered as the Gram matrix
@@ -149,11 +153,11 @@ def whiten(setting: Setting, about: Filter, columns: Columns, groups: Sequence[s
         columns.g,
         times(linear.rows.whitening, torch.as_tensor(columns.d)).numpy(),
     )
-    rows_seen = (~torch.isnan(setting.observations)).any(-1).numpy().repeat(setting.observations.shape[-1])
+    rows_seen = (~torch.isnan(problem.observations)).any(-1).numpy().repeat(problem.observations.shape[-1])
     if not rows_seen.all():
         w = w[:, rows_seen]
     # The regression counts −½ log 2π for each observation, as the normaliser does.
-    seen = (~torch.isnan(setting.observations)).sum(-1).numpy()
+    seen = (~torch.isnan(problem.observations)).sum(-1).numpy()
     row_log_det = about.gained.log_det - linear.rows.normaliser - 0.5 * np.log(2 * np.pi) * seen
     return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
 

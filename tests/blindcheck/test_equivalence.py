@@ -8,7 +8,7 @@ from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.equivalence import NUMBERS, exactly_alike, stand_ins
 from invdyn.blindcheck.simulator import World
 from invdyn.diagnosis.hypotheses.period_equivalents import equivalents, factor
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
@@ -91,7 +91,7 @@ def test_inertia_of_the_first_link_is_armature_without_gravity():
 )
 def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known):
     arm, time = body(1), np.arange(301) / 100
-    numbers = setting(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale.body
+    numbers = diagnosis_problem(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale.body
     effect = next(iter(EFFECTS[name].everywhere(arm, ("p1",)))).bound(arm)
     rho = factor(effect, known, numbers)
     sizes = equivalents(rho, numbers)

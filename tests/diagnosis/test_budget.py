@@ -12,7 +12,7 @@ from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.budget import Budget, Spent
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.search import search
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
@@ -29,7 +29,7 @@ def rubbing():
 
 
 def searched(work, workers=1, seconds=np.inf, clock=lambda: 0.0):
-    bound = replace(setting(rubbing(), PENDULUM), budget=Budget(work, seconds, clock))
+    bound = replace(diagnosis_problem(rubbing(), PENDULUM), budget=Budget(work, seconds, clock))
     path, stray = data_path(bound)
     return search(bound, path, stray, LEFT_OUT, workers), bound.budget
 
@@ -44,7 +44,7 @@ def whole():
 
 
 def test_work_is_passes_along_rows_by_states_and_sub_steps():
-    model = setting(recording_of(body=ARM), ARM).in_substeps(5).model
+    model = diagnosis_problem(recording_of(body=ARM), ARM).in_substeps(5).model
     budget = Budget(work=1000.0)
     budget.spend(2.0, model, 100)
     assert budget.done == 400.0  # each of five sub-steps a quarter of what a row takes, and three for the row
@@ -58,7 +58,7 @@ def test_work_is_passes_along_rows_by_states_and_sub_steps():
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_parts_side_by_side_have_the_same_budget_each_wherever_they_run(workers):
-    model = setting(recording_of(), PENDULUM).in_substeps(1).model
+    model = diagnosis_problem(recording_of(), PENDULUM).in_substeps(1).model
     budget = Budget(work=100.0, share=1.0)
 
     def part(rows):

@@ -13,7 +13,7 @@ from pendulum import ARM, MANY, PENDULUM, recording_of
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.assemble import _ambiguous, _unseen
 from invdyn.diagnosis.assessment.result import Cause, Finding
-from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, setting
+from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
@@ -25,7 +25,7 @@ SEARCHED = ROOM._searched
 def rubbing():
     """A pendulum that rubs, and its search, which takes longer than all else and is the same every time."""
     recording = recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, damping=0.05)
-    return recording, SEARCHED(setting(recording, PENDULUM), MANY, 1)
+    return recording, SEARCHED(diagnosis_problem(recording, PENDULUM), MANY, 1)
 
 
 def test_the_setting_has_the_shortest_sub_steps_of_what_was_found(monkeypatch):
@@ -34,7 +34,7 @@ def test_the_setting_has_the_shortest_sub_steps_of_what_was_found(monkeypatch):
     best = found.ranked[0]
     finer = replace(best, model=bound.in_substeps(4 * bound.model.substeps).model)
     monkeypatch.setattr(ROOM, "search", lambda *_: replace(found, pool=found.pool | {best.key: finer}))
-    there, _ = SEARCHED(setting(recording, PENDULUM), MANY, 1)
+    there, _ = SEARCHED(diagnosis_problem(recording, PENDULUM), MANY, 1)
     assert there.model.substeps == 4 * bound.model.substeps
 
 
@@ -92,7 +92,7 @@ def test_torques_in_other_units_are_told_before_anything_is_looked_for(body, tim
     recording = recording_of(body=body, rows=100)
     with pytest.raises(InputError, match=r"expected torques in N·m.*check their unit"):
         diagnose(replace(recording, torques=times * recording.torques), body)
-    assert setting(replace(recording, torques=10 * recording.torques), body).regime == "commanded"
+    assert diagnosis_problem(replace(recording, torques=10 * recording.torques), body).regime == "commanded"
 
 
 @pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])
@@ -118,7 +118,7 @@ def test_what_is_named_is_not_said_to_be_hidden():
 
 
 def test_what_a_torque_could_do_is_hidden_and_what_moves_the_whole_arm_is_not():
-    here = setting(replace(recording_of(), torques=None), PENDULUM)
+    here = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     hidden = _unseen(here, SimpleNamespace(first=[]))
     assert {"payload", "armature.pivot", "actuator_gain.pivot", "gravity_tilt", "camera_latency"} <= hidden
     assert "base_motion" not in hidden

@@ -12,7 +12,7 @@ from pyro.infer.smcfilter import SMCFailed
 from invdyn.diagnosis.assessment.confirm import confirm, confirm_all, posterior, scaled
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 
 
 def test_smc_evidence_of_a_linear_chain_is_exact():
@@ -71,11 +71,11 @@ def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
     module = sys.modules[confirm.__module__]
     asked, own = [], module._filtered
 
-    def dies(setting, each, *rest):
+    def dies(problem, each, *rest):
         asked.append(each)
         if each is not cause:
             raise SMCFailed("all particles of a filter have weight zero")
-        return own(setting, each, *rest)
+        return own(problem, each, *rest)
 
     monkeypatch.setattr(module, "_filtered", dies)
     monkeypatch.setattr(module, "CLEAR", 0.0)
@@ -87,7 +87,7 @@ def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
 
 def test_where_no_draw_is_plausible_there_are_paths_and_no_evidence():
     """Drawn so widely that an arm without inertia runs away: the estimates still give a posterior."""
-    here = setting(recorded(DAMPING), PENDULUM)
+    here = diagnosis_problem(recorded(DAMPING), PENDULUM)
     cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
     wild = replace(cause, covariance=1e12 * cause.covariance)
     run = confirm(here, wild, seed=1)

@@ -9,7 +9,7 @@ from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.assessment.confusability import change, overlaps
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
@@ -18,7 +18,7 @@ from invdyn.models.effects import EFFECTS
 @cache
 def screened(name, place, **values):
     """The setting of an arm with an effect, and what a screen says of some."""
-    here = setting(recording_of(EFFECTS[name](*place), ARM, rows=150, effort=1.0, **values), ARM)
+    here = diagnosis_problem(recording_of(EFFECTS[name](*place), ARM, rows=150, effort=1.0, **values), ARM)
     path, _ = data_path(here)
     arms = [EFFECTS[other]() for other in ("camera_latency", "actuator_delay", "gravity_tilt", "camera_roll")]
     joints = [EFFECTS[other]("elbow") for other in ("viscous_friction", "joint_stiffness")]
@@ -49,7 +49,7 @@ def test_what_the_body_could_do_is_taken_out():
     unsure = replace(ARM, uncertainty={"length": 0.03})
     sizes = []
     for body in (ARM, unsure):
-        here = setting(recording_of(EFFECTS["camera_scale"](), ARM, rows=100, scale=1.05), body)
+        here = diagnosis_problem(recording_of(EFFECTS["camera_scale"](), ARM, rows=100, scale=1.05), body)
         path, common = data_path(here)[0], unknowns(here, ())
         scaled = [EFFECTS["camera_scale"]().bound(body)]
         (found,) = (s for s in screen(here, here.model, path, scaled, common, common.mean) if s.effect)

@@ -12,10 +12,10 @@ from pendulum import DAMPING, FRICTION, PENDULUM, causes, path_of, recorded
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.gap_closure import by_effect, closed, split, unseen
 from invdyn.diagnosis.hypotheses.continuation import FIRM
-from invdyn.diagnosis.hypotheses.pool import Search
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, CannotFollow, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, CannotFollow, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -55,7 +55,7 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     truth = {"impulse_x": 0.72, "impulse_y": 0.36, "moment": 1.28, "duration": 0.12}
     given = {f"effect.external_push.tip.{n}": torch.tensor([v], dtype=torch.float64) for n, v in truth.items()}
-    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
+    here = diagnosis_problem(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
     path = path_of(here)
     none = refine(here, (), {}, path, LOOSE)
     cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
@@ -71,7 +71,7 @@ def test_a_push_in_the_last_third_has_the_parameters_that_all_rows_give_it():
 
 def test_another_recording_is_held_out():
     here, none, cause = causes()
-    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    other = diagnosis_problem(recorded(DAMPING, seed=5, rows=60), PENDULUM)
     there = unseen(here, none, cause, other)
     assert there.fresh
     without, with_cause = there.scores
@@ -162,11 +162,17 @@ def of_two():
     values = {f"{FRICTION.key}.damping": DAMPING, f"{SPRING.key}.stiffness": 0.2, f"{SPRING.key}.torque": 0.02}
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    here = setting(record(arm.with_effects(FRICTION, SPRING).replace(**given), 0)[0], PENDULUM)
+    here = diagnosis_problem(record(arm.with_effects(FRICTION, SPRING).replace(**given), 0)[0], PENDULUM)
     path = path_of(here)
     none = refine(here, (), {}, path, LOOSE)
     both = refine(here, (FRICTION, SPRING), values, path, LOOSE)
-    return here, none, both, Search([], {"": none}, [], path, False), setting(recorded(DAMPING, seed=5), PENDULUM)
+    return (
+        here,
+        none,
+        both,
+        HypothesisPool([], {"": none}, [], path, False),
+        diagnosis_problem(recorded(DAMPING, seed=5), PENDULUM),
+    )
 
 
 def test_each_of_two_closes_what_the_other_leaves():

@@ -7,7 +7,7 @@ from pendulum import ARM, causes, path_of, recording_of
 from invdyn.diagnosis.assessment.localisation import MOST_OF, intervals, joints_of, where
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
 TIME = 0.01 * np.arange(400)
@@ -47,7 +47,9 @@ def test_intervals_of_rows_that_were_not_all_seen():
 
 
 def test_joints_of_effects():
-    joints = {e.key: joints_of(e.bound(ARM)) for e in considered(setting(recording_of(body=ARM, rows=30), ARM))}
+    joints = {
+        e.key: joints_of(e.bound(ARM)) for e in considered(diagnosis_problem(recording_of(body=ARM, rows=30), ARM))
+    }
     assert joints["viscous_friction.elbow"] == [1]
     assert joints["joint_coupling.shoulder.elbow"] == [0, 1]
     assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []
@@ -65,7 +67,7 @@ def test_what_the_catalogue_lacks_is_a_torque_or_in_the_picture_where_torques_do
 
 def test_shares_are_those_of_the_causes():
     """Friction at the elbow .6, a marker beside the wrist .3, and .1 of which nobody knows the joint."""
-    here = setting(recording_of(body=ARM, rows=30), ARM)
+    here = diagnosis_problem(recording_of(body=ARM, rows=30), ARM)
     friction, offset = EFFECTS["viscous_friction"]("elbow"), EFFECTS["keypoint_offset"]("wrist")
     path = path_of(here)
     found = {e.key: refine(here, (e.bound(ARM),), {}, path, LOOSE) for e in (friction, offset)}

@@ -19,10 +19,10 @@ from invdyn.diagnosis.hypotheses.innovation_tests import (
     prediction_errors,
     show_more,
 )
-from invdyn.diagnosis.hypotheses.pool import LOUD, Search, considered
+from invdyn.diagnosis.hypotheses.pool import LOUD, HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.prior import believed
 from invdyn.diagnosis.problem.unknowns import upper_bound
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
@@ -33,7 +33,7 @@ from invdyn.simulate import random_arm, record
 
 def test_what_is_little_beside_the_gap_is_nothing_left():
     """A tenth of the residual that the simulation alone needs; and large gaps forgive more than small ones."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
     levels = sizes("commanded")
     needed = replace(none, by_size=np.where(levels == levels[5], 0.0, -1e4), log_evidence=0.0)
@@ -43,7 +43,7 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
 
     def share(left, gain=50.0):
         left = replace(cause, by_size=np.where(levels == levels[left], 0.0, -60.0), log_evidence=gain)
-        return _alone(bound, Search([], {"": needed, left.key: left}, [], none.path, False), left)
+        return _alone(bound, HypothesisPool([], {"": needed, left.key: left}, [], none.path, False), left)
 
     assert share(0) > 0.99
     assert share(2) > 0.99  # 2.4 % of the needed one
@@ -53,12 +53,14 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(1) > 0.99  # however little is needed
     assert share(2) < 0.01
     plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
-    assert _alone(bound, Search([], {"": plain}, [], none.path, False), plain) < 0.01  # but it is more than no gap
+    assert (
+        _alone(bound, HypothesisPool([], {"": plain}, [], none.path, False), plain) < 0.01
+    )  # but it is more than no gap
 
 
 def test_stray_detections_are_none_of_the_many_that_imitate_another_effect():
     """Of three in the motion a third is believed, of two beside stray detections all."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
     by_name = {effect.name: effect for effect in considered(bound)}
 
@@ -68,7 +70,7 @@ def test_stray_detections_are_none_of_the_many_that_imitate_another_effect():
         mean = np.array([0.1 * float(p.prior.stddev) for _, p in parameters])
         known = {"names": tuple(f"{e.key}.{p.name}" for e, p in parameters), "covariance": 1e-8 * np.eye(len(mean))}
         cause = replace(none, effects=effects, mean=mean, **known)
-        return _alone(bound, Search([], {"": none}, [], none.path, False), cause)
+        return _alone(bound, HypothesisPool([], {"": none}, [], none.path, False), cause)
 
     assert share("viscous_friction", "armature", "outliers") > 0.9
     assert share("viscous_friction", "armature", "payload") == pytest.approx(believed(3), rel=0.05)
@@ -76,10 +78,10 @@ def test_stray_detections_are_none_of_the_many_that_imitate_another_effect():
 
 def test_what_is_not_credible_explains_a_part_only():
     """A spring whose rest is turns away; and stray detections that are as many as anything may be."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
     spring, stray = EFFECTS["joint_stiffness"]("pivot").bound(PENDULUM), EFFECTS["outliers"]().bound(PENDULUM)
-    pool = Search([], {"": none}, [], none.path, False)
+    pool = HypothesisPool([], {"": none}, [], none.path, False)
 
     def share(effect, values, searched=False):
         keys = {f"{effect.key}.{name}": value for name, value in values.items()}
@@ -98,11 +100,11 @@ def test_what_is_not_credible_explains_a_part_only():
 
 def test_where_errors_are_alike_from_row_to_row_something_is_left():
     """Without friction, and without a residual to make up for it; with it, errors are as good as independent."""
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
-    pool = Search([], {"": none}, [], path, False)
+    pool = HypothesisPool([], {"": none}, [], path, False)
     assert correlation(prediction_errors(bound, wrong))[0] > max(ALIKE, 0.5)
     assert _alone(bound, pool, wrong) == 0.0
     alike, chance = correlation(prediction_errors(bound, right))
@@ -113,12 +115,12 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
 
 def test_a_residual_that_is_small_and_surely_there_is_left():
     """Of 1,000 nats that one gains without a cause, a hundredth and a few by chance may be left with it."""
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     first = np.arange(len(none.by_size)) == 0
     prior = log_prior(sizes(bound.regime))
-    pool = Search([], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False)
+    pool = HypothesisPool([], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False)
 
     def with_residual(nats):
         return replace(right, by_size=prior + np.where(first, 0.0, np.where(np.arange(len(first)) == 1, nats, -1000.0)))
@@ -128,10 +130,10 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
 
 
 def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    pool, module = Search([], {"": none}, [], path, False), sys.modules[show_more.__module__]
+    pool, module = HypothesisPool([], {"": none}, [], path, False), sys.modules[show_more.__module__]
     for company, left in ((COMPANY, False), (COMPANY + CHANCE * 0.1 + 0.01, True)):
         monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
         assert (_alone(bound, pool, right) == 0.0) is left
@@ -141,14 +143,14 @@ def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
 def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monkeypatch):
     """Beside one that leaves nothing it counts P(2)/P(1) = .08/.5 of what it else would; once, if its size tells."""
     effects = [EFFECTS[name]("pivot") for name in ("viscous_friction", "quadratic_drag")]
-    bound = setting(recording_of(effects[0], damping=0.02), PENDULUM)
+    bound = diagnosis_problem(recording_of(effects[0], damping=0.02), PENDULUM)
     path = data_path(bound)[0]
     none, damped, dragged = (refine(bound, e, {}, path, LOOSE) for e in ((), effects[:1], effects[1:]))
     dragged = replace(dragged, log_evidence=damped.log_evidence - 1.0)
     if sized:
         spike = np.arange(len(none.by_size)) == 0
         dragged = replace(dragged, by_size=dragged.by_size - np.where(spike, 1e4, 0.0))
-    pool = Search(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
+    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
     alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
     monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause: alone[cause.key])
     weighed = weigh(bound, pool, 0)
@@ -163,10 +165,10 @@ def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monk
 
 
 def test_errors_larger_than_the_noise_at_rest_are_left():
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    pool = Search([], {"": none}, [], path, False)
+    pool = HypothesisPool([], {"": none}, [], path, False)
     assert right.kappa == pytest.approx(1.0, abs=0.2)
     assert _alone(bound, pool, replace(right, kappa=LOUD + 0.1)) == 0.0
     assert _alone(bound, pool, replace(right, kappa=LOUD - 0.1)) > 0.9
@@ -175,10 +177,10 @@ def test_errors_larger_than_the_noise_at_rest_are_left():
 def test_where_errors_lie_along_the_motion_something_is_left():
     """Mistimed frames look like blur where the catalogue lacks them: wider errors with speed, but in one direction."""
     truth = EFFECTS["timestamp_jitter"]()
-    bound = setting(recording_of(truth, rows=300, effort=1.0, rate=0.4, sd=0.02), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, rows=300, effort=1.0, rate=0.4, sd=0.02), PENDULUM)
     path, _ = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
-    pool = Search([], {"": none}, [], path, False)
+    pool = HypothesisPool([], {"": none}, [], path, False)
     by_name = {
         name: refine_searched(bound, none, EFFECTS[name]().bound(PENDULUM)) for name in ("varying_noise", truth.name)
     }
@@ -203,10 +205,10 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
         parameters = arm.parameters
         arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command[:, None], parameters=parameters)
         recording = record(arm, 1)[0]
-    bound = setting(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
+    bound = diagnosis_problem(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
     assert bound.regime == "unknown_torque"
     none = refine(bound, (), {}, data_path(bound)[0], bound.loose)
-    pool = Search([], {"": none}, [], none.path, False)
+    pool = HypothesisPool([], {"": none}, [], none.path, False)
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)
         assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)

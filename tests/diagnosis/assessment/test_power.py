@@ -9,9 +9,9 @@ from pendulum import MANY, PENDULUM, recorded
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.power import OUT_OF_QUESTION, too_little
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -51,11 +51,11 @@ def test_in_a_second_it_shows():
     ],
 )
 def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), sizes("commanded")
     none = replace(none, by_size=log_prior(levels) - np.array(loss, dtype=float))
-    found = Search(considered(bound), {"": none}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none}, [], path, stray)
     assert OUT_OF_QUESTION == 3.0
     said = too_little(bound, found)
     if hidden is None:
@@ -69,7 +69,7 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
 
 
 def test_an_unknown_torque_may_be_of_any_size():
-    bound = setting(replace(film(1000, 0.1), torques=None), PENDULUM)
+    bound = diagnosis_problem(replace(film(1000, 0.1), torques=None), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, bound.loose, rounds=1)
-    assert too_little(bound, Search(considered(bound), {"": none}, [], path, stray)) is None
+    assert too_little(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray)) is None

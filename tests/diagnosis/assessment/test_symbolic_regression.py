@@ -9,7 +9,7 @@ from pyro.distributions import Normal
 
 from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, describe
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect, Parameter
@@ -27,7 +27,7 @@ class CubicSpring(Effect):
 
 
 def described(recording):
-    here = setting(recording, ARM)
+    here = diagnosis_problem(recording, ARM)
     path = gauss_newton(here.with_residual(LOOSE), here.observations).path
     none = refine(here, (), {}, path, LOOSE)
     return describe(here, none, none.path), here, none

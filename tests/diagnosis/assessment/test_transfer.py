@@ -15,7 +15,7 @@ from invdyn.diagnosis.assessment.transfer import carried, turned
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -42,7 +42,7 @@ def test_what_another_recording_does_not_bear_out_is_a_part():
 
 def test_of_paths_elsewhere_one_with_unknown_scores_is_none(monkeypatch):
     here, _, cause = causes()
-    other = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    other = diagnosis_problem(recorded(DAMPING, seed=5, rows=60), PENDULUM)
     start, _ = data_path(other)
     known = scores(other, carried(here, cause, other, start))
     unknown = replace(known, score=np.where(np.arange(60) > 5, np.nan, known.score))
@@ -63,12 +63,12 @@ def test_a_push_is_not_missed_in_another_recording():
     """It came at a moment of the first one: that another one goes without it says nothing of the catalogue."""
     push = EFFECTS["external_push"]("tip")
     truth = {"impulse_x": 0.72, "impulse_y": 0.36, "moment": 0.7, "duration": 0.12}
-    here = setting(recording_of(push, **truth), PENDULUM)
+    here = diagnosis_problem(recording_of(push, **truth), PENDULUM)
     path = path_of(here)
     none = refine(here, (), {}, path, LOOSE)
     cause = refine(here, (push,), {f"external_push.tip.{n}": v for n, v in truth.items()}, path, LOOSE)
     assert cause.log_evidence > none.log_evidence + 20
-    there = unseen(here, none, cause, setting(recording_of(seed=5), PENDULUM))
+    there = unseen(here, none, cause, diagnosis_problem(recording_of(seed=5), PENDULUM))
     without, with_cause = there.scores
     assert np.nansum(with_cause.score - without.score) < -10
     assert not there.leaves
@@ -78,7 +78,9 @@ def test_a_push_is_not_missed_in_another_recording():
 def test_another_recording_has_its_own_swapped_labels(seed):
     """Its path is found as the first one's is: not along detections that stray."""
     swap = EFFECTS["label_swap"]("elbow", "wrist")
-    here, other = (setting(recording_of(swap, body=ARM, rows=150, seed=s, rate=0.06), ARM) for s in (seed, seed + 1))
+    here, other = (
+        diagnosis_problem(recording_of(swap, body=ARM, rows=150, seed=s, rate=0.06), ARM) for s in (seed, seed + 1)
+    )
     path, stray = data_path(here)
     assert stray
     none = refine(here, (), {}, path, LOOSE)
@@ -94,7 +96,7 @@ def test_another_recording_has_its_own_swapped_labels(seed):
 def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
     """Its own jitter would be scaled by a factor that belongs to the first recording's."""
     here, none, cause = causes()
-    quieter = setting(recorded(DAMPING, seed=5, rows=60), PENDULUM)
+    quieter = diagnosis_problem(recorded(DAMPING, seed=5, rows=60), PENDULUM)
     name = "emission.keypoint_scale"
     assert not torch.equal(here.model.parameters[name], quieter.model.parameters[name])
     for each in (none, cause):
@@ -112,7 +114,7 @@ def test_the_noise_goes_with_its_keypoint():
     name = "emission.keypoint_scale"
 
     def scales(first, second):
-        here, other = setting(first, body), setting(second, body)
+        here, other = diagnosis_problem(first, body), diagnosis_problem(second, body)
         carried = refine(here, (), {}, path_of(here), LOOSE, rounds=1).carried_to(other)
         return [
             dict(zip(model.observation.tracked, model.parameters[name].tolist(), strict=True))
@@ -144,7 +146,7 @@ def sprung(begin, seed):
 @pytest.mark.parametrize("begin", [3.7, 2.9])
 def test_another_recording_may_begin_a_whole_turn_away(begin):
     """A spring feels turns that no camera sees: in one recording it rests at 3.3 rad, in the other at −3."""
-    here, other = setting(sprung(2.9, 0), PENDULUM), setting(sprung(begin, 1), PENDULUM)
+    here, other = diagnosis_problem(sprung(2.9, 0), PENDULUM), diagnosis_problem(sprung(begin, 1), PENDULUM)
     path = path_of(here)
     none = refine(here, (), {}, path, LOOSE)
     values = {"joint_stiffness.pivot.stiffness": STIFFNESS, "joint_stiffness.pivot.torque": STIFFNESS * REST}
@@ -171,5 +173,5 @@ def test_turns_are_told_by_what_feels_them():
         begins = there.model.parameters["initial.angle"] - here.model.parameters["initial.angle"]
         assert begins.item() == pytest.approx(turn)
     counted = replace(recorded(), angles=here.model.split(none.path)[1].numpy(), joint_names=("pivot",))
-    model = setting(counted, PENDULUM).model.with_effects(SPRING).replace(**one)
+    model = diagnosis_problem(counted, PENDULUM).model.with_effects(SPRING).replace(**one)
     assert turned(spring.moved_to(model, none.path)) == []

@@ -8,14 +8,14 @@ from pendulum import PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects import ViscousFriction
 from invdyn.models.effects.composition import NotTogether
 
 
 def refined(effects, values):
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     return attempt(refine, bound, effects, values, data_path(bound)[0], LOOSE, rounds=1)
 
 

@@ -11,7 +11,7 @@ from pendulum import PENDULUM, path_of
 from invdyn.diagnosis.hypotheses.backlash_search import Play, refine_play, summit
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -24,7 +24,7 @@ def loose_joint():
     arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
     width = torch.tensor([0.06], dtype=torch.float64)
     recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
-    here = setting(recording, body)
+    here = diagnosis_problem(recording, body)
     return here, refine(here, (), {}, path_of(here), LOOSE), play.bound(body)
 
 
@@ -106,7 +106,7 @@ def test_wide_play_is_found_from_a_base_that_it_bends():
     play, name = EFFECTS["backlash"]("pivot"), "backlash.pivot.width"
     arm = random_arm(body, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True, seed=1)
     recording = record(arm.with_effects(play).replace(**{f"effect.{name}": torch.tensor([0.16]).double()}), 0)[0]
-    here, play = setting(recording, body), play.bound(body)
+    here, play = diagnosis_problem(recording, body), play.bound(body)
     none = refine(here, (), {}, data_path(here)[0], LOOSE)
     cause = refine_play(here, none, play)
     known = Play(here, none, play, play.parameters(here.model.scale)[0]).refined(0.16)

@@ -9,13 +9,13 @@ from pendulum import PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
 
 @pytest.mark.parametrize("meet", [False, True])
 def test_stops_that_meet_hold_a_joint(meet):
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path, _ = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     stops = [EFFECTS["joint_limit"]("pivot", side).bound(PENDULUM) for side in ("lower", "upper")]

@@ -10,7 +10,7 @@ from pendulum import ARM, path_of
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -23,7 +23,7 @@ def pushed():
     effect = EFFECTS["external_push"]("wrist")
     arm = random_arm(ARM, duration=3.0, fps=100, noise=0.0003, torque_scale=0.5, commanded=True, seed=2)
     named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in TRUE.items()}
-    here = setting(record(arm.with_effects(effect).replace(**named), 2)[0], ARM)
+    here = diagnosis_problem(record(arm.with_effects(effect).replace(**named), 2)[0], ARM)
     return here, refine(here, (), {}, path_of(here), LOOSE), effect.bound(ARM)
 
 

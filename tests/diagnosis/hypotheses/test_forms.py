@@ -12,7 +12,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import ClockRate, SoftTissue
@@ -31,7 +31,9 @@ def unsure(recording, seed=5):
 
 
 def forms(recording, body, **options):
-    return {effect.key for effect in considered(setting(recording, body, **options)) if effect.form is not None}
+    return {
+        effect.key for effect in considered(diagnosis_problem(recording, body, **options)) if effect.form is not None
+    }
 
 
 def test_forms_are_considered_where_a_recording_could_show_them():
@@ -40,13 +42,13 @@ def test_forms_are_considered_where_a_recording_could_show_them():
     assert forms(unsure(told), PENDULUM) == FORMS
     still = Recording(told.time, told.keypoints, told.keypoint_names)
     assert forms(still, PENDULUM, passive=True) == {"soft_tissue.tip.sliding"}
-    left = considered(setting(unsure(told), PENDULUM), ["clock_rate", "varying_noise", "soft_tissue"])
+    left = considered(diagnosis_problem(unsure(told), PENDULUM), ["clock_rate", "varying_noise", "soft_tissue"])
     assert not [effect for effect in left if effect.form is not None]
 
 
 def test_a_cameras_own_clock_is_screened_refined_and_told():
     """A twelfth fast, it is two commands late by the end: no straight line from the right clock."""
-    bound = setting(recording_of(ClockRate("frames"), rows=200, rate=1.08), PENDULUM)
+    bound = diagnosis_problem(recording_of(ClockRate("frames"), rows=200, rate=1.08), PENDULUM)
     path, _ = data_path(bound)
     none, common = refine(bound, (), {}, path, LOOSE), unknowns(bound, ())
     clocks = [effect for effect in considered(bound) if effect.name in ("clock_rate", "camera_latency")]
@@ -63,7 +65,7 @@ def test_a_cameras_own_clock_is_screened_refined_and_told():
 
 def test_noise_as_the_tracker_says_is_found_and_not_where_it_says_nothing_new():
     for change, gained in ((unsure, True), (lambda r: replace(unsure(r), keypoints=r.keypoints), False)):
-        bound = setting(change(recording_of(rows=150)), PENDULUM)
+        bound = diagnosis_problem(change(recording_of(rows=150)), PENDULUM)
         path, _ = data_path(bound)
         none = refine(bound, (), {}, path, LOOSE)
         effect = next(e for e in considered(bound) if e.key == "varying_noise.confidence")
@@ -86,7 +88,7 @@ def test_a_form_comes_after_its_place():
 
 
 def test_one_clock_is_the_other_at_the_right_rate():
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     models = [bound.model.with_effects(clock) for clock in (ClockRate(), ClockRate("frames"))]
     x = torch.randn(5, 3, dtype=torch.float64)
     rows = torch.arange(20, 25)

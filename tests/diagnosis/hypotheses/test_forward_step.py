@@ -8,10 +8,10 @@ from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HOPELESS
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
 
@@ -19,7 +19,7 @@ from invdyn.models.effects import EFFECTS
 def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, left):
     """Where errors of prediction show that something is left, what a torque's prior is wrong about is no bar to it."""
     module, asked = sys.modules[extend.__module__], []
-    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, bound.loose, rounds=1)
     monkeypatch.setattr(module, "show_more", lambda *_: left)
@@ -27,7 +27,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     monkeypatch.setattr(module, "refine_barred", lambda *_: asked.append("barred"))
     monkeypatch.setattr(module, "idle", lambda _: none.log_evidence + 500.0)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
-    extend(bound, Search(considered(bound), {"": none}, [], path, stray), none, 1)
+    extend(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, 1)
     assert asked[0] == ("barred" if left else 500)
     assert set(asked[left:]) == {-HOPELESS if left else 500}
 
@@ -39,11 +39,11 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     Friction that explains a ``large`` gap, in nats, does; here it gains 19.
     """
     tried, module = [], sys.modules[extend.__module__]
-    bound = setting(recorded(damping), PENDULUM)
+    bound = diagnosis_problem(recorded(damping), PENDULUM)
     path, stray = data_path(bound)
     friction = EFFECTS["viscous_friction"]("pivot")
     none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (friction,)))
-    pool = Search(considered(bound), {none.key: none}, [], path, stray, aside=path)
+    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, stray, aside=path)
 
     def refined(_, pool, base, best, width, meanwhile):
         for each in meanwhile:
@@ -76,7 +76,7 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     """
     tried, module = [], sys.modules[extend.__module__]
     spring = EFFECTS["joint_stiffness"]("pivot")
-    bound = setting(recording_of(spring, stiffness=1.0, torque=0.5), PENDULUM)
+    bound = diagnosis_problem(recording_of(spring, stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     none, base = (refine(bound, effects, {}, path, LOOSE, rounds=2) for effects in ((), (EFFECTS[other]("pivot"),)))
     assert not base.complete
@@ -84,7 +84,7 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     monkeypatch.setattr(module, "refine_promising", lambda *_: None)
     astray = replace(base, effects=(EFFECTS["outliers"]().bound(PENDULUM),), log_evidence=base.log_evidence + strays)
     better = replace(base, effects=(spring.bound(PENDULUM),), log_evidence=base.log_evidence + ahead)
-    found = Search(considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
+    found = HypothesisPool(considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
     extend(bound, found, base, 1)
     enough = [least for name, least in tried if name == "backlash"]  # others that join the base gain less than a nat
     assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
@@ -93,11 +93,11 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
 @pytest.mark.parametrize("kept", [True, False])
 def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(monkeypatch, kept):
     """Given up under what the screen promises, less a margin; under what was found, where that is far from it."""
-    bound = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     module, asked = sys.modules[extend.__module__], []
-    pool = Search(considered(bound), {none.key: none}, [], path, False, aside=path)
+    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, False, aside=path)
 
     def refined(_, pool, base, best, width, meanwhile):
         for each in meanwhile:

@@ -18,7 +18,7 @@ from invdyn.diagnosis.hypotheses.innovation_tests import (
 from invdyn.diagnosis.hypotheses.pool import LOUD
 from invdyn.diagnosis.hypotheses.predict import seen_tips
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.inference.posterior.initialise import MEDIAN
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
@@ -63,8 +63,8 @@ def test_swapped_keypoints_stray_as_one(mistake):
     swaps = mistake == "label_swap"
     truth = EFFECTS[mistake]("elbow", "wrist") if swaps else EFFECTS[mistake]()
     values = {"rate": 0.05} | ({} if swaps else {"scale": 0.1})
-    here = setting(recording_of(truth, ARM, rows=200, **values), ARM)
-    path = data_path(setting(recording_of(None, ARM, rows=200), ARM))[0]  # the same motion, without mistakes
+    here = diagnosis_problem(recording_of(truth, ARM, rows=200, **values), ARM)
+    path = data_path(diagnosis_problem(recording_of(None, ARM, rows=200), ARM))[0]  # the same motion, without mistakes
     none = refine(here, (), {}, path, here.loose, rounds=1)
 
     def cause(*names):
@@ -85,7 +85,7 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     arm = random_arm(PENDULUM, duration=4.0, fps=50, noise=5e-5, torque_scale=0.5, commanded=True, seed=1)
     command, given = torch.sin(2 * arm.time)[:, None], arm.parameters
     arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command, parameters=given)
-    here = setting(replace(record(arm, 1)[0], torques=None), PENDULUM)
+    here = diagnosis_problem(replace(record(arm, 1)[0], torques=None), PENDULUM)
     none = refine(here, (), {}, data_path(here)[0], here.loose)
     alike, sd = correlation(prediction_errors(here, none))
     assert abs(alike) < 3 * sd
@@ -96,7 +96,7 @@ def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     here, _, friction = causes()
     assert loudness(here, friction) == friction.kappa
     growing = EFFECTS["varying_noise"]().bound(PENDULUM)
-    here = setting(recording_of(growing, rows=400, slope=5.0), PENDULUM)
+    here = diagnosis_problem(recording_of(growing, rows=400, slope=5.0), PENDULUM)
     rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
     here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
     cause = refine(here, (), {}, data_path(here)[0], here.loose)

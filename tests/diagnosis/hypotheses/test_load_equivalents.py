@@ -12,9 +12,9 @@ from pendulum import ARM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.load_equivalents import NUMBERS, nearest_load
 from invdyn.diagnosis.hypotheses.moves import refine_kin
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm
 
@@ -63,7 +63,7 @@ def test_how_far_an_error_is_from_any_load():
 @pytest.mark.parametrize(("place", "load", "followed"), [("forearm", 0.4, True), ("upper_arm", 0.4, False)])
 def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed):
     """No screen along the data's path sees a large one. An error of another link is none."""
-    bound = setting(recording_of(PAYLOAD, body=ARM, rows=100, mass=load), ARM)
+    bound = diagnosis_problem(recording_of(PAYLOAD, body=ARM, rows=100, mass=load), ARM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     error = EFFECTS["inertial_error"]("forearm")
@@ -71,7 +71,7 @@ def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed
     if place != "forearm":
         other = EFFECTS["inertial_error"](place).bound(ARM)
         wider = replace(wider, effects=(other,), names=tuple(n.replace("forearm", place) for n in wider.names))
-    found = Search(considered(bound), {c.key: c for c in (none, wider)}, [], path, stray)
+    found = HypothesisPool(considered(bound), {c.key: c for c in (none, wider)}, [], path, stray)
     refine_kin(bound, found, 1)
     assert (PAYLOAD.key in found.pool) is followed
     if followed:

@@ -10,9 +10,9 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm
 
@@ -21,7 +21,7 @@ from invdyn.simulate import random_arm
 @pytest.mark.parametrize(("name", "parameter"), [("actuator_delay", "delay"), ("camera_latency", "latency")])
 def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name, parameter, body):
     """On one joint the motors' delay is that of its motor."""
-    bound = setting(recording_of(body=body), body)
+    bound = diagnosis_problem(recording_of(body=body), body)
     path, stray = data_path(bound)
     none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
     one = next(e for e in candidates if e.name == name)
@@ -30,12 +30,12 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     monkeypatch.setattr(
         sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
     )
-    refine_kin(bound, Search(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    refine_kin(bound, HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray), 1)
     assert torch.equal(started[0], cause.path)
     assert torch.equal(started[1], path)
     # Followed once: not again before it has gained something.
     tried = len(started)
-    pool = Search(candidates, {"": none, one.key: cause}, [], path, stray)
+    pool = HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray)
     refine_kin(bound, pool, 1)
     assert len(started) == 2 * tried
     refine_kin(bound, pool, 1)
@@ -49,39 +49,39 @@ def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one(monkeypatc
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
     truth = EFFECTS["stribeck_friction"]("pivot")
-    bound = setting(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
     lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence - 1)
     assert not narrow.complete
     pool = {cause.key: cause for cause in (none, narrow, lost)}
-    found = Search(considered(bound), pool, [], path, stray)
+    found = HypothesisPool(considered(bound), pool, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool[truth.key]
     assert cause.complete
     assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
     assert found.relatives[truth.key] == narrow.log_evidence
-    there = Search(considered(bound), {**pool, truth.key: cause}, [], path, stray)
+    there = HypothesisPool(considered(bound), {**pool, truth.key: cause}, [], path, stray)
     refine_kin(bound, there, 1)
     assert truth.key not in there.relatives
 
 
 def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     truth, wide = (EFFECTS[name]("pivot") for name in ("coulomb_friction", "stribeck_friction"))
-    bound = setting(recording_of(truth, torque=0.06, rows=200), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, torque=0.06, rows=200), PENDULUM)
     path, stray = data_path(bound)
     start = {f"{wide.key}.coulomb": 0.06, f"{wide.key}.static": 0.06}
     none, narrow, wider = (
         refine(bound, effects, values, path, LOOSE) for effects, values in (((), {}), ((truth,), {}), ((wide,), start))
     )
     lost = replace(narrow, log_evidence=wider.log_evidence - 10)
-    found = Search(considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
+    found = HypothesisPool(considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
     refine_kin(bound, found, 1)
     assert found.pool[truth.key].log_evidence > wider.log_evidence
     assert abs(found.pool[truth.key].mean[0] - 0.06) < 4 * narrow.sd[0]
     assert found.relatives == {truth.key: wider.log_evidence}
-    arrived = Search(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
+    arrived = HypothesisPool(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
     refine_kin(bound, arrived, 1)
     assert not arrived.relatives
 
@@ -93,13 +93,13 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
     truth = EFFECTS["link_flexibility"]("forearm").bound(ARM)
     stiffness, damping = truth.parameters(random_arm(ARM, duration=0.1, fps=50).scale)
     values = {"stiffness": stiffness.grid[2], "damping": damping.grid[0]}
-    bound = setting(recording_of(truth, body=ARM, rows=100, **values), ARM)
+    bound = diagnosis_problem(recording_of(truth, body=ARM, rows=100, **values), ARM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     tissue = refine(bound, (EFFECTS["soft_tissue"]("wrist", *form),), {}, path, LOOSE)
     elsewhere = refine(bound, (EFFECTS["soft_tissue"]("elbow", *form),), {}, path, LOOSE)
     best = replace(tissue, log_evidence=max(tissue.log_evidence, none.log_evidence + 20))
-    found = Search(considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
+    found = HypothesisPool(considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool[truth.key]
     assert found.ranked[0] is cause
@@ -111,7 +111,7 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
     assert found.relatives == relatives
     other = replace(elsewhere, log_evidence=best.log_evidence)
     for pool in ((none, other), (replace(none, log_evidence=best.log_evidence + 100), best)):
-        found = Search(considered(bound), {c.key: c for c in pool}, [], path, stray)
+        found = HypothesisPool(considered(bound), {c.key: c for c in pool}, [], path, stray)
         refine_kin(bound, found, 1)
         assert truth.key not in found.pool
 
@@ -120,11 +120,11 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
     soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
-    bound = setting(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     assert not hard.complete
-    found = Search(considered(bound), {"": none, hard.key: hard}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, hard.key: hard}, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool[ideal.key]
     assert cause.complete
@@ -136,10 +136,10 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     # Followed once, and never from what leaves nothing.
     started = []
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
-    refine_kin(bound, Search([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
+    refine_kin(bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)
-    refine_kin(bound, Search([], {"": none, other.key: other}, [], path, stray), 1)
+    refine_kin(bound, HypothesisPool([], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
 
 
@@ -153,10 +153,10 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     ],
 )
 def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
-    monkeypatch.setattr(room, "refine_softer", lambda setting, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
     for relatives in ("_refine_twins", "_refine_wider", "_refine_narrower"):
         monkeypatch.setattr(room, relatives, lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
@@ -167,17 +167,17 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     rigid, soft = ([e for e in considered(bound) if (e.softened() is None) is hard] for hard in (True, False))
     causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
     stiff = cause(max(gains), *rigid[:number])
-    refine_kin(bound, Search([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
+    refine_kin(bound, HypothesisPool([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
     assert followed == [causes[i].key for i in kept]
 
 
 @pytest.mark.parametrize("alike", [True, False])
 def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     """Tissue that rings at 16 Hz leaves no residual torque, which is slower than that."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
-    monkeypatch.setattr(room, "refine_softer", lambda setting, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
     monkeypatch.setattr(room, "show_more", lambda *_: alike)
     tissue = next(e for e in considered(bound) if e.name == "soft_tissue")
     nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
@@ -187,7 +187,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
         by_size=nothing_left,
     )  # fmt: skip
     assert cause.complete
-    refine_kin(bound, Search([], {"": none, cause.key: cause}, [], path, stray), 1)
+    refine_kin(bound, HypothesisPool([], {"": none, cause.key: cause}, [], path, stray), 1)
     assert followed == [cause.key] * alike
 
 
@@ -195,13 +195,13 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     """The ideal one would leave what the softer form was found for, and never come near."""
     truth, wide = (EFFECTS[name]("pivot").softened() for name in ("coulomb_friction", "stribeck_friction"))
     given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
-    bound = setting(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
     wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
-    found = Search(considered(bound), {"": none, wider.key: wider}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, wider.key: wider}, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool["coulomb_friction.pivot"]
     assert cause.effects[0].soft
@@ -220,10 +220,10 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
 def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(name, levels):
     ideal = EFFECTS[name]("pivot")
     given = {**levels, "bristle_stiffness": 60.0, "bristle_damping": 0.3}
-    bound = setting(recording_of(ideal.softened().softened(), rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(ideal.softened().softened(), rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
-    found = Search(considered(bound), {"": none, hard.key: hard}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, hard.key: hard}, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool[ideal.key]
     assert not hard.complete
@@ -235,7 +235,7 @@ def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(nam
 
 
 def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
-    bound = setting(recording_of(body=ARM), ARM)
+    bound = diagnosis_problem(recording_of(body=ARM), ARM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     both = tuple(e for e in considered(bound) if e.name == "coulomb_friction")
@@ -245,7 +245,7 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     room, tried = sys.modules[refine_kin.__module__], []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
     monkeypatch.setattr(room, "softer", lambda _, cause, mine: tried.append(mine.key))
-    found = Search(considered(bound), {"": none, cause.key: cause}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, [], path, stray)
     for _ in range(2):
         refine_kin(bound, found, 2)
     assert tried == [effect.key for effect in both]

@@ -11,14 +11,14 @@ from pendulum import ARM, PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.period_equivalents import NAMES, equivalents, factor
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HOPELESS
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
-SCALE = setting(recording_of(), PENDULUM).model.scale
+SCALE = diagnosis_problem(recording_of(), PENDULUM).model.scale
 
 
 def whole(name, values):
@@ -50,11 +50,11 @@ def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
     truth, known = whole(name, values)
     arm = random_arm(PENDULUM, duration=4.0, fps=50, noise=0.002, torque_scale=0.0, commanded=True, seed=3)
     named = {f"effect.{truth.key}.{p}": torch.tensor([v], dtype=torch.float64) for p, v in known.items()}
-    bound = setting(record(arm.with_effects(truth).replace(**named), 3)[0], PENDULUM, passive=True)
+    bound = diagnosis_problem(record(arm.with_effects(truth).replace(**named), 3)[0], PENDULUM, passive=True)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     right = refine(bound, (truth,), {f"{truth.key}.{p}": v for p, v in known.items()}, path, LOOSE)
-    found = Search(considered(bound), {"": none, right.key: right}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, right.key: right}, [], path, stray)
     refine_kin(bound, found, 1)
     names = {cause.effects[0].name: cause for cause in found.pool.values() if cause.effects}
     assert set(names) >= set(equivalents(factor(truth, known, SCALE.body), SCALE.body))
@@ -79,12 +79,12 @@ def test_a_link_that_does_not_hang_has_no_period():
 def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
     flat = replace(PENDULUM, gravity=(0.0, 0.0))
     for body, passive in ((ARM, True), (PENDULUM, False), (flat, True)):
-        bound = setting(recording_of(body=body), body, passive=passive)
+        bound = diagnosis_problem(recording_of(body=body), body, passive=passive)
         path, stray = data_path(bound)
         none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
         clock = next(e for e in candidates if e.name == "clock_rate")
         cause = refine(bound, (clock,), {f"{clock.key}.rate": 1.05}, path, LOOSE, rounds=1)
-        found = Search(candidates, {"": none, clock.key: cause}, [], path, stray)
+        found = HypothesisPool(candidates, {"": none, clock.key: cause}, [], path, stray)
         assert cause.log_evidence > found.top - HOPELESS  # or nothing would be followed
         refine_kin(bound, found, 1)
         assert set(found.pool) == {"", clock.key}

@@ -7,19 +7,19 @@ import pytest
 import torch
 from pendulum import PENDULUM, recording_of
 
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
 
 def pool(**evidence):
     """A search whose pool has causes with such evidences: "none", "a", "b", "ab", "abc"."""
-    here = setting(recording_of(), PENDULUM)
+    here = diagnosis_problem(recording_of(), PENDULUM)
     letters = dict(zip("abc", considered(here), strict=False))
     path = torch.zeros(80, 3, dtype=torch.float64)
     plain = refine(here, (), {}, path, LOOSE, rounds=1)
-    found = Search(considered(here), {}, [], path, stray=False)
+    found = HypothesisPool(considered(here), {}, [], path, stray=False)
     for name, value in evidence.items():
         effects = () if name == "none" else tuple(letters[letter] for letter in name)
         found.add(replace(plain, effects=effects, log_evidence=value))
@@ -27,7 +27,7 @@ def pool(**evidence):
 
 
 def test_what_is_left_out_is_not_considered():
-    here = setting(recording_of(), PENDULUM)
+    here = diagnosis_problem(recording_of(), PENDULUM)
     everything, fewer = considered(here), considered(here, ["viscous_friction", "camera_roll"])
     assert {e.name for e in everything} - {e.name for e in fewer} == {"viscous_friction", "camera_roll"}
     assert not {e.name for e in everything} & {"joint_coupling", "label_swap"}  # they need two joints
@@ -65,13 +65,13 @@ def test_a_single_effect_that_surely_leaves_something_gives_way_to_two_that_leav
 
 def test_stray_detections_are_measured_apart():
     """Thousands of nats for them leave what ten of another effect say as it is; thousands for another do not."""
-    here = setting(recording_of(), PENDULUM)
+    here = diagnosis_problem(recording_of(), PENDULUM)
     outliers, payload, friction = (
         next(e for e in considered(here) if e.name == name) for name in ("outliers", "payload", "viscous_friction")
     )
     plain = refine(here, (), {}, torch.zeros(80, 3, dtype=torch.float64), LOOSE, rounds=1)
     for first, second_is_believed in ((outliers, True), (payload, False)):
-        found = Search(considered(here), {}, [], plain.path, stray=True)
+        found = HypothesisPool(considered(here), {}, [], plain.path, stray=True)
         for effects, nats in (((), 0.0), ((first,), 9000.0), ((friction,), 12.0), ((first, friction), 9012.0)):
             found.add(replace(plain, effects=effects, log_evidence=nats))
         assert (len(found.ranked[0].effects) == 2) is second_is_believed

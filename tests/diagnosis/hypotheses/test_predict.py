@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.hypotheses.predict import replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 
 
@@ -79,7 +79,7 @@ def test_residual_torque_is_what_the_simulation_lacks():
 def test_residual_torque_is_as_large_as_what_is_missing():
     """A command that is told .4 N·m too small, all the time."""
     arm = recording_of(rows=80, effort=1.0)
-    here = setting(replace(arm, torques=arm.torques - 0.4), PENDULUM)
+    here = diagnosis_problem(replace(arm, torques=arm.torques - 0.4), PENDULUM)
     none = refine(here, (), {}, path_of(here), LOOSE)
     mean, sd, _ = residual(here, none)
     assert (sd[10:-10] < 0.25).all()
@@ -101,6 +101,6 @@ def test_replay_follows_once_the_cause_is_in():
 
 def test_a_replay_has_the_order_that_another_process_sends_it_in():
     """Sums over it would else depend in their last digit on how many workers there are."""
-    here = setting(recording_of(body=ARM), ARM)
+    here = diagnosis_problem(recording_of(body=ARM), ARM)
     there = pickle.loads(pickle.dumps(tips := replay(here.model, path_of(here))))
     assert tips.strides == there.strides

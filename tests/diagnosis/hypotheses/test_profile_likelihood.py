@@ -12,7 +12,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.noise import grid, is_noise, log_spread
 from invdyn.diagnosis.problem.unknowns import at_far_end
 from invdyn.diagnosis.sensitivity.whiten import linear_of
@@ -35,8 +35,8 @@ def with_stray(recording, share, width):
 def test_stray_detections_are_counted():
     recording = recorded(0.0, rows=100)
     astray, stray = with_stray(recording, 0.08, 0.06)
-    here = setting(astray, PENDULUM)
-    clean = setting(recording, PENDULUM)
+    here = diagnosis_problem(astray, PENDULUM)
+    clean = diagnosis_problem(recording, PENDULUM)
     path = path_of(clean)
     outliers = EFFECTS["outliers"]().bound(PENDULUM)
     cause = refine_searched(here, refine(here, (), {}, path, LOOSE), outliers)
@@ -53,7 +53,7 @@ def test_noise_that_grows_with_speed_and_stray_detections_make_room_for_each_oth
     arm = random_arm(PENDULUM, duration=4.0, fps=100, noise=0.0005, torque_scale=0.5, commanded=True)
     recording, _ = record(arm.with_effects(EFFECTS["varying_noise"]()).replace(**{SLOPE: SLOPES}), 1)
     astray, stray = with_stray(recording, 0.02, 0.1)
-    here = setting(astray, PENDULUM)
+    here = diagnosis_problem(astray, PENDULUM)
     path, _ = data_path(here)
     none = refine(here, (), {}, path, LOOSE)
     cause = none.moved_to(none.model, path)
@@ -102,7 +102,7 @@ def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
     given = {name: torch.tensor([value], dtype=torch.float64) for name, value in given.items()}
     recording = record(arm.with_effects(spring).replace(**given), 0)[0]
     astray, stray = with_stray(recording, 0.05, 0.3)
-    here = setting(astray, PENDULUM)
+    here = diagnosis_problem(astray, PENDULUM)
     path, far = data_path(here)
     assert far
     none = refine(here, (), {}, path, LOOSE)
@@ -128,7 +128,7 @@ def test_intervals_of_what_was_searched_stay_within_the_prior():
 @pytest.mark.parametrize("name", [name for name, kind in EFFECTS.items() if is_noise(kind.__new__(kind))])
 def test_what_changes_the_scatter_leaves_the_motion_and_the_slopes(name):
     """So that one linearisation does for all of its parameters, but for the rows that are seen."""
-    here = setting(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
+    here = diagnosis_problem(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
     path, _ = data_path(here)
     effect = next(e for e in considered(here) if e.name == name)
     parameters, points = grid(effect, here.model.scale)

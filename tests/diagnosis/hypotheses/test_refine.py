@@ -33,7 +33,7 @@ from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, LOOSE, setting, uncertain_numbers
+from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, LOOSE, diagnosis_problem, uncertain_numbers
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, sizes, whiten
@@ -47,8 +47,8 @@ from invdyn.simulate import random_arm, record
 def test_a_camera_that_is_far_from_level_or_square_is_found(name, values):
     """Its angle is whatever it is: ten standard deviations of those that somebody saw to are no reason against it."""
     effect = EFFECTS[name]()
-    names = [p.name for p in effect.bound(ARM).parameters(setting(recording_of(body=ARM), ARM).model.scale)]
-    here = setting(recording_of(effect, ARM, **dict(zip(names, values, strict=True))), ARM)
+    names = [p.name for p in effect.bound(ARM).parameters(diagnosis_problem(recording_of(body=ARM), ARM).model.scale)]
+    here = diagnosis_problem(recording_of(effect, ARM, **dict(zip(names, values, strict=True))), ARM)
     cause = refine(here, (effect,), {f"{name}.angle": 0.2}, path_of(here), LOOSE)
     assert cause.plausible
     assert cause.complete
@@ -63,9 +63,12 @@ def test_an_unknown_torque_tells_nothing_of_masses():
     values = {"effect.camera_yaw.angle": 0.15, "effect.camera_yaw.distance": 1.5}
     seen = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
     recording = record(moved.with_effects(effect).replace(**seen), 1)[0]
-    here = setting(replace(recording, torques=None), doubted)
-    assert len(setting(recording, doubted).uncertain) == 2
-    assert len(setting(replace(recording, torques=None), replace(ARM, uncertainty={"length": 0.02})).uncertain) == 2
+    here = diagnosis_problem(replace(recording, torques=None), doubted)
+    assert len(diagnosis_problem(recording, doubted).uncertain) == 2
+    assert (
+        len(diagnosis_problem(replace(recording, torques=None), replace(ARM, uncertainty={"length": 0.02})).uncertain)
+        == 2
+    )
     cause = refine(here, (effect.bound(ARM),), {"camera_yaw.angle": 0.1}, data_path(here)[0], LOOSE)
     assert cause.plausible
     assert np.all(np.abs(cause.mean[:2] - list(values.values())) < 4 * cause.sd[:2])
@@ -133,7 +136,7 @@ def rubbed(level=0.15, torque=0.5):
     arm = random_arm(PENDULUM, duration=3.0, fps=50, noise=0.001, torque_scale=torque, commanded=True, seed=2)
     effect = EFFECTS["coulomb_friction"]("pivot")
     values = {"effect.coulomb_friction.pivot.torque": torch.tensor([level], dtype=torch.float64)}
-    here = setting(record(arm.with_effects(effect).replace(**values), 2)[0], PENDULUM)
+    here = diagnosis_problem(record(arm.with_effects(effect).replace(**values), 2)[0], PENDULUM)
     return here, effect, values
 
 
@@ -174,7 +177,7 @@ def test_a_limbs_torque_may_be_far_above_what_holds_it_up():
     """Torques of many times the load of gravity leave the noise what it is, and the body's numbers alone."""
     weak = replace(PENDULUM, gravity=(0.0, -0.3))
     arm = random_arm(weak, duration=2.0, fps=100, noise=0.002, torque_scale=1.0, commanded=False, seed=3)
-    here = setting(record(arm, 3)[0], weak)
+    here = diagnosis_problem(record(arm, 3)[0], weak)
     assert here.regime == "unknown_torque"
     cause = refine(here, (), {}, path_of(here), LOOSE)
     assert sizes(here.regime)[cause.by_size.argmax()] > 1.0
@@ -183,7 +186,7 @@ def test_a_limbs_torque_may_be_far_above_what_holds_it_up():
 
 def off_the_clean_path(recording, points):
     """How far the first path through ``points`` (T, P, 2) is from the recording's own, rad; and the setting."""
-    here, clean = (setting(replace(recording, keypoints=each), ARM) for each in (points, recording.keypoints))
+    here, clean = (diagnosis_problem(replace(recording, keypoints=each), ARM) for each in (points, recording.keypoints))
     path, stray = data_path(here)
     assert stray
     (_, found, _), (_, true, _) = here.model.split(path), clean.model.split(data_path(clean)[0])
@@ -229,7 +232,7 @@ def stopped():
     arm = random_arm(PENDULUM, duration=4, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=5)
     values = {f"{stop.key}.{n}": v for n, v in {"angle": -1.2, "stiffness": 10.0, "damping": 0.3}.items()}
     real = arm.with_effects(stop).replace(**{f"effect.{k}": torch.tensor([v]).double() for k, v in values.items()})
-    here = setting(record(real, 5)[0], PENDULUM)
+    here = diagnosis_problem(record(real, 5)[0], PENDULUM)
     return here, stop, values, refine(here, (stop,), values, path_of(here), FIRM)
 
 
@@ -260,7 +263,7 @@ def test_friction_that_is_not_there_costs_its_prior():
 def test_an_uncertain_body_is_fitted_too():
     mass = 1.04
     body = Body("pendulum", [ROD], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
-    here = setting(recorded(DAMPING, mass=mass), body)
+    here = diagnosis_problem(recorded(DAMPING, mass=mass), body)
     cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
     assert cause.names == ("viscous_friction.pivot.damping", "body.mass.0")
     assert (np.abs(cause.mean - [DAMPING, mass]) < 4 * cause.sd).all()
@@ -277,7 +280,7 @@ def test_a_written_inertia_is_known_no_better_than_the_mass():
     mass, moment = uncertain_numbers(body)
     assert (mass.name, moment.name) == ("body.mass.0", "body.inertia.0")
     assert (moment.mean, moment.sd) == pytest.approx((0.0075, 0.05 * 0.0075))
-    here = setting(recorded(mass=1.04, rows=200), body)
+    here = diagnosis_problem(recorded(mass=1.04, rows=200), body)
     none = refine(here, (), {}, path_of(here), LOOSE)
     assert none.complete
     assert (np.abs(none.mean - [1.04, 1.04 * 0.0075]) < 3 * none.sd).all()
@@ -320,7 +323,7 @@ def test_intervals_are_those_of_the_tempered_likelihood():
 def test_a_slow_motor_still_does_what_it_was_told_before_the_recording():
     """Commands of the first second are lost: they act on for a third of one, and that is no residual of the cause."""
     lag = EFFECTS["actuator_lag"]()
-    here = setting(recording_of(lag, rows=200, effort=0.8, time_constant=0.3).at(slice(50, 200)), PENDULUM)
+    here = diagnosis_problem(recording_of(lag, rows=200, effort=0.8, time_constant=0.3).at(slice(50, 200)), PENDULUM)
     path = path_of(here)
     none = refine(here, (), {}, path, LOOSE)
     cause = refine(here, (lag,), {"actuator_lag.time_constant": 0.3}, path, LOOSE)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.refine import SETTLED, SHORTER, STEPS, _distance, _promised, _within, refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.whiten import log_prior
 from invdyn.models.effects import EFFECTS
@@ -49,7 +49,7 @@ def test_of_rounds_that_are_as_good_the_last_one_counts(monkeypatch):
 
 
 def test_a_positive_parameter_is_halved_at_most():
-    here = setting(recorded(), PENDULUM)
+    here = diagnosis_problem(recorded(), PENDULUM)
     among = unknowns(here, (EFFECTS["stribeck_friction"]("pivot").bound(PENDULUM),))
     velocity = among.names.index("stribeck_friction.pivot.velocity")
     point = among.mean.copy()
@@ -62,7 +62,7 @@ def test_a_positive_parameter_is_halved_at_most():
 def test_a_step_that_meets_a_bound_is_the_best_within_it():
     """Against a quadratic programme by another solver."""
     generator = np.random.default_rng(3)
-    here = setting(recorded(DAMPING), PENDULUM)
+    here = diagnosis_problem(recorded(DAMPING), PENDULUM)
     names = ("viscous_friction", "armature", "coulomb_friction")
     among = unknowns(here, [EFFECTS[name]("pivot").bound(PENDULUM) for name in names])
     met = 0
@@ -88,7 +88,7 @@ def test_a_step_that_meets_a_bound_is_the_best_within_it():
 
 def test_what_is_promised_is_the_gain_within_bounds():
     """From two deviations within an edge to three beyond it: 2⁻¹ (5² − 3²) nats; from the edge on, none."""
-    here = setting(recorded(), PENDULUM)
+    here = diagnosis_problem(recorded(), PENDULUM)
     among = unknowns(here, [FRICTION.bound(PENDULUM)])
     sd = 0.1 * among.sd
     for inside, gain in ((2.0, 8.0), (0.0, 0.0)):
@@ -98,7 +98,7 @@ def test_what_is_promised_is_the_gain_within_bounds():
 
 def test_all_of_a_shortened_step_is_promised():
     """Evidence knows of no step that is shorter than bounds let it be."""
-    here = setting(recorded(), PENDULUM)
+    here = diagnosis_problem(recorded(), PENDULUM)
     among = unknowns(here, (EFFECTS["stribeck_friction"]("pivot").bound(PENDULUM),))
     covariance, whole = np.diag((0.1 * among.sd) ** 2), -0.9 * among.mean
     halved = _within(partial(among.step, among.mean), among.mean, whole, covariance)
@@ -113,7 +113,7 @@ def heavier():
     values = {"mass": 0.18, "com": -0.02, "inertia": 0.002}
     arm = random_arm(ARM, duration=3.0, fps=100, noise=0.0003, torque_scale=0.5, commanded=True, seed=2)
     named = {f"effect.{effect.key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
-    here = setting(record(arm.with_effects(effect).replace(**named), 2)[0], ARM)
+    here = diagnosis_problem(record(arm.with_effects(effect).replace(**named), 2)[0], ARM)
     return (
         here,
         effect,
@@ -147,7 +147,7 @@ def test_where_no_step_was_a_gain_shorter_ones_are_tried(monkeypatch):
 
 def test_what_a_bending_link_is_made_of_stays_positive():
     """Without damping its resonance is another one, and slopes there do not lead back."""
-    bound = setting(recording_of(rows=30), PENDULUM)
+    bound = diagnosis_problem(recording_of(rows=30), PENDULUM)
     effect = EFFECTS["link_flexibility"](PENDULUM.links[0].name).bound(PENDULUM)
     among = unknowns(bound, [effect])
     point = np.array([parameter.grid[0] for parameter in effect.parameters(bound.model.scale)])

@@ -11,11 +11,11 @@ from pendulum import ARM, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.search import INSTEAD, WIDTH, _mistaken, _overtaken, _settled, search
 from invdyn.diagnosis.hypotheses.swap_step import SWAPS
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -23,8 +23,8 @@ KEY = "joint_limit.pivot.upper"
 
 
 @cache
-def searched(name=None, *where, left_out=(), **values) -> Search:
-    bound = setting(recording_of(EFFECTS[name](*where) if name else None, **values), PENDULUM)
+def searched(name=None, *where, left_out=(), **values) -> HypothesisPool:
+    bound = diagnosis_problem(recording_of(EFFECTS[name](*where) if name else None, **values), PENDULUM)
     return search(bound, *data_path(bound), left_out)
 
 
@@ -57,7 +57,7 @@ def test_tissue_that_swings_is_found_whatever_the_torque():
     arm = random_arm(ARM, duration=2.0, fps=50, noise=0.0004, torque_scale=0.5, commanded=True, seed=1)
     given = {f"effect.{tissue.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
     recording = replace(record(arm.with_effects(tissue).replace(**given), 1)[0], torques=None)
-    bound = setting(recording, ARM)
+    bound = diagnosis_problem(recording, ARM)
     found = search(bound, *data_path(bound), [name for name in EFFECTS if name not in (tissue.name, "keypoint_offset")])
     best = found.ranked[0]
     assert best.key == tissue.key
@@ -72,7 +72,7 @@ def test_no_more_effects_at_once_than_asked_for():
     values = {f"{damped.key}.damping": 0.05, f"{spring.key}.stiffness": 1.0, f"{spring.key}.torque": 0.2}
     arm = random_arm(PENDULUM, duration=1.6, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    bound = setting(record(arm.with_effects(damped, spring).replace(**given), 0)[0], PENDULUM)
+    bound = diagnosis_problem(record(arm.with_effects(damped, spring).replace(**given), 0)[0], PENDULUM)
     start, few = data_path(bound), {damped.name, spring.name, "payload", "camera_scale"}
     struck = [name for name in EFFECTS if name not in few]
     one = search(bound, *start, struck, most=1)
@@ -92,7 +92,7 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
     arm = recording_of(EFFECTS["backlash"]("pivot"), width=0.1)
     for torques, looked in ((None, False), (0 * arm.torques, True)):
         tried.clear()
-        bound = setting(replace(arm, torques=torques), PENDULUM)
+        bound = diagnosis_problem(replace(arm, torques=torques), PENDULUM)
         found = search(bound, *data_path(bound), [name for name in MANY if name != "backlash"])
         assert ("backlash" in tried) is looked
         if torques is None:
@@ -116,7 +116,7 @@ def test_the_best_single_effect_that_several_overtook_is_extended_too(
 ):
     """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
     extended, key = [], KEY
-    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
     none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[key],)))
@@ -126,7 +126,7 @@ def test_the_best_single_effect_that_several_overtook_is_extended_too(
     more = (effects["payload"], *(effects[each] for each in overtaking))
     both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
     monkeypatch.setattr(sys.modules[search.__module__], "extend", lambda *given: extended.append(given[2:]))
-    pool = Search(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
+    pool = HypothesisPool(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
     before = {"", key} if known else {""}
     _overtaken(bound, pool, before)
     assert extended == ([(one, 4)] if looked else [])
@@ -145,7 +145,7 @@ def test_the_best_single_effect_that_several_overtook_is_extended_too(
 )
 def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gains, swapped, widths):
     """A large effect that was reached by way of others that imitate it, which are left out then, hides a small one."""
-    bound = setting(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
     limit, payload, gain = (effects[key] for key in ("joint_limit.pivot.upper", "payload", "actuator_gain.pivot"))
@@ -156,7 +156,7 @@ def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gai
     more = replace(one, effects=(limit, payload), log_evidence=one.log_evidence + 300.0)
     other = replace(one, effects=(payload,), log_evidence=one.log_evidence + 100.0)
     module, asked = sys.modules[search.__module__], []
-    pool = Search(considered(bound), {c.key: c for c in (none, one, worse)}, [], path, stray)
+    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, one, worse)}, [], path, stray)
 
     def extend(_, pool, base, width):
         asked.append(width)
@@ -184,12 +184,12 @@ def add_friction(found, complete):
 )
 def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monkeypatch, complete, named, looked):
     """Stribeck friction at more than all speeds may stand for dry friction and viscous, and leave nothing."""
-    bound = setting(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
+    bound = diagnosis_problem(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
     path, stray = data_path(bound)
     module, asked = sys.modules[search.__module__], []
     monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
     monkeypatch.setattr(module, "credible", lambda *_: named)
-    monkeypatch.setattr(module, "shortened", lambda setting, _: setting)
+    monkeypatch.setattr(module, "shortened", lambda problem, _: problem)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
     for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
@@ -201,20 +201,20 @@ def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monke
 def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
     """An unknown torque takes errors of integration along, and is left in its own."""
     recording = recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05)
-    bound = setting(recording if known else replace(recording, torques=None), PENDULUM)
+    bound = diagnosis_problem(recording if known else replace(recording, torques=None), PENDULUM)
     path, stray = data_path(bound)
     module, asked = sys.modules[search.__module__], []
 
-    def extend(setting, found, base, _):
-        asked.append((base.key, setting.model.substeps))
+    def extend(problem, found, base, _):
+        asked.append((base.key, problem.model.substeps))
         if not base.effects:
             add_friction(found, False)
 
     monkeypatch.setattr(module, "extend", extend)
 
-    def shortened(setting, _):
+    def shortened(problem, _):
         assert known
-        return setting.in_substeps(7)
+        return problem.in_substeps(7)
 
     monkeypatch.setattr(module, "shortened", shortened)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
@@ -255,7 +255,7 @@ def test_stray_detections_are_explained_before_anything_else(monkeypatch):
     points = recording.keypoints.copy()
     swapped = np.random.default_rng(1).random(len(points)) < 0.06
     points[swapped] = points[swapped][:, ::-1]
-    bound = setting(replace(recording, keypoints=points), ARM)
+    bound = diagnosis_problem(replace(recording, keypoints=points), ARM)
     path, stray = data_path(bound)
     bases = []
     extending = sys.modules[extend.__module__]
@@ -276,7 +276,7 @@ BENDING = EFFECTS["link_flexibility"]("forearm")
 def bending():
     """Setting and path of an arm whose forearm bends so much that the wrist strays from where a rigid one has it."""
     recording = recording_of(BENDING, ARM, effort=1.0, seed=2, stiffness=0.7, damping=0.0014)
-    bound = setting(recording, ARM)
+    bound = diagnosis_problem(recording, ARM)
     return bound, *data_path(bound)
 
 
@@ -317,7 +317,7 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
         return replace(none, effects=effects, log_evidence=none.log_evidence + nats, by_size=by_size)
 
     mistaken = like(cleared, outliers, nats=200.0 if strays else -200.0)
-    found = Search([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, aside=path)
+    found = HypothesisPool([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, aside=path)
 
     def promising(_, pool, base, given, width):
         asked.append((base.key, given, width))

@@ -8,7 +8,7 @@ import pytest
 from pendulum import PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
     FAILED,
@@ -19,14 +19,14 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     refine_every,
     refine_promising,
 )
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 
 
 def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
     """Only the torque's prior speaks for friction; what gains less than that on the camera's side says no more."""
-    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
     gains = {"coulomb_friction": 30.0, "camera_roll": 25.0, "lens_distortion": 40.0, "base_motion": 35.0}
     some = [e for e in considered(bound) if e.name in gains]
@@ -40,17 +40,17 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch):
         sys.modules[refine_promising.__module__], "refine", lambda *given, **more: tried.append(given[1][0].name)
     )
     none = refine(bound, (), {}, path, LOOSE)
-    refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    refine_promising(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
     # Where something is left under any torque, what is seen is something else, however little the screen says.
     tried.clear()
-    refine_barred(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened)
+    refine_barred(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, screened)
     assert tried == ["lens_distortion", "camera_roll"]  # the first for its softer form, had it been refined
 
 
 def test_where_something_is_left_softer_forms_are_tried_whatever_the_screen_says(monkeypatch):
     """From the ideal one that is known, where it is; none of a softer one again."""
-    bound = setting(replace(recording_of(), torques=None), PENDULUM)
+    bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     tissue, roll = (next(e for e in considered(bound) if e.name == name) for name in ("soft_tissue", "camera_roll"))
@@ -64,14 +64,14 @@ def test_where_something_is_left_softer_forms_are_tried_whatever_the_screen_says
     known = [replace(none, effects=(tissue,)), replace(none, effects=(roll.softened(),))]
     for pool, expected in (([], [tissue.key, roll.key]), (known, [tissue.key])):
         asked.clear()
-        refine_barred(bound, Search([], {c.key: c for c in (none, *pool)}, [], path, stray), none, screened)
+        refine_barred(bound, HypothesisPool([], {c.key: c for c in (none, *pool)}, [], path, stray), none, screened)
         assert sorted(asked) == sorted((0, key) for key in expected)
 
 
 @pytest.mark.parametrize(("second", "refined"), [(400.0, 1), (600.0, 2)])
 def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined):
     """Where it leaves nothing, one that gained less than half as much is spared."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     none = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, -1e4, 0.0))  # it leaves something
@@ -84,19 +84,19 @@ def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined
     screened = sorted(screened, key=lambda s: -s.log_evidence)
     tried = []
 
-    def refined_one(setting, effects, values, path, size, **given):
+    def refined_one(problem, effects, values, path, size, **given):
         tried.append(effects[0].key)
         settled = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
         return replace(none, effects=effects, log_evidence=none.log_evidence + 1000, by_size=settled)
 
     monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
-    refine_promising(bound, Search(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    refine_promising(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert len(tried) == refined
 
 
 def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_residual(monkeypatch):
     """But nothing that has been tried, and what leaves most of the gap is not."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     shares = {"camera_roll": HALF + 0.1, "camera_latency": HALF - 0.1, "coulomb_friction": 0.9}
@@ -108,14 +108,14 @@ def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_re
         screened.append(replace(each, log_evidence=0.0, by_size=np.linspace(-left, 0.0, len(each.by_size))))
     tried = []
 
-    def refined_one(setting, effects, values, path, size, **given):
+    def refined_one(problem, effects, values, path, size, **given):
         tried.append(effects[0].name)
         return replace(none, effects=effects, log_evidence=none.log_evidence + 10)
 
     monkeypatch.setattr(sys.modules[refine_clearing.__module__], "refine", refined_one)
     friction = next(e for e in some if e.name == "coulomb_friction")
     known = replace(none, effects=(friction,))
-    found = Search(considered(bound), {"": none, known.key: known}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
     refine_clearing(bound, found, none, screened)
     assert tried == ["camera_roll"]
     assert "camera_roll" in found.pool
@@ -125,7 +125,7 @@ def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_re
 def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_one_leaves_nothing(
     monkeypatch, explaining
 ):
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     spike = np.arange(len(none.by_size)) == 0
@@ -138,7 +138,7 @@ def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_
     screened = sorted(screened, key=lambda s: -s.log_evidence)
     tried = []
 
-    def refined_one(setting, effects, values, path, size, **given):
+    def refined_one(problem, effects, values, path, size, **given):
         tried.append(effects[0].name)
         done = effects[0].name == explaining
         sizes = np.where(spike == done, 0.0, -1e4)
@@ -146,7 +146,7 @@ def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_
 
     monkeypatch.setattr(sys.modules[refine_every.__module__], "refine", refined_one)
     known = replace(none, effects=(next(e for e in some if e.name == "camera_yaw"),))
-    found = Search(considered(bound), {"": none, known.key: known}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
     refine_every(bound, found, none, screened)
     # By twos; what was refined before is not again, and what changes the motion the screen sees.
     assert tried == ["camera_roll", "camera_latency"] + ([] if explaining else ["clock_rate", "camera_scale"])
@@ -155,7 +155,7 @@ def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_
 @pytest.mark.parametrize("plausible", [True, False])
 def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch, plausible):
     """A stop from values as deep, a friction from a short settling time; the others have no such form."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     names = {"joint_limit": ["softness"], "coulomb_friction": ["settling", "creep"], "viscous_friction": []}
@@ -165,7 +165,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
     screened = [replace(s, log_evidence=1e3 if s.effect else 0.0) for s in screened]
     tried = {e.name: [] for e in some}
 
-    def refined_one(setting, effects, values, path, size, **given):
+    def refined_one(problem, effects, values, path, size, **given):
         (effect,) = effects
         tried[effect.name].append((effect.soft, values, size))
         mine = {f"{effect.key}.{p.name}": 0.3 for p in effect.parameters(bound.model.scale)}
@@ -178,7 +178,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
         )
 
     monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
-    found = Search(some, {"": none}, [], path, stray)
+    found = HypothesisPool(some, {"": none}, [], path, stray)
     refine_promising(bound, found, none, screened, 9)
     for effect in some:
         softer = names[effect.name] if not plausible else []
@@ -196,7 +196,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
 @pytest.mark.parametrize(("under", "again"), [(FAILED - 1, False), (FAILED + 1, True)])
 def test_what_ends_under_its_base_begins_again_from_there(monkeypatch, under, again):
     """Along the base's path and with nothing of the effect; a limit that is absent at infinity as the screen has it."""
-    bound = setting(recording_of(), PENDULUM)
+    bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none = replace(refine(bound, (), {}, path, LOOSE), path=path + 0.0)
     some = [e for e in considered(bound) if e.name in ("coulomb_friction", "actuator_saturation")]
@@ -205,13 +205,13 @@ def test_what_ends_under_its_base_begins_again_from_there(monkeypatch, under, ag
     screened = [replace(s, log_evidence=1e3 if s.effect else 0.0, elsewhere=None) for s in screened]
     tried = {e.name: [] for e in some}
 
-    def refined_one(setting, effects, values, path, size, **given):
+    def refined_one(problem, effects, values, path, size, **given):
         tried[effects[0].name].append((values, path))
         first = len(tried[effects[0].name]) == 1
         return replace(none, effects=effects, log_evidence=none.log_evidence + (-under if first else 10.0))
 
     monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
-    found = Search(some, {"": none}, [], path, stray)
+    found = HypothesisPool(some, {"": none}, [], path, stray)
     refine_promising(bound, found, none, screened, 9)
     for name, calls in tried.items():
         assert [path is none.path for _, path in calls] == [False] + [True] * again

@@ -9,10 +9,10 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses import substeps
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.substeps import MOST, finely_stepped, shortened
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, Setting, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
@@ -25,13 +25,13 @@ def seen() -> Recording:
     return record(arm, 0)[0]
 
 
-def evidence(here: Setting) -> float:
+def evidence(here: DiagnosisProblem) -> float:
     return refine(here, (), {}, data_path(here)[0], LOOSE).log_evidence
 
 
 def test_errors_of_integration_cost_no_evidence():
     """They would, dozens of nats, which an effect that is integrated in shorter steps would then have gained."""
-    coarse = setting(seen(), ARM).in_substeps(1)
+    coarse = diagnosis_problem(seen(), ARM).in_substeps(1)
     fine = finely_stepped(coarse, data_path(coarse)[0])
     assert 1 < fine.model.substeps <= MOST
     assert coarse.model.substeps == 1
@@ -42,7 +42,7 @@ def test_errors_of_integration_cost_no_evidence():
 
 
 def test_a_limbs_own_torque_takes_errors_along():
-    here = setting(replace(seen(), torques=None), ARM).in_substeps(1)
+    here = diagnosis_problem(replace(seen(), torques=None), ARM).in_substeps(1)
     assert finely_stepped(here, data_path(here)[0]) is here
 
 
@@ -59,7 +59,7 @@ def test_a_limbs_own_torque_takes_errors_along():
 )
 @pytest.mark.parametrize("gain", [50.0, -50.0])
 def test_what_jumps_may_leave_nothing_in_shorter_steps(monkeypatch, key, complete, finer, taken, gain):
-    bound = setting(recording_of(rows=120), PENDULUM).in_substeps(4)
+    bound = diagnosis_problem(recording_of(rows=120), PENDULUM).in_substeps(4)
     path, stray = data_path(bound)
     effects = {e.key: e for e in considered(bound)}
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
@@ -81,7 +81,7 @@ def test_what_jumps_may_leave_nothing_in_shorter_steps(monkeypatch, key, complet
         return replace(cause, effects=tuple(given), model=there.model, by_size=by_size, log_evidence=evidence)
 
     monkeypatch.setattr(substeps, "refine", refined)
-    found = Search(list(effects.values()), {c.key: c for c in (none, cause)}, [], path, stray)
+    found = HypothesisPool(list(effects.values()), {c.key: c for c in (none, cause)}, [], path, stray)
     there = shortened(bound, found)
     asked = not complete and key == "stribeck_friction.pivot"
     if taken and gain > 0:

@@ -10,12 +10,12 @@ from pendulum import PENDULUM
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.event_timing import relocated
-from invdyn.diagnosis.hypotheses.pool import Search, considered
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce, without
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
@@ -35,11 +35,11 @@ def recorded(*effects, rows=80, **values):
 
 def test_a_set_loses_what_it_does_not_need():
     """From friction and a spring that is not there, friction alone."""
-    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
+    bound = diagnosis_problem(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
-    found = Search(considered(bound), {"": none, both.key: both}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray)
     assert found.ranked[0].key == both.key
     reduce(bound, found)
     assert found.ranked[0].key == "viscous_friction.pivot"
@@ -47,7 +47,7 @@ def test_a_set_loses_what_it_does_not_need():
 
 def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     """What stands beside ideal friction stands for what that lacks, though by itself it leaves nothing either."""
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     friction, other = (e for e in considered(bound) if e.name in ("coulomb_friction", "armature"))
@@ -59,14 +59,14 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     }
     tried = []
 
-    def softer(setting, cause, mine):
+    def softer(problem, cause, mine):
         tried.append((cause.key, mine.key))
         return causes[soft,] if mine is friction and len(cause.effects) == 1 else None
 
     monkeypatch.setattr(sys.modules[reduce.__module__], "without", lambda _, whole, effect, size: None)
     monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.moves"], "softer", softer)
     pool = {causes[effects].key: causes[effects] for effects in ((friction,), (friction, other), (other,))}
-    found = Search(considered(bound), {"": none, **pool}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, **pool}, [], path, stray)
     assert found.ranked[0].key == key_of((friction, other))
     assert found.pool[friction.key].complete
     reduce(bound, found)
@@ -76,7 +76,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
 
 def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
     """Beside outliers a coupling of no stiffness may have been what their parameters needed to be searched on."""
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     pair = tuple(e for e in considered(bound) if e.name in ("outliers", "viscous_friction"))
@@ -84,17 +84,17 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
     both = replace(both, noise_log={"outliers": -3.0})
     tried = {}
 
-    def refined(setting, effects, values, path, size, **kept):
+    def refined(problem, effects, values, path, size, **kept):
         tried[tuple(e.name for e in effects)] = kept
 
     monkeypatch.setattr(sys.modules[reduce.__module__], "refine", refined)
-    reduce(bound, Search(considered(bound), {"": none, both.key: both}, [], path, stray))
+    reduce(bound, HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray))
     assert tried == {("outliers",): both.searched, ("viscous_friction",): {}}
 
 
 def test_what_is_left_of_two_that_were_searched_is_searched_anew():
     """Beside the other it may have had another size and spread; none of the other's integral stays."""
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     seen = bound.observations.clone()
     seen[[11, 30, 52, 63]] += 0.1
     bound = bound.observing(seen)
@@ -115,7 +115,7 @@ def test_what_is_left_of_two_that_were_searched_is_searched_anew():
 
 def test_beside_play_what_does_as_well_alone_takes_a_place_and_play_is_searched_anew(monkeypatch):
     """No screen is along a path with play: drag that is nearly as good by itself as viscous friction is tried."""
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     names = ("viscous_friction", "quadratic_drag", "coulomb_friction", "backlash")
@@ -128,14 +128,14 @@ def test_beside_play_what_does_as_well_alone_takes_a_place_and_play_is_searched_
 
     best = cause(90.0, viscous, play)
     causes = [none, cause(50.0, viscous), cause(49.0, drag), cause(40.0, dry), best]
-    found = Search(considered(bound), {c.key: c for c in causes}, [], path, stray)
+    found = HypothesisPool(considered(bound), {c.key: c for c in causes}, [], path, stray)
     tried, searched = [], []
 
-    def refined(setting, effects, values, path, size, **kept):
+    def refined(problem, effects, values, path, size, **kept):
         tried.append((key_of(effects), values[f"{drag.key}.drag"]))
         return cause(100.0, *effects)
 
-    def play_searched(setting, base, effect, enough):
+    def play_searched(problem, base, effect, enough):
         searched.append((base.key, effect.key))
         return cause(150.0, *base.effects, effect)
 
@@ -150,13 +150,13 @@ def test_beside_play_what_does_as_well_alone_takes_a_place_and_play_is_searched_
 
 def test_the_path_of_one_leads_to_another_that_is_like_it():
     """Where only Stribeck's friction has arrived, dry friction is tried again."""
-    bound = setting(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    bound = diagnosis_problem(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     stribeck = EFFECTS["stribeck_friction"]("pivot")
     values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
     none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
-    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
     exchange(bound, found)
     assert found.ranked[0].key == "coulomb_friction.pivot"
     assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
@@ -164,7 +164,7 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
 
 
 def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
-    bound = setting(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    bound = diagnosis_problem(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     friction = EFFECTS["coulomb_friction"]("pivot")
@@ -173,12 +173,12 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     common = unknowns(bound, ())
     free = [e for e in considered(bound) if not is_searched(e)]
     first = screen(bound, bound.model, path, free, common, common.mean)
-    found = Search(considered(bound), {"": none, cause.key: cause}, first, path, stray)
+    found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, first, path, stray)
     tried = []
 
-    def screened(workers, setting, model, path, effects, *given):
+    def screened(workers, problem, model, path, effects, *given):
         tried.extend(e.name for e in effects)
-        return screen(setting, model, path, effects, *given)
+        return screen(problem, model, path, effects, *given)
 
     monkeypatch.setattr(sys.modules[exchange.__module__], "screen_in_halves", screened)
     exchange(bound, found)
@@ -186,7 +186,9 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     assert len(tried) < len(free) / 2
     arrived = replace(cause, effects=(EFFECTS["stribeck_friction"]("pivot"),), log_evidence=cause.log_evidence - 5)
     tried.clear()
-    exchange(bound, Search(considered(bound), {"": none, cause.key: cause, arrived.key: arrived}, first, path, stray))
+    exchange(
+        bound, HypothesisPool(considered(bound), {"": none, cause.key: cause, arrived.key: arrived}, first, path, stray)
+    )
     assert "viscous_friction" in tried
     assert "stribeck_friction" not in tried  # it leaves nothing either
 
@@ -194,13 +196,13 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
 def test_in_a_set_too_one_gives_way_while_the_other_stays():
     """Where drag has arrived beside an added rotor, friction takes its place, and the rotor stays."""
     true = {"viscous_friction_damping": 0.05, "armature_inertia": 0.02}
-    bound = setting(recorded("viscous_friction", "armature", rows=120, **true), PENDULUM)
+    bound = diagnosis_problem(recorded("viscous_friction", "armature", rows=120, **true), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     none = refine(bound, (), {}, path, LOOSE)
     pair = tuple(EFFECTS[name]("pivot").bound(PENDULUM) for name in ("quadratic_drag", "armature"))
     other = refine(bound, pair, {}, path, LOOSE)
-    found = Search(considered(bound), {"": none, other.key: other}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
     exchange(bound, found)
     best = found.ranked[0]
     assert best.key == "armature.pivot+viscous_friction.pivot"
@@ -211,12 +213,12 @@ def test_in_a_set_too_one_gives_way_while_the_other_stays():
 
 def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
     """A payload as heavy as its link moves what is seen on no straight line: the screen has half of it at most."""
-    bound = setting(recorded(), PENDULUM)
+    bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     old, *others = (EFFECTS[name]().bound(PENDULUM) for name in ("payload", "gravity_tilt", "camera_roll"))
     best = replace(none, effects=(old,), log_evidence=none.log_evidence + 1000)
-    found = Search(considered(bound), {"": none, best.key: best}, [], path, stray)
+    found = HypothesisPool(considered(bound), {"": none, best.key: best}, [], path, stray)
     module, gains = sys.modules[exchange.__module__], {"gravity_tilt": 510.0, "camera_roll": 490.0}
 
     def screened(*_, **__):
@@ -237,15 +239,15 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
 
 def test_a_push_in_the_place_of_a_bending_link_is_moved_in_time(monkeypatch):
     """What it joins is the set without the link, in model and path too: the hinge in the link has states of its own."""
-    bound = setting(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
+    bound = diagnosis_problem(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     friction, bending = EFFECTS["viscous_friction"]("pivot"), EFFECTS["link_flexibility"]("rod")
     push = next(e for e in considered(bound) if e.name == "external_push")
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, (friction, bending), {}, path, LOOSE, rounds=2)
     both = replace(both, log_evidence=none.log_evidence + 100)
     room, bases = sys.modules[exchange.__module__], []
-    monkeypatch.setattr(room, "refine_promising", lambda setting, found, base, *_: bases.append(base))
-    exchange(bound, Search([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray))
+    monkeypatch.setattr(room, "refine_promising", lambda problem, found, base, *_: bases.append(base))
+    exchange(bound, HypothesisPool([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray))
     base = next(base for base in bases if base.effects == both.effects[:1])
     assert [effect.name for effect in base.model.effects] == ["viscous_friction"]
     assert base.path.shape[-1] == base.model.state_dim < both.model.state_dim

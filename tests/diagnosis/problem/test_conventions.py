@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.recordings import InputError
 
 QUARTER = np.pi / 2
@@ -20,8 +20,8 @@ def mistaken(camera, angle=(1, 1), torque=(1, 1), zero=(0.0, 0.0)):
 
 @pytest.mark.parametrize("camera", [True, False])
 def test_a_log_that_is_right_is_bound(camera):
-    assert setting(mistaken(camera), ARM).regime == "commanded"
-    assert setting(replace(mistaken(camera), torques=-mistaken(camera).torques), ARM, passive=True)
+    assert diagnosis_problem(mistaken(camera), ARM).regime == "commanded"
+    assert diagnosis_problem(replace(mistaken(camera), torques=-mistaken(camera).torques), ARM, passive=True)
 
 
 @pytest.mark.parametrize(
@@ -40,11 +40,11 @@ def test_a_log_that_is_right_is_bound(camera):
 )
 def test_the_mistake_is_named(camera, mistake, says):
     with pytest.raises(InputError, match=says):
-        setting(mistaken(camera, **mistake), ARM)
+        diagnosis_problem(mistaken(camera, **mistake), ARM)
 
 
 def test_a_large_effect_is_no_mistake():
     """Friction of half the torque and a body of half the mass are for the diagnosis."""
     log = robot_log(2.0, damping=1.0)
-    assert setting(log, ARM)
-    assert setting(log, ARM.with_values(mass=[0.75, 0.5]))
+    assert diagnosis_problem(log, ARM)
+    assert diagnosis_problem(log, ARM.with_values(mass=[0.75, 0.5]))

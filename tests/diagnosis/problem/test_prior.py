@@ -8,7 +8,7 @@ from pendulum import ARM, PENDULUM, recording_of
 from scipy.stats import multivariate_normal
 
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.prior import (
     ALPHA,
     NUMBER,
@@ -44,7 +44,7 @@ def test_where_more_are_asked_for_each_is_a_quarter_as_likely():
     assert [another(count, 6) for count in (3, 4, 5, 6)] == [0.25, 0.25, 0.25, 1.0]
     assert [another(count, 2) for count in (1, 2)] == [pytest.approx(0.16), 1.0]
     assert of_number(6) == pytest.approx(NUMBER[4] / 16)
-    candidates = considered(setting(recording_of(body=ARM, rows=30), ARM))
+    candidates = considered(diagnosis_problem(recording_of(body=ARM, rows=30), ARM))
     five, six = (log_prior_of(candidates[:count], candidates) for count in (5, 6))
     names = len({e.name for e in candidates})
     assert six - five < np.log(6 / 4 / names) + 1e-9
@@ -53,7 +53,7 @@ def test_where_more_are_asked_for_each_is_a_quarter_as_likely():
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM])
 def test_prior_sums_to_that_of_the_number(body):
-    candidates = considered(setting(recording_of(body=body, rows=30), body))
+    candidates = considered(diagnosis_problem(recording_of(body=body, rows=30), body))
     assert sum(NUMBER) == pytest.approx(1.0)
     assert np.exp(log_prior_of((), candidates)) == pytest.approx(NUMBER[0])
     single = np.array([np.exp(log_prior_of((e,), candidates)) for e in candidates])

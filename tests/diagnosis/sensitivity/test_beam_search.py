@@ -6,7 +6,7 @@ import torch
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.prior import MOST, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
@@ -30,7 +30,7 @@ def sets():
         name, *where = key.split(".")
         named = {f"effect.{key}.{n}": torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
         arm = arm.with_effects(EFFECTS[name](*where)).replace(**named)
-    bound = setting(record(arm, 0)[0], PENDULUM)
+    bound = diagnosis_problem(record(arm, 0)[0], PENDULUM)
     path, _ = data_path(bound)
     candidates = considered(bound)
     common = unknowns(bound, ())

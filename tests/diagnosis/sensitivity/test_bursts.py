@@ -8,7 +8,7 @@ import torch
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, spans
 from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, filter_of, linear_of, whiten
@@ -46,7 +46,7 @@ def uneven() -> Recording:
 @pytest.mark.parametrize("short", [False, True])
 def test_products_are_those_of_columns(recording, short):
     body = ARM if len(recording.joint_names) == 2 else PENDULUM
-    here = setting(recording, body)
+    here = diagnosis_problem(recording, body)
     model, (path, _), K = here.model, data_path(here), body.num_joints
     linear = linear_of(here, model, path)
     response = np.random.default_rng(0).normal(size=(model.num_steps - 1, model.state_dim, K))
@@ -67,7 +67,7 @@ def test_products_are_those_of_columns(recording, short):
 
 def test_stretches_share_out_the_time():
     """A tenth of a second each, half of which they share: inner rows lie in two of them, whole."""
-    model = setting(recording_of(rows=60), PENDULUM).model
+    model = diagnosis_problem(recording_of(rows=60), PENDULUM).model
     stretches = spans(model)
     columns = columns_of(model, np.ones((model.num_steps - 1, model.state_dim, 1)), stretches)
     time, starts = model.time.numpy(), [start for start, _ in stretches]

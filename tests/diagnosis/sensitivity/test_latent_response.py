@@ -7,7 +7,7 @@ import torch
 from pendulum import ARM
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.sensitivity.latent_response import driven
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
@@ -19,7 +19,7 @@ from invdyn.simulate import random_arm, record
 def bent():
     """An arm, 100 frames/s, whose forearm swings at 7, 14 and 30 Hz, (3,) parameter sets; its path without that."""
     arm = random_arm(ARM, duration=1.5, fps=100, noise=0.002, torque_scale=0.5, commanded=True, seed=3)
-    here = setting(record(arm, 3)[0], ARM)
+    here = diagnosis_problem(record(arm, 3)[0], ARM)
     effect = EFFECTS["link_flexibility"]("forearm").bound(ARM)
     stiffness, damping = effect.parameters(here.model.scale)
     values = torch.tensor([stiffness.grid[i] for i in (1, 3, 5)], dtype=torch.float64).reshape(-1, 1, 1)

@@ -11,7 +11,7 @@ from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path, led
 from invdyn.diagnosis.hypotheses.forward_step import _aside
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import spread, unknowns
 from invdyn.diagnosis.sensitivity.screen import _cost, _halved, screen, screen_in_halves, windows
@@ -23,7 +23,7 @@ from invdyn.simulate import random_arm, record
 
 
 def test_screen_is_a_ranking_of_all_and_none():
-    here = setting(recording_of(), PENDULUM)
+    here = diagnosis_problem(recording_of(), PENDULUM)
     path = gauss_newton(here.with_residual(LOOSE), here.observations).path
     effects = [e for e in considered(here) if e.name in ("viscous_friction", "camera_roll", "external_push")]
     common = unknowns(here, ())
@@ -45,7 +45,9 @@ def test_screen_is_a_ranking_of_all_and_none():
 
 def test_half_the_sub_steps_do_for_what_is_changed():
     """Slopes of one sub-step or of four: gains are the same to a hundredth."""
-    here = setting(recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, effort=0.8, damping=0.05), PENDULUM)
+    here = diagnosis_problem(
+        recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, effort=0.8, damping=0.05), PENDULUM
+    )
     path, common = data_path(here)[0], unknowns(here, ())
     effects = [e for e in considered(here) if not is_searched(e)]
     gains = []
@@ -62,7 +64,7 @@ def test_half_the_sub_steps_do_for_what_is_changed():
 def test_what_the_camera_does_shows_beside_the_simulation_alone():
     """Under a residual torque the arm follows what a shutter has bent, and the screen sees nothing."""
     shutter = EFFECTS["rolling_shutter"]().bound(PENDULUM)
-    bound = setting(recording_of(shutter, rows=150, readout=0.15, effort=0.8), PENDULUM)
+    bound = diagnosis_problem(recording_of(shutter, rows=150, readout=0.15, effort=0.8), PENDULUM)
     path, _ = data_path(bound)
     common = unknowns(bound, ())
     effects = [e for e in considered(bound) if not is_searched(e)]
@@ -83,7 +85,9 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
 
 def test_a_push_is_also_looked_for_at_another_time():
     push = EFFECTS["external_push"]("tip").bound(PENDULUM)
-    here = setting(recording_of(push, rows=120, impulse_x=0.5, impulse_y=0.2, moment=0.75, duration=0.1), PENDULUM)
+    here = diagnosis_problem(
+        recording_of(push, rows=120, impulse_x=0.5, impulse_y=0.2, moment=0.75, duration=0.1), PENDULUM
+    )
     path, common = data_path(here)[0], unknowns(here, ())
     effects = [push, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)]
     screened = {s.effect.name: s for s in screen(here, here.model, path, effects, common, common.mean) if s.effect}
@@ -101,7 +105,7 @@ def test_a_push_that_is_soon_over_is_looked_for_in_a_stretch_as_short(strength):
     arm = random_arm(PENDULUM, duration=1.5, fps=200, noise=0.0002, torque_scale=0.5, commanded=True, seed=0)
     values = {"impulse_x": 0.06 * strength, "impulse_y": 0.04 * strength, "moment": 0.78, "duration": 0.015}
     given = {f"effect.{push.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
-    here = setting(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
+    here = diagnosis_problem(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
     path = data_path(here)[0]
     found = windows(here, here.model, path, linear_of(here, here.model, path))
     short = [(start, stop) for start, stop in found if stop - start < WINDOW / 2]
@@ -111,7 +115,7 @@ def test_a_push_that_is_soon_over_is_looked_for_in_a_stretch_as_short(strength):
 
 
 def test_halves_are_a_ranking_of_the_whole():
-    here = setting(recording_of(), PENDULUM)
+    here = diagnosis_problem(recording_of(), PENDULUM)
     path, common = data_path(here)[0], unknowns(here, ())
     effects = [e for e in considered(here) if not is_searched(e)]
     whole = {
@@ -126,7 +130,7 @@ def test_halves_are_a_ranking_of_the_whole():
 
 
 def test_halves_take_as_long_as_each_other():
-    here = setting(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
+    here = diagnosis_problem(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
     costs = {e.key: _cost(e, here.model) for e in considered(here) if not is_searched(e)}
     one, other = _halved([(e, costs[e.key]) for e in considered(here) if e.key in costs])
     assert sorted(e.key for e in (*one, *other)) == sorted(costs)

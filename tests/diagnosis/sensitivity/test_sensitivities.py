@@ -11,7 +11,7 @@ from scipy.stats import halfnorm, norm
 from scipy.stats import t as student_t
 
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, Setting, setting
+from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, spread, unknowns, upper_bound
 from invdyn.diagnosis.sensitivity import sensitivities as candidates
@@ -29,11 +29,11 @@ UNSURE = Body("arm", BODY.links, BODY.gravity, uncertainty={"mass": 0.05, "lengt
 
 
 @cache
-def bound(regime="commanded", unsure=False) -> Setting:
+def bound(regime="commanded", unsure=False) -> DiagnosisProblem:
     recording = record(random_arm(BODY, duration=0.8, fps=50, noise=0.002, commanded=True))[0]
     if regime == "unknown_torque":
         recording = Recording(recording.time, recording.keypoints, recording.keypoint_names)
-    return setting(recording, UNSURE if unsure else BODY, passive=regime == "passive")
+    return diagnosis_problem(recording, UNSURE if unsure else BODY, passive=regime == "passive")
 
 
 @cache
@@ -172,7 +172,7 @@ def test_a_bending_link_to_first_order():
 def test_friction_that_stops_a_link_within_a_row_is_followed_from_a_value_near_it():
     """Ten rows a second: what large damping does is a hundredth off from the grid, more from where there is none."""
     arm = random_arm(PENDULUM, duration=6, fps=10, noise=0.002, torque_scale=2.0, commanded=True, seed=0)
-    model = setting(record(arm, 0)[0], PENDULUM).model
+    model = diagnosis_problem(record(arm, 0)[0], PENDULUM).model
     path = torch.as_tensor(np.random.default_rng(0).normal(size=(len(model.time), model.state_dim)))
     effect = EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
     found, columns = hypotheses(model, effect, path, unchanged(model, path))
@@ -257,8 +257,8 @@ def test_of_what_may_be_any_size_much_is_plausible():
 @pytest.mark.parametrize("key", ["inertial_error.upper_arm", "actuator_gain.elbow"])
 def test_a_file_may_be_wrong_by_more_than_a_factor_of_two(key):
     """Upward: arms without mass, and motors that give nothing, would explain whatever there is."""
-    setting = bound()
-    for each in chosen(key)[0].parameters(setting.model.scale):
+    problem = bound()
+    for each in chosen(key)[0].parameters(problem.model.scale):
         if each.name == "com":
             continue
         whole = each.least / -0.8

@@ -6,13 +6,13 @@ import numpy as np
 from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.problem.diagnosis_problem import setting
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, products, sizes, whiten
 
 
 def test_products_within_groups_are_those_of_all():
-    here = setting(recording_of(body=ARM, rows=40), ARM)
+    here = diagnosis_problem(recording_of(body=ARM, rows=40), ARM)
     path = data_path(here)[0]
     rng = np.random.default_rng(0)
     columns = Columns(rng.normal(size=(39, 6, 7)), rng.normal(size=(40, here.observations.shape[-1], 7)))
@@ -32,7 +32,7 @@ def test_products_within_groups_are_those_of_all():
 
 def test_a_column_that_runs_away_is_infinite_without_a_warning():
     """The others are what they are without it; :mod:`.evidence` leaves out what is not finite."""
-    here = setting(recording_of(body=ARM, rows=30), ARM)
+    here = diagnosis_problem(recording_of(body=ARM, rows=30), ARM)
     about = filter_of(here, here.model, data_path(here)[0], sizes(here.regime)[:1])
     rng = np.random.default_rng(0)
     T, D, seen = here.model.num_steps, here.model.state_dim, here.observations.shape[-1]
@@ -44,7 +44,7 @@ def test_a_column_that_runs_away_is_infinite_without_a_warning():
 
 
 def test_products_of_many_numbers_are_those_of_all_sizes_at_once(monkeypatch):
-    here = setting(recording_of(body=ARM), ARM)
+    here = diagnosis_problem(recording_of(body=ARM), ARM)
     path, _ = data_path(here)
     about = filter_of(here, here.model, path, sizes(here.regime))
     rng = np.random.default_rng(0)
