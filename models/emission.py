@@ -95,8 +95,8 @@ class Emission:
         if self.tips:
             parameters["emission.keypoint_scale"] = torch.full((len(self.tips),), keypoint_scale)
             if self.doubt is not None:
-                for name in ("emission.confidence_slope", "emission.confidence_drop"):
-                    parameters[name] = torch.full((len(self.tips),), 0.1)
+                parameters["emission.confidence_slope"] = torch.full((len(self.tips),), 0.1)
+                parameters["emission.confidence_drop"] = torch.full((len(self.tips),), 0.02)
         if self.num_encoders:
             parameters["emission.angle_scale"] = torch.full((self.num_encoders,), angle_scale)
         if self.family == "student_t":
