@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.observation.confidence import USUAL_SLOPE, Confidence
+from invdyn.models.observation.confidence import USUAL_DROP, USUAL_SLOPE, Confidence
 from invdyn.models.observation.mixture import MistakenRows
 from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
@@ -97,8 +97,8 @@ class Keypoints(NoisySensor):
         """Noise of a fiftieth of the reach."""
         parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
         if self.confidence is not None:
-            for name in ("emission.confidence_slope", "emission.confidence_drop"):
-                parameters[name] = torch.full((len(self.sites),), USUAL_SLOPE).double()
+            for name, usual in (("slope", USUAL_SLOPE), ("drop", USUAL_DROP)):
+                parameters[f"emission.confidence_{name}"] = torch.full((len(self.sites),), usual).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
