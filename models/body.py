@@ -41,6 +41,7 @@ from invdyn.models.scalars import (
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
+MOST_LINKS = 100  # an arm has seven, a snake robot thirty
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
 
@@ -110,7 +111,7 @@ class Link:
 class Body:
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
-    Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and
+    Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite numbers, and
     unknown or negative uncertainties.
     """
 
@@ -128,6 +129,8 @@ class Body:
         object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
+        if len(self.links) > MOST_LINKS:
+            raise BodyError(f"{where}: expected at most {MOST_LINKS} links, got {len(self.links)}")
         for key in ("name", "joint", "tip"):
             names = [getattr(link, key) for link in self.links]
             for name in names:

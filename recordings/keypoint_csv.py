@@ -21,6 +21,7 @@ from .tables import read_table, write_table
 
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
+HINTS = 5  # names that a message goes into
 
 
 def read_keypoint_csv(
@@ -136,10 +137,10 @@ def _expected(kind: str, expected: Sequence[str], in_file: Sequence[str]) -> tup
     if unknown or (missing and kind == "keypoint"):
         hints = [
             f"unknown {name!r} (closest: {difflib.get_close_matches(name, expected, 1, cutoff=0.0)[0]!r})"
-            for name in unknown
+            for name in unknown[:HINTS]
             if expected
         ]
-        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing)])
+        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:HINTS])])
         raise InputError(
             f"the file's {kind}s ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
             "rename the columns or the body's names"
