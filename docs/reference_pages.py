@@ -1,7 +1,7 @@
 """Pages written from the code: the API room by room, every effect with its formula and a picture, the command line.
 
-An effect's picture is a run of our own: the planar arm under a sweeping torque, the wrist's or the joint's path with the
-effect and without it, at the effect's own prior scale.
+An effect's picture is a run of our own: the planar arm under a sweeping torque, the wrist's or the joint's path with
+the effect and without it, at the effect's own prior scale.
 """
 
 import inspect
