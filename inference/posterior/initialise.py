@@ -215,8 +215,8 @@ def _start_values(
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
             least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
             values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
-            if keypoints.told is not None:
-                values["emission.confidence_drop"] = confidence_drop(off, keypoints.told.drop.numpy())
+            if keypoints.confidence is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
     return values
 
 

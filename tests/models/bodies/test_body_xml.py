@@ -115,8 +115,8 @@ def chain(count):
 
 def test_more_links_than_any_arm_has_are_refused(tmp_path):
     assert load(chain(30), tmp_path / "arm.urdf").num_joints == 30
-    with pytest.raises(BodyError, match="at most 1000 links, got 1001"):
-        load(chain(1001), tmp_path / "arm.urdf")
+    with pytest.raises(BodyError, match="at most 100 links, got 101"):
+        load(chain(101), tmp_path / "arm.urdf")
     scene = mjcf().replace("</worldbody>", "<body/>" * 1001 + "</worldbody>")
     with pytest.raises(BodyError, match="at most 1000 bodies, got 1002"):
         load(scene, tmp_path / "arm.xml")
