@@ -111,8 +111,8 @@ class Link:
 class Body:
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
-    Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite numbers, and
-    unknown or negative uncertainties.
+    Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite
+    numbers, and unknown or negative uncertainties.
     """
 
     name: str
