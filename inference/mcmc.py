@@ -20,13 +20,16 @@ from torch import Tensor
 from invdyn.inference.initialise import Problem
 from invdyn.inference.laplace import GaussianChain
 from invdyn.inference.posterior import to_inference_data
-from invdyn.inference.seeds import seeded
+from invdyn.inference.seeds import derived, seeded
 from invdyn.inference.smc import Progress, SMCOptions, gaussian_smoother
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
 
 LONGEST = 100
 """Rows that NUTS can be waited for."""
+
+FEWEST_DRAWS = 4
+"""Of a chain: R-hat compares the halves of each, which need a variance."""
 
 
 def whitened_model(model: StateSpaceModel, observations: Tensor, chain: GaussianChain):
@@ -63,7 +66,8 @@ def nuts(
         chains, warmup: chains, begun apart from one another, and steps of each that are thrown away.
 
     The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any torque,
-    and the number of divergent steps. Raises InputError for a longer series.
+    and the number of divergent steps. Raises InputError for a longer series, or fewer draws of
+    a chain than ``FEWEST_DRAWS``.
     """
     options = options or SMCOptions()
     model, observations = problem.model.to(dtype=torch.float64), problem.observations.double()
@@ -73,6 +77,11 @@ def nuts(
             "select a stretch, or use smc"
         )
     draws = math.ceil(options.num_filters * options.num_draws / chains)
+    if draws < FEWEST_DRAWS:
+        raise InputError(
+            f"nuts: expected {FEWEST_DRAWS} draws of each of {chains} chains, for R-hat, got {draws}: "
+            f"let --filters × --draws be {FEWEST_DRAWS * chains} or more"
+        )
     whitening = GaussianChain.of(gaussian_smoother(model, observations, start))
     target = whitened_model(model, observations, whitening)
     paths, divergent, done = [], 0, 0
@@ -86,7 +95,7 @@ def nuts(
     with seeded(seed):
         for number in range(chains):
             # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
-            torch.manual_seed(seed * 1_000_003 + number)
+            torch.manual_seed(derived(seed, number))
             begin = {"noise": 2 * torch.randn(whitening.loc.shape, dtype=torch.float64)}
             sampler = MCMC(
                 NUTS(target, max_tree_depth=8),
