@@ -22,15 +22,12 @@ pytest.importorskip("safetensors")
 CASES = defaultdict(list)
 for one in all_cases():
     CASES[one.kind].append(one)
-FEW, MOST = 12, 40
+MOST = 40
 """Of each kind so many are tried each time, drawn once and for all; `pytest -m slow` tries all."""
-COSTLY = {"posterior", "number in a recording", "number in a track", "name in a body", "count in an option"}
-COSTLY |= {"least and most"}
+COSTLY = {"least and most": 4, "number in a track": 8}
+COSTLY |= dict.fromkeys(("posterior", "number in a recording", "name in a body", "count in an option"), 12)
 """Kinds of which many inputs are fine, so that inference runs or a figure is drawn."""
-SOME = {
-    kind: random.Random(0).sample(cases, min(len(cases), FEW if kind in COSTLY else MOST))
-    for kind, cases in CASES.items()
-}
+SOME = {kind: random.Random(0).sample(cases, min(len(cases), COSTLY.get(kind, MOST))) for kind, cases in CASES.items()}
 
 
 @pytest.fixture(scope="module")
