@@ -50,8 +50,8 @@ def bomb():
         ("<robot>" + "<a>" * 200_000, "elements within each other"),
         ('<?xml version="1.0" encoding="no-such"?><robot/>', "broken XML"),
         ("<robot><", "broken XML"),
-        ("x = " + "[" * 5000, "broken TOML"),
-        ("x = " + "9" * 5000, "broken TOML"),
+        ("x = " + "[" * 5000, "nested too deep"),
+        ("x = " + "9" * 5000, "integer too long"),
     ],
     ids=["entities", "a file as entity", "deep", "very deep", "encoding", "cut", "deep TOML", "digits"],
 )
