@@ -96,7 +96,7 @@ class Emission:
             parameters["emission.keypoint_scale"] = torch.full((len(self.tips),), keypoint_scale)
             if self.doubt is not None:
                 parameters["emission.confidence_slope"] = torch.full((len(self.tips),), 0.1)
-                parameters["emission.confidence_drop"] = torch.full((len(self.tips),), 0.02)
+                parameters["emission.confidence_drop"] = torch.zeros(len(self.tips))
         if self.num_encoders:
             parameters["emission.angle_scale"] = torch.full((self.num_encoders,), angle_scale)
         if self.family == "student_t":
