@@ -35,6 +35,7 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+napoleon_use_ivar = True
 napoleon_use_rtype = False
 suppress_warnings = [
     "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too

@@ -1,8 +1,8 @@
 """Make the pictures of README.md, from real runs: `python docs/pictures.py`, or `… demo`, `… compare`.
 
 demo.png and demo.gif are what `invdyn demo` draws. compare.png is the figure of `invdyn compare`, and model.png what
-the model in README.md gives. diagnosis.png is the top of the report on a simulated arm with friction at its elbow (needs
-chromium, chromedriver and the extra `dev`). cost.png comes from `python benchmarks/cost.py`.
+the model in README.md gives. diagnosis.png is the top of the report on a simulated arm with friction at its elbow
+(needs chromium, chromedriver and the extra `dev`). cost.png comes from `python benchmarks/cost.py`.
 """
 
 import io

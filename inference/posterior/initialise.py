@@ -38,8 +38,8 @@ ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
 SURELY = 3.0
 """Standard deviations by which a higher order must show less."""
-LITTLE, LOST = 0.02, 20.0
-"""Of doubtful keypoints: how their noise starts to grow, and how many times as far off as sure ones a lost one is."""
+LOST = 20.0
+"""Times as far off as a sure keypoint that a doubtful one is lost."""
 MEDIAN = 1.36
 """n times the relative variance of the median of the sizes of n Gaussians."""
 
@@ -224,10 +224,10 @@ def confidence_drop(off: np.ndarray, drop: np.ndarray) -> np.ndarray:
     """Start of δ of each keypoint, (P,), from misfits (T, P, d) and the drops of their confidence (T, P).
 
     Where doubtful rows are ``LOST`` times as far off as sure ones they start as lost, δ = log(ratio) per drop: as good
-    ones the mode would run through them, and the search for parameters end there. What is noisier by less starts with
-    next to none, for it may be an effect that a diagnosis names.
+    ones the mode would run through them, and the search for parameters end there. What is noisier by less starts at 0,
+    for it may be an effect that a diagnosis names.
     """
-    start = np.full(drop.shape[1], LITTLE)
+    start = np.zeros(drop.shape[1])
     for p, (size, d) in enumerate(zip(np.linalg.norm(off, axis=-1).T, drop.T, strict=True)):
         low = np.isfinite(size) & (d > 0.5)
         high = np.isfinite(size) & (d <= 0.5)
