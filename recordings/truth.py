@@ -13,6 +13,9 @@ from .recording import check_range, check_time
 from .tables import read_table, write_table
 
 
+FINITE = float(np.finfo(np.float64).max)
+
+
 @dataclass(frozen=True, eq=False)
 class Truth:
     """Joint trajectories, T times and K joints.
@@ -41,7 +44,8 @@ class Truth:
         for field in ("angle", "velocity", "torque"):
             if getattr(self, field).shape != shape:
                 raise InputError(f"truth: {field} must have shape {shape}, got {getattr(self, field).shape}")
-            check_range(f"truth: {field}", getattr(self, field), "frame {}".format)
+            # A simulation that diverged is a truth all the same; a file of such numbers is damaged.
+            check_range(f"truth: {field}", getattr(self, field), "frame {}".format, FINITE)
 
     def at(self, time: np.ndarray) -> "Truth":
         """Linear interpolation at `time` (T',) s; NaN outside the record, never extrapolated."""
@@ -86,4 +90,7 @@ def read_truth(path: str | Path) -> Truth:
         def stack(quantity: str) -> np.ndarray:
             return np.stack([columns[f"{joint}_{quantity}"] for joint in joints], axis=-1)
 
-        return Truth(columns["time"], stack("angle"), stack("velocity"), stack("torque"), joints)
+        values = {quantity: stack(quantity) for quantity in ("angle", "velocity", "torque")}
+        for quantity, value in values.items():
+            check_range(f"truth: {quantity}", value, "frame {}".format)
+        return Truth(columns["time"], **values, joint_names=joints)

@@ -88,7 +88,7 @@ def test_who_asks_may_be_killed_in_the_middle_of_a_case(folders):
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         _until(lambda: children.read_text().split())
         child = Path("/proc", children.read_text().split()[0])
-        _until(lambda: b"apart" in (child / "cmdline").read_bytes())
+        _until(lambda: b"worker" in (child / "cmdline").read_bytes())
         writer = _opened_by_a_reader(case / "case.json")
         process.send_signal(signal.SIGTERM)
         process.wait()
