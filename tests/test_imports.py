@@ -92,6 +92,7 @@ def test_generic_inference_loads_no_body():
         "invdyn.recordings",
         "invdyn.recordings.errors",
         "invdyn.recordings.atomic",
+        "invdyn.recordings.paths",
     }
     assert not [name for name in ours if name.startswith(("invdyn.models.bodies", "invdyn.models.articulated"))]
     assert {inner_room(name) for name in ours if room_of(name) == "inference"} <= {*GENERIC, None}
