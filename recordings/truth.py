@@ -12,7 +12,6 @@ from .errors import InputError, about
 from .recording import check_range, check_time
 from .tables import read_table, write_table
 
-
 FINITE = float(np.finfo(np.float64).max)
 
 
