@@ -32,7 +32,7 @@ SEARCH = 0.75
 """Of the budget that the search may take; the rest is for what is said of its causes."""
 
 
-class Spent(ValueError):
+class Spent(Exception):
     """The budget is spent: a candidate is not looked at."""
 
 

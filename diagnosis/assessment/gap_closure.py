@@ -24,6 +24,7 @@ import torch
 
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
+from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
@@ -143,7 +144,7 @@ def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: Di
         begun, size = cause.path[: len(train.observations)], best_size(problem, cause)
         with diverging():
             fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
-    except Diverged:
+    except (Diverged, Spent):
         return settled  # the first rows by themselves lead nowhere
     # Linearised along a path that knows the held-out rows; the predictions themselves do not.
     return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -229,11 +230,11 @@ def idle(screened: Sequence[Screened]) -> float:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> T | None:
-    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all, or to
-    effects that no simulation has together.
+    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all, to
+    effects that no simulation has together, or where the budget is spent.
     """
     try:
         with diverging():
             return work(*arguments, **options)
-    except (Diverged, NotTogether):
+    except (Diverged, NotTogether, Spent):
         return None
