@@ -72,8 +72,8 @@ def _ended(process: subprocess.Popen[str]) -> int:
 class Theirs(AbstractContextManager):
     """Another method: a process a case; words may hold {recording}, {body}, {out}, {held_out} and {case}, a folder."""
 
-    def __init__(self, command: str, confined: Confined):
-        self._words, self._confined = shlex.split(command), confined
+    def __init__(self, command: str, confined: Confined | None = None):
+        self._words, self._confined = shlex.split(command), confined or Confined()
 
     def __exit__(self, *_: object) -> None:
         return None

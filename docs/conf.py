@@ -35,6 +35,7 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+napoleon_use_ivar = True
 napoleon_use_rtype = False
 suppress_warnings = [
     "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too
@@ -42,6 +43,7 @@ suppress_warnings = [
 ]
 
 
+_COLUMNS = re.compile(r"\S {3,}\S")
 _BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
 
 
@@ -56,14 +58,14 @@ def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
 
 
 def _as_written(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Show a docstring as it is written: a module's indented formulas stay as they are, and |x| is no markup."""
-    shown, paragraph = [], True
-    for line in lines:
-        indented = line.startswith("    ")
-        if what == "module" and indented and paragraph:
-            shown += ["::", ""]
-        paragraph = not line.strip()
-        shown.append(line if indented and what == "module" else _BARS.sub(r"\\|", line))
+    """Show a docstring as it is written: a module's tables and formulas keep their columns, and |x| is no markup."""
+    shown: list[str] = []
+    for paragraph in "\n".join(lines).split("\n\n"):
+        rows = paragraph.split("\n")
+        if what == "module" and (_COLUMNS.search(paragraph) or rows[0].startswith("    ")):
+            shown += ["::", "", *(f"    {row}" for row in rows), ""]
+        else:
+            shown += [*(_BARS.sub(r"\\|", row) for row in rows), ""]
     lines[:] = shown
 
 

@@ -1,11 +1,12 @@
-"""Make the pictures of README.md, from real runs: `python docs/pictures.py`, or `… demo`, `… diagnosis`.
+"""Make the pictures of README.md, from real runs: `python docs/pictures.py`, or `… demo`, `… compare`.
 
-demo.png and demo.gif are what `invdyn demo` draws; diagnosis.png is the top of the report on a simulated arm with
-friction at its elbow (needs chromium, chromedriver and the extra `dev`); cost.png comes from
-`python benchmarks/cost.py`.
+demo.png and demo.gif are what `invdyn demo` draws. compare.png is the figure of `invdyn compare`, and model.png what
+the model in README.md gives. diagnosis.png is the top of the report on a simulated arm with friction at its elbow
+(needs chromium, chromedriver and the extra `dev`). cost.png comes from `python benchmarks/cost.py`.
 """
 
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,46 @@ def demo(folder: str) -> None:
     figure = Image.open(Path(folder) / "figure.png")
     _keep(figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS), "demo.png")
     shutil.copyfile(Path(folder) / "film.gif", DOCS / "demo.gif")
+
+
+def compare(folder: str) -> None:
+    """Compare three methods as README.md does, and keep the figure."""
+    invdyn = [sys.executable, "-W", "ignore", "-m", "invdyn"]
+    files = [f"{folder}/rec.csv", "--body", "paper_planar_arm", "--truth", f"{folder}/truth.csv"]
+    made = ["--body", "paper_planar_arm", "--out", files[0], "--truth", files[-1]]
+    subprocess.run([*invdyn, "simulate", *made], check=True)
+    chosen = ["--methods", "smc,laplace,svi", "--frames", "0:60", "--out", f"{folder}/comparison"]
+    subprocess.run([*invdyn, "compare", *files, *chosen], check=True)
+    figure = Image.open(next(Path(folder, "comparison").glob("*.png")))
+    _keep(figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS), "compare.png")
+
+
+def model(folder: str) -> None:
+    """Run the model that README.md writes, and draw the point, what was seen and the filter's band."""
+    import matplotlib.pyplot as plt
+    import torch
+
+    text = (DOCS.parent / "README.md").read_text("utf-8")
+    snippet = next(block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "class Wanderer" in block)
+    known: dict = {}
+    torch.manual_seed(3)
+    exec(compile(snippet.replace("_, observations", "states, observations"), "README.md", "exec"), known)
+    result = known["result"]
+    particles, order = result.states[:, 0, :, 0].sort(-1)
+    mass = result.log_weights[:, 0].gather(-1, order).exp().cumsum(-1)
+    low, high = (
+        particles.gather(-1, (mass < share).sum(-1, keepdim=True).clamp_max(mass.shape[-1] - 1)).squeeze(-1)
+        for share in (0.05, 0.95)
+    )
+    rows = range(len(known["observations"]))
+    figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")
+    axes.fill_between(rows, low, high, alpha=0.3, label="90 % of the filter's particles")
+    axes.plot(rows, known["states"].squeeze(), "k--", linewidth=1, label="the point")
+    axes.plot(rows, known["observations"].squeeze(), ".", color="0.5", markersize=4, label="what the sensor saw")
+    axes.set(xlabel="row", ylabel="place")
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1), frameon=False)
+    figure.savefig(Path(folder) / "model.png", dpi=150)
+    _keep(Image.open(Path(folder) / "model.png"), "model.png")
 
 
 def diagnosis(folder: str) -> None:
@@ -65,7 +106,7 @@ def _keep(picture: Image.Image, name: str) -> None:
 
 def main() -> None:
     """Make those that are named, or all."""
-    known = {"demo": demo, "diagnosis": diagnosis}
+    known = {"demo": demo, "compare": compare, "model": model, "diagnosis": diagnosis}
     wanted = sys.argv[1:] or list(known)
     if unknown := set(wanted) - set(known):
         sys.exit(f"no picture {', '.join(sorted(unknown))}; expected any of {', '.join(known)}")

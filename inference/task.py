@@ -26,6 +26,8 @@ SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
 """Methods that spread over an executor and keep what is done; others do so over draws of an uncertain body."""
 KEPT = SPREAD | {"vsmc"}
 """Methods that keep what is done; of VSMC that is its training."""
+DROP, LITTLE = "emission.confidence_drop", 0.02
+"""The noise's growth between the surest and the least sure rows, and the least that its fit starts from."""
 
 
 def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
@@ -170,7 +172,10 @@ def _fitted(
         tensors, state = kept
         path = tensors.pop("path")
         return problem.model.replace(**tensors), path, state["converged"]
-    fitted = fit(problem.model, problem.observations, free, progress=report)
+    model = problem.model
+    if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
+        model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
+    fitted = fit(model, problem.observations, free, progress=report)
     if checkpoint is not None:
         checkpoint.save({**fitted.model.parameters, "path": fitted.path}, converged=fitted.converged)
     return fitted.model, fitted.path, fitted.converged

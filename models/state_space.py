@@ -37,8 +37,6 @@ class StateSpaceModel(ABC):
     state_dim: int
     observation_dim: int
     num_steps: int
-    unconstrained: frozenset[str] = frozenset()
-    """Parameters that may be negative; all others are positive, or square roots of covariances."""
     roots: frozenset[str] = frozenset()
     """Parameters that are lower-triangular square roots."""
 
@@ -75,6 +73,11 @@ class StateSpaceModel(ABC):
     and all slopes by differences."""
 
     # -- parameters ----------------------------------------------------------------------------
+    @property
+    def unconstrained(self) -> frozenset[str]:
+        """Parameters that may be negative; all others, as by default, are positive or square roots of covariances."""
+        return frozenset()
+
     @property
     def dtype(self) -> torch.dtype:
         """Floating type of the parameters."""

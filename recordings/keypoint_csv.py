@@ -22,6 +22,7 @@ from .tables import read_table, write_table
 
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
+HINTS = 5  # names that a message goes into
 
 
 def read_keypoint_csv(
@@ -141,10 +142,10 @@ def _expected(
     if unknown or (missing and kind == "keypoint"):
         hints = [
             f"unknown {name!r} (closest: {nearest(name, [*expected, *others])!r})"
-            for name in unknown
+            for name in unknown[:HINTS]
             if expected or others
         ]
-        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing)])
+        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:HINTS])])
         raise InputError(
             f"the file's {kind}s ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
             "rename the columns or the body's names"

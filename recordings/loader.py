@@ -76,7 +76,7 @@ def load(
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
         for p, name in enumerate(recording.keypoint_names):
-            if not np.isfinite(recording.keypoints[:, p]).any():
+            if not np.isfinite(recording.keypoints[:, p]).all(axis=-1).any():
                 raise InputError(f"keypoint {name!r} is missing in every frame")
         return recording
 

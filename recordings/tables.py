@@ -5,6 +5,7 @@ float64 arrays in the file's order, with a function that turns a 0-based row int
 """
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], Callable[[int],
             raise InputError("the header has a tab inside a column's name")
         if not all(header):
             raise InputError("the header has a column without a name")
-        if twice := sorted({name for name in header if header.count(name) > 1}):
+        if twice := sorted(name for name, count in Counter(header).items() if count > 1):
             raise InputError(f"the header has column {twice[0]!r} twice")
         numbers, where = read_numbers(rows, header)
     return dict(zip(header, numbers.T, strict=True)), where

@@ -24,7 +24,8 @@ class Injected:
         site: "joint", "link", "keypoint" or "arm".
         units: of every parameter, "1" where it has none; non-ideal forms have the last ones besides.
         size: draws the parameters.
-        install: (world, place, **parameters), or (world, **parameters) of the whole arm; None for what the camera sees.
+        install: called with world, place (none of the whole arm) and the parameters by name; None for what the camera
+            sees.
         needs: what a case with it must have: "command", "gravity", "clock" (known torque), "two joints".
     """
 

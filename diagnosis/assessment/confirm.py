@@ -59,7 +59,7 @@ class Confirmed:
     """What SMC says of a cause.
 
     Attributes:
-        log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with
+        log_evidence, log_evidence_sd: with Monte Carlo standard error; comparable with a
             :attr:`.FittedHypothesis.log_evidence`.
         values: (M, p) parameters.
         result: of the filters, evidences weighted by how their parameters were drawn; None where they died.

@@ -124,7 +124,7 @@ class FilterState(SMCState):
 
 
 def take(value: Tensor, index: Tensor) -> Tensor:
-    """Particles (…, N, *rest) at ``index`` (…, N), stored as they were."""
+    """Particles (…, N, …) at ``index`` (…, N), stored as they were."""
     batch = index.ndim
     if value.ndim == batch + 1 and value.shape[-1] > 1 and value.stride(-1) != 1:  # entry by entry, as compiled rows do
         return value.movedim(-1, 0).gather(-1, index.expand(value.shape[-1], *index.shape)).movedim(0, -1)

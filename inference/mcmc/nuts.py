@@ -15,6 +15,7 @@ from pyro.infer import MCMC, NUTS
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Report
+from invdyn.inference.execution.seeds import derived
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.models import StateSpaceModel
 
@@ -62,7 +63,7 @@ def sample_paths(
 
     for number in range(chains):
         # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
-        torch.manual_seed(seed * 1_000_003 + number)
+        torch.manual_seed(derived(seed, number))
         begin = {"noise": 2 * torch.randn(whitening.loc.shape, dtype=torch.float64)}
         sampler = MCMC(
             NUTS(target, max_tree_depth=8),

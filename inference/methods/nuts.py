@@ -19,6 +19,8 @@ from invdyn.recordings import InputError
 
 LONGEST = 100
 """Rows that NUTS can be waited for."""
+FEWEST_DRAWS = 4
+"""Of a chain: R-hat compares the halves of each, which need a variance."""
 
 
 def nuts(
@@ -44,7 +46,8 @@ def nuts(
         chains, warmup: chains, begun apart from one another, and steps of each that are thrown away.
 
     The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any torque,
-    and the number of divergent steps. Raises InputError for a longer series.
+    and the number of divergent steps. Raises InputError for a longer series, or fewer draws of
+    a chain than ``FEWEST_DRAWS``.
     """
     options = options or SMCOptions()
     model, observations = problem.model.to(dtype=torch.float64), problem.observations.double()
@@ -54,6 +57,11 @@ def nuts(
             "select a stretch, or use smc"
         )
     draws = math.ceil(options.num_filters * options.num_draws / chains)
+    if draws < FEWEST_DRAWS:
+        raise InputError(
+            f"nuts: expected {FEWEST_DRAWS} draws of each of {chains} chains, for R-hat, got {draws}: "
+            f"let --filters × --draws be {FEWEST_DRAWS * chains} or more"
+        )
     whitening = GaussianChain.of(gaussian_smoother(model, observations, start))
     with seeded(seed):
         paths, divergent = sample_paths(

@@ -38,6 +38,8 @@ ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
 SURELY = 3.0
 """Standard deviations by which a higher order must show less."""
+LOST = 20.0
+"""Times as far off as a sure keypoint that a doubtful one is lost."""
 MEDIAN = 1.36
 """n times the relative variance of the median of the sizes of n Gaussians."""
 
@@ -213,24 +215,25 @@ def _start_values(
             misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
             least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
             values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
-            if keypoints.told is not None:
-                values["emission.confidence_drop"] = confidence_drop(off, keypoints.told.drop.numpy())
+            if keypoints.confidence is not None:
+                values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
     return values
 
 
-def confidence_drop(off: np.ndarray, drop: np.ndarray, least: float = 0.1, most: float = 8.0) -> np.ndarray:
-    """Start of δ of each keypoint, (P,): by how much its doubtful rows' misfits are larger, in logarithms per drop.
+def confidence_drop(off: np.ndarray, drop: np.ndarray) -> np.ndarray:
+    """Start of δ of each keypoint, (P,), from misfits (T, P, d) and the drops of their confidence (T, P).
 
-    From misfits (T, P, d) and drops (T, P) of the confidence. Where lost points begin as good ones, the mode runs
-    through them, and the search for parameters ends there.
+    Where doubtful rows are ``LOST`` times as far off as sure ones they start as lost, δ = log(ratio) per drop: as good
+    ones the mode would run through them, and the search for parameters end there. What is noisier by less starts at 0,
+    for it may be an effect that a diagnosis names.
     """
-    start = np.full(drop.shape[1], least)
+    start = np.zeros(drop.shape[1])
     for p, (size, d) in enumerate(zip(np.linalg.norm(off, axis=-1).T, drop.T, strict=True)):
         low = np.isfinite(size) & (d > 0.5)
         high = np.isfinite(size) & (d <= 0.5)
-        if low.any() and high.any() and np.median(size[high]) > 0:
+        if low.any() and high.any() and np.median(size[low]) > LOST * np.median(size[high]) > 0:
             ratio = np.median(size[low]) / np.median(size[high])
-            start[p] = np.clip(np.log(max(ratio, 1.0)) / (np.median(d[low]) - np.median(d[high])), least, most)
+            start[p] = np.log(ratio) / (np.median(d[low]) - np.median(d[high]))
     return start
 
 

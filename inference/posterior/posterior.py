@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import arviz as az
+import h5py
 import numpy as np
 import pandas as pd
 import torch
@@ -259,6 +260,8 @@ def load_posterior(path: str | Path) -> az.InferenceData:
         raise FileNotFoundError(2, "no such posterior", str(path))
     check_readable(path)
     try:
+        with h5py.File(path) as store:  # where this fails, h5netcdf complains once more when it is dropped
+            dict(store.attrs)
         idata = az.from_netcdf(str(path), engine="h5netcdf")
         check_size(idata, path)
         idata.load()

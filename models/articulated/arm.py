@@ -167,7 +167,7 @@ class ArmModel(StateSpaceModel):
         return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
 
     @property
-    def unconstrained(self) -> frozenset[str]:  # type: ignore[override]  # its body and effects say
+    def unconstrained(self) -> frozenset[str]:
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}

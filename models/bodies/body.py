@@ -45,7 +45,7 @@ from invdyn.models.bodies.whole_file import read_whole
 
 __all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
 
-MAX_LINKS = 1000  # more is a slip, or a file made to keep a machine busy
+MOST_LINKS = 100  # an arm has seven, a snake robot thirty
 FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
@@ -119,8 +119,8 @@ class Link:
 class Body(BodyBase):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
-    Raises `BodyError` for no links, a name used twice, gravity or base that are not two finite numbers, and
-    unknown or negative uncertainties.
+    Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite
+    numbers, and unknown or negative uncertainties.
     """
 
     name: str
@@ -139,8 +139,8 @@ class Body(BodyBase):
         object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
-        if len(self.links) > MAX_LINKS:
-            raise BodyError(f"{where}: expected at most {MAX_LINKS} links, got {len(self.links)}")
+        if len(self.links) > MOST_LINKS:
+            raise BodyError(f"{where}: expected at most {MOST_LINKS} links, got {len(self.links)}")
         for key in ("name", "joint", "tip"):
             names = [getattr(link, key) for link in self.links]
             for name in names:

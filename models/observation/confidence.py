@@ -17,7 +17,7 @@ import torch
 from scipy.stats import rankdata
 from torch import Tensor
 
-USUAL_SLOPE = 0.1
+USUAL_SLOPE, USUAL_DROP = 0.1, 0.0
 """γ and δ where nothing is known of them."""
 
 

@@ -9,7 +9,7 @@ Shapes: P keypoints, S sites, d dimensions, those of the body.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.observation.confidence import USUAL_SLOPE, Confidence
+from invdyn.models.observation.confidence import USUAL_DROP, USUAL_SLOPE, Confidence
 from invdyn.models.observation.mixture import MistakenRows
 from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
@@ -30,28 +30,35 @@ LEAST, MOST = 1e-5, 0.3
 S = TypeVar("S", Stray, Shift)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Keypoints(NoisySensor):
     """Detections of sites.
 
     Args:
         sites: which (P,), by place among the body's sites or by name, in the recording's order.
         confidence: (T, P) the tracker's, or None.
-        names, coordinates: of the sites and d, known once :meth:`bound`.
+        names, coordinates: of the sites and d, known once :meth:`bound`; then all ``sites`` are places.
     """
 
-    sites: Sequence[int | str]
-    confidence: np.ndarray | Confidence | None = None
-    names: tuple[str, ...] = field(default=())
-    coordinates: int | None = field(default=None)
+    sites: tuple[int, ...]
+    confidence: Confidence | None
+    names: tuple[str, ...]
+    coordinates: int
 
     name: ClassVar[str] = "position"
     unit: ClassVar[str] = "length"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sites", tuple(self.sites))
-        if isinstance(self.confidence, np.ndarray):
-            object.__setattr__(self, "confidence", Confidence.of(self.confidence))
+    def __init__(
+        self,
+        sites: Sequence[int | str],
+        confidence: np.ndarray | Confidence | None = None,
+        names: tuple[str, ...] = (),
+        coordinates: int | None = None,
+    ):
+        known = Confidence.of(confidence) if isinstance(confidence, np.ndarray) else confidence
+        own = {"sites": tuple(sites), "confidence": known, "names": names, "coordinates": coordinates}
+        for key, value in own.items():
+            object.__setattr__(self, key, value)
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The keypoints of ``body``; raises ValueError for sites that it does not have."""
@@ -64,29 +71,12 @@ class Keypoints(NoisySensor):
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""
-        return self if (own := self.told) is None else replace(self, confidence=own.to(device))
-
-    @property
-    def told(self) -> Confidence | None:
-        """The tracker's confidence, if it is known."""
-        return self.confidence if isinstance(self.confidence, Confidence) else None
-
-    @property
-    def places(self) -> tuple[int, ...]:
-        """The sites by number, (P,); once bound."""
-        return tuple(site for site in self.sites if isinstance(site, int))
-
-    @property
-    def space(self) -> int:
-        """d; ValueError before they are bound."""
-        if self.coordinates is None:
-            raise ValueError("expected keypoints that are bound to a body, whose coordinates are then known")
-        return self.coordinates
+        return self if self.confidence is None else replace(self, confidence=self.confidence.to(device))
 
     @property
     def shape(self) -> tuple[int, int]:
         """(P, d)."""
-        return len(self.sites), self.space
+        return len(self.sites), self.coordinates
 
     @property
     def coords(self) -> dict[str, Sequence[str]]:
@@ -97,8 +87,8 @@ class Keypoints(NoisySensor):
         """Noise of a fiftieth of the reach."""
         parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
         if self.confidence is not None:
-            for name in ("emission.confidence_slope", "emission.confidence_drop"):
-                parameters[name] = torch.full((len(self.sites),), USUAL_SLOPE).double()
+            for name, usual in (("slope", USUAL_SLOPE), ("drop", USUAL_DROP)):
+                parameters[f"emission.confidence_{name}"] = torch.full((len(self.sites),), usual).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
@@ -108,13 +98,13 @@ class Keypoints(NoisySensor):
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The sites as they are seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
-        if (own := self.told) is not None:
+        if self.confidence is not None:
             slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
-            scale = own.widened(scale, slope, drop, t)
-        sd = scale.repeat_interleave(self.space, -1)
+            scale = self.confidence.widened(scale, slope, drop, t)
+        sd = scale.repeat_interleave(self.coordinates, -1)
         if view.noise is not None:
-            every = [sd.new_ones(*sd.shape[:-1], self.space)] * view.points.shape[-2]
-            for site, width in zip(self.places, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
+            every = [sd.new_ones(*sd.shape[:-1], self.coordinates)] * view.points.shape[-2]
+            for site, width in zip(self.sites, sd.unflatten(-1, self.shape).unbind(-2), strict=True):
                 every[site] = width
             sd = self.tracked(view.noise(torch.stack(every, -2))).flatten(-2)
         return self.tracked(view.points).flatten(-2), sd
@@ -122,18 +112,18 @@ class Keypoints(NoisySensor):
     def tracked(self, values: Tensor) -> Tensor:
         """Of all sites' values (..., S, d) those of the keypoints, (..., P, d)."""
         # Entry by entry: a list of indices would be sent to the device in each row.
-        return torch.stack([values[..., site, :] for site in self.places], -2)
+        return torch.stack([values[..., site, :] for site in self.sites], -2)
 
     def doubted(self, t: int | Tensor, like: Tensor, count: int) -> Tensor | None:
         """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or not said.
 
         None where no confidence is known.
         """
-        if (told := self.told) is None:
+        if self.confidence is None:
             return None
-        doubt = told.itself[t].to(like)
+        doubt = self.confidence.itself[t].to(like)
         every = [doubt.new_zeros(doubt.shape[:-1])] * count
-        for site, own in zip(self.places, doubt.unbind(-1), strict=True):
+        for site, own in zip(self.sites, doubt.unbind(-1), strict=True):
             every[site] = own
         return torch.stack(every, -1)
 

@@ -51,7 +51,9 @@ class Observation:
             raise ValueError(f"expected a name of its own for each sensor, got {', '.join(names)}")
         self.sensors = tuple(sensors)
         self.family = family
-        self._runs = [list(run) for _, run in groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)]
+        # Next to each other those of independent noise, any other by itself.
+        runs = groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)
+        self._runs: list[list[Any]] = [list(run) for _, run in runs]
 
     def _with(self, sensors: Sequence[Sensor]) -> Self:
         return type(self)(*sensors, family=self.family)
@@ -73,8 +75,8 @@ class Observation:
 
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
-        told = None if self.keypoints is None else self.keypoints.told
-        return [] if told is None else [told.doubt, told.drop]
+        known = None if self.keypoints is None else self.keypoints.confidence
+        return [] if known is None else [known.doubt, known.drop]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
@@ -95,7 +97,7 @@ class Observation:
     @property
     def tracked(self) -> tuple[int, ...]:
         """Sites that keypoints show, (P,)."""
-        return () if self.keypoints is None else self.keypoints.places
+        return () if self.keypoints is None else self.keypoints.sites
 
     @property
     def tracked_names(self) -> tuple[str, ...]:
@@ -144,13 +146,13 @@ class Observation:
         return parts[0] if len(parts) == 1 else SideBySide(parts)
 
     def _side_by_side(
-        self, run: Sequence[Sensor], view: View, t: int | Tensor, parameters: Mapping[str, Tensor]
+        self, run: Sequence[Any], view: View, t: int | Tensor, parameters: Mapping[str, Tensor]
     ) -> Distribution:
         """Of one sensor, or of several that have independent noise."""
         first = run[0]
         if not isinstance(first, NoisySensor):
             return first.predict(view, t, parameters)
-        found = [each.location_scale(view, t, parameters) for each in run if isinstance(each, NoisySensor)]
+        found = [each.location_scale(view, t, parameters) for each in run]
         loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
         if view.mistakes and isinstance(first, Keypoints):
             if self.family != "gaussian":

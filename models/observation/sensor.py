@@ -28,10 +28,13 @@ from invdyn.models.observation.view import View
 class Sensor(Protocol):
     """A part of an observation row; see the top of the file."""
 
-    name: ClassVar[str]
-    """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
-    unit: ClassVar[str]
-    """"length" for the recording's unit of length, else the unit itself, such as "rad"."""
+    @property
+    def name(self) -> str:
+        """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
+
+    @property
+    def unit(self) -> str:
+        """The word "length" for the recording's unit of length, else the unit itself, such as "rad"."""
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The sensor on a body, whose names and dimensions it then knows.

@@ -22,9 +22,12 @@ pytest.importorskip("safetensors")
 CASES = defaultdict(list)
 for one in all_cases():
     CASES[one.kind].append(one)
-SHARE = 4
-"""Of each kind every fourth input, in a random order, is tried each time; `pytest -m slow` tries all."""
-SOME = {kind: random.Random(0).sample(cases, -(-len(cases) // SHARE)) for kind, cases in CASES.items()}
+MOST = 40
+"""Of each kind so many are tried each time, drawn once and for all; `pytest -m slow` tries all."""
+COSTLY = {"least and most": 4, "number in a track": 8}
+COSTLY |= dict.fromkeys(("posterior", "number in a recording", "name in a body", "count in an option"), 12)
+"""Kinds of which many inputs are fine, so that inference runs or a figure is drawn."""
+SOME = {kind: random.Random(0).sample(cases, min(len(cases), COSTLY.get(kind, MOST))) for kind, cases in CASES.items()}
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +105,7 @@ def _faults(wrong, cases):
 
 # -- more of the same kinds ----------------------------------------------------------------------------------
 
-FEW = settings(max_examples=25)
+DRAWN = settings(max_examples=15)
 NUMBERS = st.one_of(
     st.floats(), st.integers(-(10**400), 10**400), st.sampled_from([2.0**k for k in (-1074, -60, 64, 1023)])
 )
@@ -111,7 +114,7 @@ TEXTS = st.one_of(st.text(max_size=20), st.sampled_from(["$\\frac", "${", "\0", 
 
 def test_drawn_numbers_in_a_recording(wrong):
     @given(column=st.sampled_from(COLUMNS), every=st.booleans(), value=NUMBERS, call=st.sampled_from([INFER, DIAGNOSE]))
-    @FEW
+    @DRAWN
     def check(column, every, value, call):
         cell = {("all_" if every else "") + column: repr(value)}
         assert wrong(Case("number in a recording", call, {"rec.csv": table(**cell)})) is None
@@ -123,7 +126,7 @@ def test_drawn_numbers_in_a_body(wrong):
     places = ("1.0\nmass", "0.5\ncom", "0.5\ninertia", "0.04", "-9.81", "0.0, 0.0")
 
     @given(values=st.dictionaries(st.sampled_from(places), NUMBERS, min_size=1, max_size=3))
-    @FEW
+    @DRAWN
     def check(values):
         text = BODY
         for place, value in values.items():
@@ -137,7 +140,7 @@ def test_drawn_numbers_in_a_body(wrong):
 
 def test_drawn_names_in_a_body(wrong):
     @given(name=TEXTS, role=st.sampled_from(["arm", "forearm", "elbow", "wrist"]))
-    @FEW
+    @DRAWN
     def check(name, role):
         quoted = "".join(f"\\U{ord(c):08x}" for c in name)
         assert wrong(Case("name in a body", SIMULATE, {"arm.toml": BODY.replace(f'"{role}"', f'"{quoted}"')})) is None
@@ -149,7 +152,7 @@ def test_drawn_values_of_options(wrong):
     real, count = ("--duration", "--fps", "--noise", "--torque-scale"), ("--seed",)
 
     @given(option=st.sampled_from([*real, *count]), value=st.one_of(NUMBERS.map(repr), TEXTS))
-    @FEW
+    @DRAWN
     def check(option, value):
         assert wrong(Case("option", with_option(SIMULATE, option, value))) is None
 
@@ -158,7 +161,7 @@ def test_drawn_values_of_options(wrong):
 
 def test_drawn_bytes_of_a_posterior(wrong):
     @given(share=st.floats(0, 1, exclude_max=True))
-    @FEW
+    @DRAWN
     def check(share):
         assert wrong(Case("posterior", PLOT, touch=flipped("posterior.nc", share))) is None
 

@@ -17,7 +17,8 @@ ROWS, NOISE = 200, 0.002
 
 def seen(body=ARM, tips=(0, 1), encoders=0, noise=NOISE, seed=0):
     """A model, and its keypoints along a smooth motion, (T, O); encoders behind them."""
-    model = ArmModel(body, 0.01 * np.arange(ROWS), Observation(Keypoints(tips), Encoders()))
+    sensors = ([Keypoints(tips)] if tips else []) + ([Encoders()] if encoders else [])
+    model = ArmModel(body, 0.01 * np.arange(ROWS), Observation(*sensors))
     rng = np.random.default_rng(seed)
     time = np.linspace(0, 2, ROWS)[:, None]
     q = torch.as_tensor(np.sin(time * rng.uniform(2, 5, body.num_joints)) + rng.uniform(-2, 2, body.num_joints))

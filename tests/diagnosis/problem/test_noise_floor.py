@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
+from invdyn.diagnosis.problem.noise_floor import noise_at_rest as noise_of_points
+from invdyn.diagnosis.problem.noise_floor import shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.inference.posterior.initialise import jitter
 
 SIGMA, ROWS = 0.001, 800
 TIME = np.arange(ROWS) / 100
+
+
+def noise_at_rest(time, points):
+    """Of points in the plane as columns (T, 2P)."""
+    return noise_of_points(time, points.reshape(len(points), -1, 2))
 
 
 def track(rng, mistimed=0.0, blur=0.0):

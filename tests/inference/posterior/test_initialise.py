@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.inference.posterior.initialise import ORDERS, SUBSTEPS, jitter, sufficient_substeps
+from invdyn.inference.posterior.initialise import (
+    ORDERS,
+    SUBSTEPS,
+    confidence_drop,
+    jitter,
+    sufficient_substeps,
+)
 from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.articulated.start import joint_angle_sd
 
@@ -68,12 +74,25 @@ def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
 
     def suffices(count):
         ends = []
-        for model.substeps in (count, 2 * count):
+        for taken in (count, 2 * count):
             with torch.no_grad():
-                ends.append(model.transition_mean(path[:-1], torch.arange(1, 100))[:, -4:-2])
+                ends.append(model.in_substeps(taken).transition_mean(path[:-1], torch.arange(1, 100))[:, -4:-2])
         return bool((torch.quantile((ends[0] - ends[1]).abs(), 0.99, dim=0) <= limit).all())
 
     assert suffices(chosen) or chosen == SUBSTEPS[-1]
     assert not any(suffices(count) for count in SUBSTEPS[: SUBSTEPS.index(chosen)])
     if integrator == "rk4":
         assert chosen == {2.0: 1, 12.0: 2, 18.0: 3, 30.0: 4}[speed]
+
+
+def test_points_far_off_at_a_low_confidence_start_as_lost():
+    """δ = log(ratio of misfits) / (difference of drops); noise that a diagnosis may name starts at 0."""
+    rng = np.random.default_rng(6)
+    off = rng.normal(0, 0.01, (200, 2, 2))
+    drop = np.where(np.arange(200) < 30, 0.9, 0.1)[:, None] * np.ones(2)
+    off[:30, 0] *= 100  # lost
+    off[:30, 1] *= 8  # noisy
+    start = confidence_drop(off, drop)
+    assert start[0] == pytest.approx(np.log(100) / 0.8, rel=0.1)
+    assert start[1] == 0
+    assert (confidence_drop(off, 0 * drop) == 0).all()

@@ -261,7 +261,7 @@ def test_other_files_are_input_errors(everything, tmp_path):
         load_posterior(text)
     other = tmp_path / "other.nc"
     az.from_dict({"mu": np.zeros((2, 3))}).to_netcdf(str(other), engine="h5netcdf")
-    with pytest.raises(InputError, match=r"no posterior of invdyn.*sample_stats, constant_data"):
+    with pytest.raises(InputError, match=r"no posterior of invdyn.*sample_stats, observed_data, constant_data"):
         load_posterior(other)
     with pytest.raises(FileNotFoundError):
         load_posterior(tmp_path / "none.nc")
