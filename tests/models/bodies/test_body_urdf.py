@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, dynamics_for
+from invdyn.models import Body, BodyError, planar_dynamics
 
 INERTIA = '<inertia ixx="{0}" iyy="{0}" izz="0.001" ixy="0" ixz="0" iyz="0"/>'
 MESH = '<visual><geometry><mesh filename="package://robot/arm.stl"/></geometry></visual>'
@@ -81,9 +81,9 @@ WRONG = {
     "not finite": ('mass value="1.2"', 'mass value="inf"', "expected a finite number"),
     "a negative mass": ('mass value="1.2"', 'mass value="-1.2"', "no negative mass"),
     "no mass": ('<mass value="1.2"/>', "", "lacks a mass"),
-    "numbers too large": ("0 0.02 -0.25", "0 0.02 -1e308", "finite number"),
-    "a centre far aside": ("0 0 -0.1", "1e160 0 -0.1", "finite number"),
-    "a centre far out": ("0 0 -0.1", "0 0 -1e160", "within 3 lengths of the joint"),
+    "numbers too large": ("0 0.02 -0.25", "0 0.02 -1e308", "expected a number up to"),
+    "a centre far aside": ("0 0 -0.1", "1e160 0 -0.1", "expected a number up to"),
+    "a centre far out": ("0 0 -0.1", "0 0 -1e160", "expected a number up to"),
     "a template": ('<link name="tool"/>', '<link name="tool"/><xacro:arm/>', "expand it first: xacro"),
 }
 
@@ -152,7 +152,7 @@ def test_the_same_arm_for_pinocchio(tmp_path):
     for _ in range(3):
         angle, speed, push = rng.uniform(-2, 2, (3, 2))
         # an arm that hangs down is the file's zero: θ₁ = q₁ − π/2
-        ours = dynamics_for(2).inverse(
+        ours = planar_dynamics(2).inverse(
             torch.tensor(angle - [np.pi / 2, 0]), torch.tensor(speed), torch.tensor(push), body.parameters()
         )
         # a continuous joint is (cos, sin) in Pinocchio

@@ -9,7 +9,7 @@ from trees import MuJoCo, mobile_arm, panda, pinocchio_of, random_state, random_
 
 from invdyn.models.bodies.body import Body, Link
 from invdyn.models.bodies.in_space import parameters_in_space, tree_of
-from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 
@@ -65,7 +65,7 @@ def test_planar_bodies_laid_into_space_are_the_planar_ones(K):
     p, *state = random_case(K, K, batch=(3, 50), body_batch=(3, 1))
     state = dict(zip(("q", "qd", "tau"), state, strict=True))
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", 1.0, 1.0) for k in range(K)]
-    planar, spatial = dynamics_for(K), SpatialDynamics(tree_of(Body("chain", links)))
+    planar, spatial = planar_dynamics(K), SpatialDynamics(tree_of(Body("chain", links)))
     for method in METHODS:
         flat, deep = call(planar, method, state, p), call(spatial, method, state, parameters_in_space(p))
         if method == "keypoints":
