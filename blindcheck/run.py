@@ -104,7 +104,7 @@ class BlindRun:
         if sealed.exists():
             read_commitment(sealed)
             if not (self.folder / "cases").exists():
-                raise InputError(f"{sealed}: seals cases that are not there; give --out another folder")
+                raise InputError(f"{sealed}: is of other cases, which are not there; give --out another folder")
         new = not self.folder.exists()
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
