@@ -50,7 +50,8 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
-    friction, other = (e for e in considered(bound) if e.name in ("coulomb_friction", "armature"))
+    by_name = {effect.name: effect for effect in considered(bound)}
+    friction, other = by_name["coulomb_friction"], by_name["armature"]
     soft = friction.softened()
     gains = {(friction,): 90.0, (friction, other): 100.0, (other,): 0.0, (soft,): 95.0}
     causes = {
