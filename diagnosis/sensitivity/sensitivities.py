@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, spread, upper_bound
+from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, prior_sd, upper_bound
 from invdyn.diagnosis.sensitivity.latent_response import driven
 from invdyn.inference.smoothing.linearisation import emission_mean
 from invdyn.models import ArmModel
@@ -147,7 +147,7 @@ def hypotheses(
         if straight:
             free, first = straight, len(pieces)
             for p in straight:
-                step = STEP * spread(p)
+                step = STEP * prior_sd(p)
                 sets.append(base | {p.name: absent[p.name] + step})
                 pieces.append((len(sets) - 1, 0, step))
             offset: int | None = None
@@ -161,7 +161,7 @@ def hypotheses(
                 step = 0.1 * spacing(p, point[p.name])
                 sets.append(base | {p.name: point[p.name] + step})
                 pieces.append((len(sets) - 1, here, step))
-        sd = [spread(p) if straight else spacing(p, point[p.name]) for p in free]
+        sd = [prior_sd(p) if straight else spacing(p, point[p.name]) for p in free]
         # Slopes at a grid point tell nothing of what lies beyond its neighbours.
         ends = [bounds(p) if straight else neighbours(p, point[p.name]) for p in free]
         found.append(

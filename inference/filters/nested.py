@@ -35,7 +35,7 @@ class OuterWeights:
     ess: float
     log_evidence: float
     log_evidence_sd: float
-    spread: float
+    filter_sd: float
 
 
 def outer_weights(log_evidence: Tensor) -> OuterWeights:

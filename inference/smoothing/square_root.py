@@ -62,7 +62,7 @@ class BackwardFactors:
     root: np.ndarray
     F: np.ndarray
     a: np.ndarray
-    spread: np.ndarray
+    error_root: np.ndarray
     log_evidence: np.ndarray
 
 
@@ -179,7 +179,7 @@ def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
 def forward_covariance(factors: BackwardFactors) -> np.ndarray:
     """Posterior marginal covariances (…, T, D, D); sums of squares, hence never indefinite."""
     covariance = square(factors.root)
-    covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.spread)
+    covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.error_root)
     step = factors.gain[..., 1:, :, :] @ factors.F
     for t in range(step.shape[-3]):
         one = step[..., t, :, :]

@@ -95,7 +95,7 @@ class HiddenHinge(Hidden):
         """The K + 1 links."""
 
     @abstractmethod
-    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+    def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """Angles, or rates, of the K + 1 hinges."""
 
     @abstractmethod
@@ -131,12 +131,14 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body))
         return self._tracked(points)
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
         """What the K tips do; see :func:`tip_motion`."""
-        angles, rates = (self.spread(joints, hinge) for joints, hinge in zip((q, qd), hidden.chunk(2, -1), strict=True))
+        angles, rates = (
+            self.all_hinges(joints, hinge) for joints, hinge in zip((q, qd), hidden.chunk(2, -1), strict=True)
+        )
         points, velocities = tip_motion(angles, rates, self.chain(p, body))
         return self._tracked(points), self._tracked(velocities)
 
