@@ -58,7 +58,7 @@ def carried(
         return float(total) if np.isfinite(total) else -np.inf
 
     begun = cause.moved_to(model, lifted(model, start))
-    starts = [begun, *turned(begun)]
+    starts = [begun, *whole_turns_away(begun)]
     tried = [attempt(along, each, by_itself=True) for each in starts]
     best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
     begun, own = starts[best], tried[best]
@@ -76,7 +76,7 @@ def carried(
 
 
 @torch.no_grad()
-def turned(there: FittedHypothesis) -> list[FittedHypothesis]:
+def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
     """A cause on a recording, a whole turn of one joint away, either way, where its torques tell, and no encoder does.
 
     None where it is all the same to them, as it is to gravity and friction.

@@ -94,7 +94,7 @@ class Backlash(HiddenHinge):
         rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
         return joined_by_column(angles[..., :j], rotor + hinge, angles[..., j + 2 :]), hinge
 
-    def turned(self, angles: Tensor) -> Tensor:
+    def own_angles(self, angles: Tensor) -> Tensor:
         """The rotor's, as what a joint has of its own is on the motor's side of its play."""
         j = self.place[0]
         return joined_by_column(angles[..., : j + 1], angles[..., j + 2 :])
@@ -169,15 +169,15 @@ class _Mechanics:
         """q̈ (..., K) with the gap at ψ."""
         hinge = self.hinge
         angles, rates = hinge.all_hinges(q, psi), hinge.all_hinges(qd, torch.zeros_like(psi))
-        torque, own = self.row.net(hinge.turned(angles), qd, s)
+        torque, own = self.row.net(hinge.own_angles(angles), qd, s)
         pulled = self.row.pull(angles, rates, s)
-        torque = torque + (hinge.turned(pulled) if isinstance(pulled, Tensor) else pulled)
+        torque = torque + (hinge.own_angles(pulled) if isinstance(pulled, Tensor) else pulled)
         return self.row.rigid.forward(q, qd, torque, self.row.body, own)
 
     def free(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Accelerations (..., K + 1) of the hinges."""
         hinge = self.hinge
-        torque, own = self.row.net(hinge.turned(angles), hinge.turned(rates), s)
+        torque, own = self.row.net(hinge.own_angles(angles), hinge.own_angles(rates), s)
         turning = hinge.on_joints(torque) + self.row.pull(angles, rates, s)
         return self.whole.forward(angles, rates, turning, self.links, hinge.on_joints(own))
 

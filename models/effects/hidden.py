@@ -102,7 +102,7 @@ class HiddenHinge(Hidden):
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
-    def turned(self, angles: Tensor) -> Tensor:
+    def own_angles(self, angles: Tensor) -> Tensor:
         """What the joints themselves have turned by, (..., K), of the angles, or rates, of the K + 1 hinges.
 
         It is what springs, stops and friction at the joints know of.

@@ -42,7 +42,7 @@ class View:
     body: Any
     dynamics: Dynamics
     acceleration: Callable[[], Tensor]
-    turned: Callable[[Tensor], Tensor]
+    angles_after: Callable[[Tensor], Tensor]
     ahead: Callable[[Tensor], Tensor]
     clock: Callable[[], Tensor]
     doubt: Tensor | None = None
