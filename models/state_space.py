@@ -72,7 +72,7 @@ class StateSpaceModel(ABC):
         """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
         return self
 
-    driven: slice | None = None
+    jumping: slice | None = None
     """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""
 

@@ -135,7 +135,7 @@ def _filtered(
     slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
     smoothers = gauss_newton(model, problem.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
     # No linearised dynamics tell where a gap's state goes.
-    block = BLOCK if model.driven is None else 1
+    block = BLOCK if model.jumping is None else 1
     with seeded(seed):
         return BlockFilter(model, smoothers, PARTICLES, block=block).run(problem.observations)
 

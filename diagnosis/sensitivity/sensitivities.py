@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, prior_sd, upper_bound
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.linearisation import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
@@ -97,7 +97,7 @@ def _changed(
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if hinge:
-            path, f = driven(with_effect, path, len(sets))
+            path, f = latent_response(with_effect, path, len(sets))
         else:
             # What the camera alone makes of it moves no arm.
             f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain

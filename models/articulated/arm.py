@@ -311,7 +311,7 @@ class ArmModel(StateSpaceModel):
         return super().initial_paths(observations) if paths is None else paths
 
     @property
-    def driven(self) -> slice | None:  # type: ignore[override]  # its effects say
+    def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None

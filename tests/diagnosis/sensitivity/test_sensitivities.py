@@ -15,7 +15,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, 
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, prior_sd, unknowns, upper_bound
 from invdyn.diagnosis.sensitivity import sensitivities as candidates
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.diagnosis.sensitivity.sensitivities import STEP, hypotheses, slopes, spacing, unchanged
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -162,7 +162,7 @@ def test_a_bending_link_to_first_order():
     ideal = means(model, path)[0]
     for hypothesis in found:
         bent = having(model, effect, hypothesis.point)
-        hinged = driven(bent, path, 1)[0].squeeze(0)
+        hinged = latent_response(bent, path, 1)[0].squeeze(0)
         following = means(bent, hinged)[0]
         hidden = slice(model.torque_size, model.torque_size + 2)
         true = np.delete(following, hidden, axis=1) - ideal
