@@ -29,7 +29,7 @@ from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 
-MOST = 50
+MOST_STEPS = 50
 """Gauss–Newton steps, at most."""
 TELLS = 1e-6
 """rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
@@ -50,7 +50,7 @@ def carried(
     def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
         start = begun.path if by_itself else led(other, begun.model, begun.path, size)
         quiet = other.with_residual(max(size, FIRM), begun.model)
-        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST, CLOSE))
+        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST_STEPS, CLOSE))
 
     def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)

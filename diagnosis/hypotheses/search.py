@@ -50,7 +50,7 @@ from invdyn.diagnosis.hypotheses.substeps import shortened
 from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
-from invdyn.diagnosis.problem.prior import MOST
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
 from invdyn.diagnosis.sensitivity.screen import Screened
@@ -71,7 +71,7 @@ def search(
     stray: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
-    most: int = MOST,
+    most: int = MOST_EFFECTS,
 ) -> HypothesisPool:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
