@@ -45,7 +45,7 @@ from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HOPELESS, SHARE, attempt, refine_every, refine_promising
+from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_every, refine_promising
 from invdyn.diagnosis.hypotheses.substeps import shortened
 from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
 from invdyn.diagnosis.problem.cause import FittedHypothesis
@@ -235,7 +235,7 @@ def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequenc
             break
         for each in sets:
             top = found.top
-            limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
+            limits = {"enough": top - TOO_FAR_BEHIND, "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - none))}
             cause = attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:
                 found.add(cause)
