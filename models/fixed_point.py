@@ -12,7 +12,7 @@ Selfridge and Kasim, "Parallelizing non-linear sequential models over the sequen
 Slopes are differences; one that straddles a contact is left out. A last pass over all rows is without them, so that
 what lies at a stop lies there to the bit.
 
-Shapes: paths (..., T, D), R rows of them, E driven states.
+Shapes: paths (..., T, D), R rows of them, E jumping states.
 """
 
 import torch

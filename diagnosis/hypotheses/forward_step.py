@@ -78,9 +78,9 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
         enough = max(found.top - TOO_FAR_BEHIND, least)
         # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
-        driven = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
+        geared = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(problem, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers, problem.budget):
+        for causes in side_by_side([*geared, *late], found.workers, problem.budget):
             for cause in causes:
                 found.add(cause)
     return screened

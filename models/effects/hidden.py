@@ -5,7 +5,7 @@ there, a joint with backlash plays there. The state gains (ψ, ψ̇); the tracke
 else of the model is as it was.
 
     chain      the K + 1 links                                      BodyParameters → BodyParameters
-    spread     the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
+    all_hinges the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
     gathered   its inverse
 
 The other effects act on the K joints; forces on points of the arm (:attr:`.Effect.pulls`) turn the hinge as well.

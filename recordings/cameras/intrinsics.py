@@ -105,7 +105,7 @@ def _fit(board: Board, pictures: list[np.ndarray], size: tuple[int, int]) -> tup
 
 
 def _spread(pictures: list[np.ndarray]) -> list[np.ndarray]:
-    """At most `MOST` pictures, each the farthest from those before in the board's place, size and slant."""
+    """At most `MOST_PICTURES` pictures, each the farthest from those before in the board's place, size and slant."""
     if len(pictures) <= MOST_PICTURES:
         return pictures
     marks = []

@@ -109,7 +109,7 @@ def test_the_noise_goes_with_its_keypoint():
     body = Body("arm", links, gravity=(0.0, -9.81))
     arm = random_arm(body, duration=1.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     both = record(arm, 0)[0]
-    whole_turns_away = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])
+    reversed_points = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])
     one = replace(both, keypoints=both.keypoints[:, 1:], keypoint_names=both.keypoint_names[1:])
     name = "emission.keypoint_scale"
 
@@ -121,7 +121,7 @@ def test_the_noise_goes_with_its_keypoint():
             for model in (here.model, other.model, carried)
         ]
 
-    mine, _, carried = scales(both, whole_turns_away)
+    mine, _, carried = scales(both, reversed_points)
     assert carried == mine
     mine, _, carried = scales(both, one)
     assert carried == {1: mine[1]}

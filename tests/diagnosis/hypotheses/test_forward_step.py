@@ -50,7 +50,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
             each()
         pool.add(found)
 
-    monkeypatch.setattr(module, "HOPELESS", large)
+    monkeypatch.setattr(module, "TOO_FAR_BEHIND", large)
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
@@ -105,7 +105,7 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
         if kept:
             pool.add(found)
 
-    monkeypatch.setattr(module, "HOPELESS", 2.0)
+    monkeypatch.setattr(module, "TOO_FAR_BEHIND", 2.0)
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)

@@ -45,7 +45,7 @@ def test_rows_that_were_not_seen():
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
-    jumping=st.floats(-6, 0),
+    driven=st.floats(-6, 0),
     firm=st.floats(-6, 0),
     sharp=st.floats(-1, 5),
 )
