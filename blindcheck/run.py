@@ -35,7 +35,7 @@ from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.methods import Ours, Theirs
 from invdyn.blindcheck.page import write_page
 from invdyn.blindcheck.score import Scores, score
-from invdyn.recordings import InputError, write_text
+from invdyn.recordings import InputError, resolved, write_text
 
 Progress = Callable[[int, int, str], None]
 OPENED = ("answers.json", "scores.json", "blind.html")
@@ -91,6 +91,7 @@ class BlindRun:
                 raise InputError(f"--method-command: expected a command with {{out}} in it, got {self.command!r}")
             if shutil.which(words[0]) is None:
                 raise InputError(f"--method-command: no program {words[0]!r} that can be run")
+        resolved(self.folder)
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: expected a folder, this is a file")
         known = {"sealed.json", *FOLDERS, *OPENED}

@@ -27,7 +27,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from invdyn.recordings import InputError, atomic_path, check_readable
+from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import first_line
 
 SCHEMA = 2
@@ -51,6 +51,7 @@ class Checkpoint:
     def __init__(self, folder: str | Path, fingerprint: Mapping[str, Any] | None = None, place: str = ""):
         _safetensors()
         self.place = place
+        resolved(folder)
         self.folder = Path(folder).expanduser()
         self.folder.mkdir(parents=True, exist_ok=True)
         # As it comes back from the file: tuples as lists, keys as strings.
