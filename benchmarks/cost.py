@@ -107,7 +107,7 @@ def measure(
         "memory MB": peak_mb() - before,
         "peak of the process MB": peak_mb(),
         "outer ESS": outer.ess,
-        "sd of log Ẑ": outer.spread,
+        "sd of log Ẑ": outer.filter_sd,
     }
 
 

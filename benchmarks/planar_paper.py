@@ -57,7 +57,7 @@ def score(problem: Problem, seed: int) -> dict[str, float]:
         "90 % covers": float(((low <= truth) & (truth <= high)).mean()),
         "CPU s": seconds,
         "bootstrap: outer ESS": blind.ess,
-        "bootstrap: sd of log Ẑ": blind.spread,
+        "bootstrap: sd of log Ẑ": blind.filter_sd,
         "bootstrap: log Ẑ below": idata.attrs["log_evidence"] - blind.log_evidence,
         "bootstrap: CPU s": time.process_time() - start,
     }

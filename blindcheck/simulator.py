@@ -52,7 +52,7 @@ class Segment:
     inertia: float
     joint: int | None
     tip: int | None
-    driven: bool = True
+    actuated: bool = True
 
 
 Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
@@ -99,7 +99,7 @@ class World:
 
     def hinge(self, joint: int) -> int:
         """Index in qpos and qvel of the hinge that a joint's motor drives."""
-        return next(s for s, segment in enumerate(self.segments) if segment.joint == joint and segment.driven)
+        return next(s for s, segment in enumerate(self.segments) if segment.joint == joint and segment.actuated)
 
     def compile(self) -> None:
         """Build the MuJoCo model; later changes by mechanisms do nothing."""
@@ -122,7 +122,7 @@ class World:
             # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
             joint.solref_friction, joint.solimp_friction = [2 * LONGEST_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
             joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
-            if segment.driven:
+            if segment.actuated:
                 motor = spec.add_actuator(name=segment.hinge, target=segment.hinge)
                 motor.trntype = mj.mjtTrn.mjTRN_JOINT
             offset = [segment.length, 0.0, 0.0]
@@ -157,7 +157,7 @@ class World:
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
         self.mujoco.mj_resetData(model, data)
         joint_of = np.array([[s.joint == k for s in self.segments] for k in range(self.num_joints)], dtype=float)
-        driven = [s for s, segment in enumerate(self.segments) if segment.driven]
+        driven = [s for s, segment in enumerate(self.segments) if segment.actuated]
         data.qpos[driven], data.qvel[driven] = q, qd
         qpos, qvel = np.empty((total + 1, len(self.segments))), np.empty((total + 1, len(self.segments)))
         rows = np.empty((len(command_time), self.num_joints))
@@ -212,7 +212,7 @@ class World:
     def _restart(self, true: Trajectory, t: float) -> None:
         for s, segment in enumerate(self.segments):
             for state, given in ((self.data.qpos, true.q), (self.data.qvel, true.qd)):
-                state[s] = np.interp(t, true.time, given[:, segment.joint]) if segment.driven else 0.0
+                state[s] = np.interp(t, true.time, given[:, segment.joint]) if segment.actuated else 0.0
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """MuJoCo's own inverse dynamics: torques (N, S), N·m, of motions (N, S); passive forces are subtracted."""

@@ -32,7 +32,7 @@ from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
-from invdyn.diagnosis.problem.prior import MOST
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
@@ -52,7 +52,7 @@ def diagnose(
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
     without: Sequence[str] = (),
-    most: int = MOST,
+    most: int = MOST_EFFECTS,
     seed: int = 0,
     workers: int = 1,
     budget: float | None = None,
@@ -103,7 +103,7 @@ def diagnose(
         if name not in EFFECTS:
             raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
     if most < 1:
-        raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST}")
+        raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST_EFFECTS}")
     if not 0 <= tolerance < 1:
         raise InputError(f"expected a tolerance from 0 to 1, a share of a typical torque, got {tolerance:g}")
     if budget is not None and not budget > 0:
@@ -170,7 +170,7 @@ def diagnose(
 
 
 def _searched(
-    bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST
+    bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST_EFFECTS
 ) -> tuple[DiagnosisProblem, HypothesisPool]:
     """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:

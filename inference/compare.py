@@ -43,6 +43,7 @@ from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare
 from invdyn.models import Body
+from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.errors import first_line
 
@@ -200,7 +201,7 @@ def _split(
     try:
         head = bind(recording.select(0, first), report=report)
         future = replace(whole.problem, model=whole.problem.model.replace(**head.problem.model.parameters))
-    except (InputError, KeyError) as error:
+    except (InputError, UnknownParameter) as error:
         return None, None, first_line(error)
     return head, future, ""
 

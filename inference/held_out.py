@@ -37,7 +37,7 @@ class Continued(StateSpaceModel):
         super().__init__({**model.parameters, "start.mean": mean, "start.root": root})
         self.model, self.first = model, first
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
-        self.num_steps, self.driven = model.num_steps - first, model.driven
+        self.num_steps, self.jumping = model.num_steps - first, model.jumping
 
     def replace(self, **values: Tensor) -> Self:
         """Other values, of the whole model's parameters too."""

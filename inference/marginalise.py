@@ -20,7 +20,7 @@ import torch
 from pyro import poutine
 
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.distribute import Tensors, spread
+from invdyn.inference.execution.distribute import Tensors, distribute
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
@@ -63,7 +63,7 @@ def over_bodies(
     sizes = [len(part) for part in torch.arange(options.num_filters).tensor_split(num_sets)]
     few = [dataclasses.replace(options, num_filters=size, refits=min(options.refits, 1)) for size in sizes]
     bodies = body_draws(problem, num_sets, seed)
-    parts = spread(
+    parts = distribute(
         run_body,
         [(method, bodies[s], few[s], derived(seed, s), start, settings) for s in range(num_sets)],
         [f"body draw {s + 1} of {num_sets}" for s in range(num_sets)],

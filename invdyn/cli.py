@@ -11,7 +11,7 @@ import typer
 
 from . import camera_commands
 from .console import Commands, ProgressBar, check_outputs
-from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, spread
+from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -93,7 +93,7 @@ def simulate(
 
 
 @app.command()
-@spread
+@with_option_groups
 def infer(
     given: Inference,
     out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
@@ -124,7 +124,7 @@ def infer(
 
 
 @app.command()
-@spread
+@with_option_groups
 def compare(
     given: Inference,
     methods: Annotated[str, typer.Option(help="Such as smc,bootstrap; the answer to an unknown one lists them all.")],
@@ -162,7 +162,7 @@ def compare(
 
 
 @app.command()
-@spread
+@with_option_groups
 def diagnose(
     given: Diagnosed,
     out: Annotated[Path, typer.Option(help="Folder for report, JSON and posterior; made when missing.")],

@@ -228,7 +228,7 @@ class Diagnosed(Recorded):
         }
 
 
-def spread(command: Callable[..., None]) -> Callable[..., None]:
+def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Let typer see the fields of a command's first parameter, a dataclass, as options: the required ones before the
     command's own options, the others after them.
     """

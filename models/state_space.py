@@ -25,6 +25,10 @@ from torch.distributions import constraints
 from invdyn.models.observation.missing import observe, observed_log_prob
 
 
+class UnknownParameter(KeyError):
+    """The name of a parameter that a model does not have; the message names those that it has."""
+
+
 class StateSpaceModel(ABC):
     """A hidden Markov model with a Gaussian-noise or general transition.
 
@@ -68,7 +72,7 @@ class StateSpaceModel(ABC):
         """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
         return self
 
-    driven: slice | None = None
+    jumping: slice | None = None
     """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""
 
@@ -91,7 +95,7 @@ class StateSpaceModel(ABC):
     def replace(self, **values: Tensor) -> Self:
         """Return the model with other parameter values: ``model.replace(**{"torque.scale": s})``.
 
-        Raises KeyError, naming the known ones, for a parameter that the model does not have.
+        Raises UnknownParameter (a KeyError), naming the known ones, for a parameter that the model does not have.
         """
         other = copy.copy(self)
         other.parameters = self._replaced(values)
@@ -103,9 +107,9 @@ class StateSpaceModel(ABC):
         return {**self.parameters, **values}
 
     def check_names(self, names: Iterable[str]) -> None:
-        """Raise KeyError, naming the known ones, for a parameter that the model does not have."""
+        """Raise UnknownParameter, naming the known ones, for a parameter that the model does not have."""
         if unknown := set(names) - set(self.parameters):
-            raise KeyError(
+            raise UnknownParameter(
                 f"no parameter {', '.join(sorted(unknown))}; this model has {', '.join(sorted(self.parameters))}"
             )
 

@@ -136,7 +136,7 @@ blind = run_filters(model, observations, SMCOptions(64, 1000), guide="bootstrap"
 outer = outer_weights(blind.log_evidence)
 print(
     f"bootstrap, 64 × 1,000 particles: outer sample size {outer.ess:.1f} of 64, "
-    f"log Ẑ spreads by {outer.spread:.0f} nats"
+    f"log Ẑ spreads by {outer.filter_sd:.0f} nats"
 )
 
 # %% [markdown]
@@ -166,7 +166,7 @@ guided = run_filters(model, observations, SMCOptions(64, 100), smoother=smoother
 outer_guided = outer_weights(guided.log_evidence)
 print(
     f"controlled, 64 × 100 particles: outer sample size {outer_guided.ess:.1f} of 64, "
-    f"log Ẑ spreads by {outer_guided.spread:.2f} nats"
+    f"log Ẑ spreads by {outer_guided.filter_sd:.2f} nats"
 )
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))

@@ -109,7 +109,7 @@ def link_flexibility(world: World, link: int, stiffness: float, damping: float) 
     apart = min(whole.length / 4, np.sqrt(0.8 * whole.inertia / whole.mass))
     rest = (whole.inertia - whole.mass * apart**2) / 2
     half, mass = whole.length / 2, whole.mass / 2
-    inner = Segment(whole.hinge, half, mass, whole.com - apart, rest, whole.joint, None, whole.driven)
+    inner = Segment(whole.hinge, half, mass, whole.com - apart, rest, whole.joint, None, whole.actuated)
     outer = Segment(f"bend{link}", half, mass, whole.com + apart - half, rest, None, link, False)
     world.segments[place : place + 1] = [inner, outer]
     world.on_spec(lambda spec: set_part(spec.joint(f"bend{link}"), {"stiffness": stiffness, "damping": damping}))

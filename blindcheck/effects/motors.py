@@ -102,7 +102,7 @@ def backlash(world: World, joint: int, width: float) -> None:
     rotor = ROTOR_SHARE * link.inertia
     # the rotor has mass 1e-9 of the link's, because MuJoCo lets no moving body have none
     motor = Segment(link.hinge, 0.0, 1e-9 * link.mass, 0.0, rotor, joint, None)
-    link.hinge, link.driven, link.inertia = f"play{joint}", False, link.inertia - rotor
+    link.hinge, link.actuated, link.inertia = f"play{joint}", False, link.inertia - rotor
     world.segments.insert(place, motor)
     limits = {"limited": True, "range": [-width / 2, width / 2]}
     world.on_spec(lambda spec: set_part(spec.joint(f"play{joint}"), limits))

@@ -47,7 +47,7 @@ FILTERS, PARTICLES = 8, 20
 """Filters of a run, particles of each filter."""
 DRAWS = 4
 """Paths of each filter in the posterior."""
-CLEAR, SURE, HOPELESS = 0.2, 0.7, 0.9
+CLEAR, SURE, TOO_UNSURE = 0.2, 0.7, 0.9
 """Nats: a standard error with which no further run is needed, once tempered; one up to which the evidence by SMC is
 taken for more certain than the linearised one; and one of filters among which a single one counts."""
 TAIL = 8.0
@@ -80,7 +80,7 @@ def confirm_all(
     evidence by SMC cannot weigh them: that is all then.
     """
     runs = side_by_side([partial(confirm, problem, cause, derived(seed, 0)) for cause in causes], workers)
-    if len(runs) < 2 or any(not run.log_evidence_sd < HOPELESS for run in runs):
+    if len(runs) < 2 or any(not run.log_evidence_sd < TOO_UNSURE for run in runs):
         return runs
     unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, SURE)]
     again = [partial(confirm, problem, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
@@ -135,7 +135,7 @@ def _filtered(
     slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
     smoothers = gauss_newton(model, problem.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
     # No linearised dynamics tell where a gap's state goes.
-    block = BLOCK if model.driven is None else 1
+    block = BLOCK if model.jumping is None else 1
     with seeded(seed):
         return BlockFilter(model, smoothers, PARTICLES, block=block).run(problem.observations)
 

@@ -22,7 +22,7 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import SLAB, Whitened, filter_of, linear_of, whiten
 
-MOST = 3
+MOST_TERMS = 3
 """Terms in a formula."""
 PRODUCT = 5.0
 """Nats by which a term of two factors must be better than one of a single: on a short arc sin θ is nearly a number."""
@@ -104,7 +104,7 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
     chosen: list[int] = []
     best = _evidence(whitened, [chosen], sd)[0]
     cost = np.array([PRODUCT * _is_product(name) for name, *_ in terms])
-    while len(chosen) < MOST:
+    while len(chosen) < MOST_TERMS:
         gains = _evidence(whitened, [[*chosen, i] for i in range(len(terms))], sd) - cost
         gains[chosen] = -np.inf
         if gains.max() < best + np.log(len(terms)) + 3:

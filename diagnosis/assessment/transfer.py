@@ -29,7 +29,7 @@ from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 
-MOST = 50
+MOST_STEPS = 50
 """Gauss–Newton steps, at most."""
 TELLS = 1e-6
 """rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
@@ -50,7 +50,7 @@ def carried(
     def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
         start = begun.path if by_itself else led(other, begun.model, begun.path, size)
         quiet = other.with_residual(max(size, FIRM), begun.model)
-        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST, CLOSE))
+        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST_STEPS, CLOSE))
 
     def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)
@@ -58,7 +58,7 @@ def carried(
         return float(total) if np.isfinite(total) else -np.inf
 
     begun = cause.moved_to(model, lifted(model, start))
-    starts = [begun, *turned(begun)]
+    starts = [begun, *whole_turns_away(begun)]
     tried = [attempt(along, each, by_itself=True) for each in starts]
     best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
     begun, own = starts[best], tried[best]
@@ -76,7 +76,7 @@ def carried(
 
 
 @torch.no_grad()
-def turned(there: FittedHypothesis) -> list[FittedHypothesis]:
+def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
     """A cause on a recording, a whole turn of one joint away, either way, where its torques tell, and no encoder does.
 
     None where it is all the same to them, as it is to gravity and friction.

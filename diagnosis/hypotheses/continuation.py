@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.fixed_point import settled
@@ -88,6 +88,6 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
     if has == needs:
         return settled(model, path)
     path = torch.cat([path[:, :torque], path[:, torque + has :]], -1)
-    if model.driven is not None:
-        return driven(model, path, 1)[0].squeeze(0)
+    if model.jumping is not None:
+        return latent_response(model, path, 1)[0].squeeze(0)
     return torch.cat([path[:, :torque], path.new_zeros(len(path), needs), path[:, torque:]], -1)

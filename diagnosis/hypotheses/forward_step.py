@@ -24,8 +24,8 @@ from invdyn.diagnosis.hypotheses.multi_start import scan
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.shortlist import (
-    HOPELESS,
     SHARE,
+    TOO_FAR_BEHIND,
     attempt,
     idle,
     refine_barred,
@@ -56,7 +56,9 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
     least = -np.inf if known else idle(screened)
     gears, scatter = _searchable(problem, found, base, free)
     early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
-    refine_promising(problem, found, base, best, width, _sought(problem, base, early, max(promised - HOPELESS, least)))
+    refine_promising(
+        problem, found, base, best, width, _sought(problem, base, early, max(promised - TOO_FAR_BEHIND, least))
+    )
     refine_kin(problem, found, len(base.effects) + 1)
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
         refine_barred(problem, found, base, best)
@@ -67,18 +69,18 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
-            if (cause := attempt(scan, problem, base, effect, found.top - HOPELESS)) is not None:
+            if (cause := attempt(scan, problem, base, effect, found.top - TOO_FAR_BEHIND)) is not None:
                 found.add(cause)
     if not base.complete:
-        broken = not early or found.top < promised - HOPELESS / 2
+        broken = not early or found.top < promised - TOO_FAR_BEHIND / 2
         # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
-        plain = found.explained and found.top > base.log_evidence + HOPELESS
-        enough = max(found.top - HOPELESS, least)
+        plain = found.explained and found.top > base.log_evidence + TOO_FAR_BEHIND
+        enough = max(found.top - TOO_FAR_BEHIND, least)
         # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
-        driven = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
+        geared = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(problem, base, scatter if broken else [], enough)
-        for causes in side_by_side([*driven, *late], found.workers, problem.budget):
+        for causes in side_by_side([*geared, *late], found.workers, problem.budget):
             for cause in causes:
                 found.add(cause)
     return screened
@@ -112,7 +114,7 @@ def _searchable(
     # Where joints stick, too, play takes minutes; and beside what explains less than stray detections do, they come
     # first.
     slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime != "unknown_torque"
-    slips = slips and (not beside or base.log_evidence > found.cleaned - HOPELESS)
+    slips = slips and (not beside or base.log_evidence > found.cleaned - TOO_FAR_BEHIND)
     searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
     gears: list[Effect] = [e for e in searched if isinstance(e, HiddenHinge)]
     return gears if slips else [], [e for e in searched if e not in gears]

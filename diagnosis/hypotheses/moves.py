@@ -15,7 +15,7 @@ from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show
 from invdyn.diagnosis.hypotheses.load_equivalents import nearest_load
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HALF, HOPELESS, attempt, softer
+from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.whiten import sizes
@@ -43,7 +43,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
     alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
     as far off as another effect's.
     """
-    near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - HOPELESS]
+    near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - TOO_FAR_BEHIND]
     for cause in near:
         for mine in cause.effects:
             _refine_twins(problem, found, cause, mine)
@@ -51,7 +51,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
             _refine_narrower(problem, found, cause, mine)
             _refine_load(problem, found, cause, mine)
             _refine_bent(problem, found, cause, mine)
-    least, none = found.top - HOPELESS, found.pool[""].log_evidence
+    least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
     ideal = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]

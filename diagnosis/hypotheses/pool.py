@@ -9,7 +9,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import ALPHA_WITHIN, MOST, another, log_prior_of, tempered
+from invdyn.diagnosis.problem.prior import ALPHA_WITHIN, MOST_EFFECTS, another, log_prior_of, tempered
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
 from invdyn.models.effects import EFFECTS
@@ -50,7 +50,7 @@ class HypothesisPool:
     aside: Tensor | None = None
     workers: int = 1
     relatives: dict[str, float] = field(default_factory=dict)
-    most: int = MOST
+    most: int = MOST_EFFECTS
     missed: int = 0
 
     @property

@@ -45,12 +45,12 @@ from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HOPELESS, SHARE, attempt, refine_every, refine_promising
+from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_every, refine_promising
 from invdyn.diagnosis.hypotheses.substeps import shortened
 from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
-from invdyn.diagnosis.problem.prior import MOST
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
 from invdyn.diagnosis.sensitivity.screen import Screened
@@ -71,7 +71,7 @@ def search(
     stray: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
-    most: int = MOST,
+    most: int = MOST_EFFECTS,
 ) -> HypothesisPool:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
@@ -235,7 +235,7 @@ def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequenc
             break
         for each in sets:
             top = found.top
-            limits = {"enough": top - HOPELESS, "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - none))}
+            limits = {"enough": top - TOO_FAR_BEHIND, "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - none))}
             cause = attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits)
             if cause is not None:
                 found.add(cause)

@@ -37,7 +37,7 @@ from invdyn.models.effects.composition import NotTogether
 
 T = TypeVar("T")
 
-HOPELESS, SHARE, HALF = 60.0, 0.1, 0.5
+TOO_FAR_BEHIND, SHARE, HALF = 60.0, 0.1, 0.5
 """Candidates beyond the third (the first, where one leaves nothing) are refined where the screen has them within so
 many nats of the best, or gain a share of what the best gains (half, where one leaves nothing): of much it errs by
 much."""
@@ -90,10 +90,10 @@ def refine_promising(
     for first in (0, *range(1 if alone else PAIR, len(promising), PAIR)):
         top, complete = found.top, found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
-        least = min(most - HOPELESS, (HALF if complete else SHARE) * most)
+        least = min(most - TOO_FAR_BEHIND, (HALF if complete else SHARE) * most)
         limits = {
-            "enough": top - HOPELESS,
-            "doubtful": top - max(HOPELESS, (1 - SHARE) * (top - base.log_evidence)),
+            "enough": top - TOO_FAR_BEHIND,
+            "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - base.log_evidence)),
         }
         parts = [
             partial(_refined, problem, base, each, limits)
@@ -114,7 +114,7 @@ def refine_clearing(
     known = {effect.key for cause in found.pool.values() for effect in cause.effects}
     clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
-    limits = {"enough": found.top - HOPELESS}
+    limits = {"enough": found.top - TOO_FAR_BEHIND}
     parts = [partial(_refined, problem, base, each, limits) for each in clear]
     for causes in side_by_side(parts, found.workers, problem.budget):
         for cause in causes:
@@ -131,7 +131,7 @@ def refine_every(
     seen = [s for s in added(screened) if s.effect.side == "observation"]
     left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
-        limits = {"enough": found.top - HOPELESS}
+        limits = {"enough": found.top - TOO_FAR_BEHIND}
         parts = [partial(_refined, problem, base, each, limits) for each in left[first : first + PAIR]]
         for causes in side_by_side(parts, found.workers, problem.budget):
             for cause in causes:

@@ -24,7 +24,7 @@ from invdyn.inference.posterior.initialise import SUBSTEPS
 
 LOST = 0.5
 """Nats that errors of integration may cost."""
-MOST = 2
+MOST_TIMES = 2
 """Times as many sub-steps as errors in an angle ask for: |w|² falls by a thousand with that, but on wild paths."""
 SHORTER = (2, 4)
 """Times as many sub-steps that an effect whose force jumps is refined in, where it leaves something."""
@@ -50,7 +50,7 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
         return ends[count]
 
     own = problem.model.substeps
-    for count in (n for n in SUBSTEPS if own <= n <= MOST * own):
+    for count in (n for n in SUBSTEPS if own <= n <= MOST_TIMES * own):
         error = (reached(count) - reached(2 * count)).unsqueeze(-1).numpy()
         if 0.5 * whiten(problem, about, Columns(error, nothing)).gram[0, 1, 1] <= LOST:
             break

@@ -14,7 +14,7 @@ from invdyn.diagnosis.hypotheses.moves import refine_instead, refine_kin, refine
 from invdyn.diagnosis.hypotheses.pool import FEW, HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HALF, HOPELESS, attempt, refine_promising
+from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, refine_promising
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -100,7 +100,7 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
-        least = min(found.top - HOPELESS, nothing + HALF * (found.top - nothing))
+        least = min(found.top - TOO_FAR_BEHIND, nothing + HALF * (found.top - nothing))
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
         by_size = np.r_[-np.inf, best.by_size[1:]]
         bared = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
@@ -126,7 +126,7 @@ def _beside_play(problem: DiagnosisProblem, found: HypothesisPool, best: FittedH
         swapped = found.pool.get(key_of((*rest, other)))
         better = swapped is not None and swapped.log_evidence > best.log_evidence and not swapped.complete
         if better and len(rest) == 1:
-            again = attempt(refine_searched, problem, cause, rest[0], found.top - HOPELESS)
+            again = attempt(refine_searched, problem, cause, rest[0], found.top - TOO_FAR_BEHIND)
             if again is not None:
                 found.add(again)
         if found.explained:

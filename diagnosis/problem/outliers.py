@@ -21,7 +21,7 @@ from torch import Tensor
 NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
 CLEAN = 4
 """Parabolas that go without two of the neighbours."""
-JUMP, MOST = 7.0, 0.75
+JUMP, MOST_QUARTILES = 7.0, 0.75
 """Times the upper quartile of the distances."""
 OFF = 5.0
 """The same beside one parabola."""
@@ -66,7 +66,7 @@ def _jumps(away: np.ndarray, values: np.ndarray, times: float) -> np.ndarray:
 
 
 def _usual(away: np.ndarray) -> float:
-    return float(np.quantile(away, MOST)) if len(away) else 0.0
+    return float(np.quantile(away, MOST_QUARTILES)) if len(away) else 0.0
 
 
 def _beside_parabolas(

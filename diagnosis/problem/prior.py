@@ -37,7 +37,7 @@ import numpy as np
 from invdyn.models.effects.base import Effect
 
 NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
-MOST = len(NUMBER) - 1
+MOST_EFFECTS = len(NUMBER) - 1
 """Effects at once, unless more are asked for: sets of many take long, and imitate what the catalogue lacks."""
 LACKING, IMITATORS = 0.03, 3
 """P(lacking), and the number of effects from which on they are suspected to imitate it."""
@@ -60,7 +60,7 @@ def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: floa
 
 def of_number(count: int) -> float:
     """P(n), n = ``count``."""
-    return NUMBER[min(count, MOST)] / 4.0 ** max(count - MOST, 0)
+    return NUMBER[min(count, MOST_EFFECTS)] / 4.0 ** max(count - MOST_EFFECTS, 0)
 
 
 def believed(count: int) -> float:
@@ -68,7 +68,7 @@ def believed(count: int) -> float:
     return 1.0 if count < IMITATORS else of_number(count) / (of_number(count) + LACKING)
 
 
-def another(count: int, most: int = MOST) -> float:
+def another(count: int, most: int = MOST_EFFECTS) -> float:
     """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or no room for another under ``most``."""
     return of_number(count + 1) / of_number(count) if 0 < count < most else 1.0
 

@@ -75,7 +75,7 @@ class Unknowns:
 def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
     """Unknowns of bound ``effects``, but for those that are searched (:mod:`.noise`), and of the setting's body."""
     found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(problem.model.scale)]
-    rows = [(name, p.prior, centre(p), spread(p), lower_bound(p), upper_bound(p)) for name, p in found]
+    rows = [(name, p.prior, centre(p), prior_sd(p), lower_bound(p), upper_bound(p)) for name, p in found]
     rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in problem.uncertain]
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
@@ -96,7 +96,7 @@ def centre(parameter: Parameter) -> float:
     return 0.0 if type(parameter.prior).__name__ == "HalfNormal" else float(parameter.prior.mean)
 
 
-def spread(parameter: Parameter) -> float:
+def prior_sd(parameter: Parameter) -> float:
     """Standard deviation of that Gaussian."""
     prior = parameter.prior
     return float(prior.scale) if type(prior).__name__ == "HalfNormal" else float(prior.stddev)
@@ -104,13 +104,13 @@ def spread(parameter: Parameter) -> float:
 
 def lower_bound(parameter: Parameter) -> float:
     """Smallest value that a parameter may have: its ``least``, its prior's edge, or ``FAR`` from its centre."""
-    far = centre(parameter) - _far(parameter) * spread(parameter)
+    far = centre(parameter) - _far(parameter) * prior_sd(parameter)
     return max(far, parameter.least, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
 
 
 def upper_bound(parameter: Parameter) -> float:
     """Largest value that a parameter may have, likewise."""
-    far = centre(parameter) + _far(parameter) * spread(parameter)
+    far = centre(parameter) + _far(parameter) * prior_sd(parameter)
     edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
     return min(far, edge - EDGE * abs(edge)) if np.isfinite(edge) else far
 

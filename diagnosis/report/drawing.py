@@ -13,7 +13,7 @@ from markupsafe import Markup
 from invdyn.diagnosis.report.numbers import fixed
 
 WIDE, HIGH = 2000, 1000
-MOST = 800
+MOST_POINTS = 800
 """Points of a line; more are thinned to the lowest and highest of each stretch."""
 
 
@@ -37,7 +37,7 @@ def limits(*arrays: np.ndarray, zero: bool = False, margin: float = 0.05) -> tup
     return low - room, high + room
 
 
-def thinned(x: np.ndarray, y: np.ndarray, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
+def thinned(x: np.ndarray, y: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
     """At most about `most` points of a line, the lowest and the highest of each stretch, so that no spike is lost."""
     if len(x) <= most:
         return x, y
@@ -124,8 +124,8 @@ class Plot:
         d = ""
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             part = slice(start, stop)
-            upper = self._points(*thinned(x[part], high[part], MOST // 2))
-            lower = self._points(*thinned(x[part], low[part], MOST // 2))
+            upper = self._points(*thinned(x[part], high[part], MOST_POINTS // 2))
+            lower = self._points(*thinned(x[part], low[part], MOST_POINTS // 2))
             d += path(np.concatenate([upper, lower[::-1]])) + "Z"
         self._add(d, style)
 

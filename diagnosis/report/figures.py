@@ -4,7 +4,7 @@ import numpy as np
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Diagnosis
-from invdyn.diagnosis.report.drawing import MOST, Plot, limits
+from invdyn.diagnosis.report.drawing import MOST_POINTS, Plot, limits
 from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain
 
 Z90 = 1.6448536269514722
@@ -53,7 +53,7 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
         doubt = Z90 * float(np.nanmedian(spread)) if np.isfinite(spread).any() else 0.0
         low = max(FAINT * peak, doubt, 1e-9)
         edges = low + max(peak - low, low) * np.array([0.0, 1 / 3, 2 / 3])
-        stride = -(-len(angle) // (2 * MOST))
+        stride = -(-len(angle) // (2 * MOST_POINTS))
         sides, loud = [], 0.0
         for words, residual in (("before", before), ("after", after)):
             plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)

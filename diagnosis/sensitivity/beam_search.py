@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import MOST, coarsened, log_prior_of, tempered
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS, coarsened, log_prior_of, tempered
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.evidence import learned, regression
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
@@ -138,7 +138,7 @@ def together(
     alone = {members: found.score for members, found in zip(beam, evaluate(beam), strict=True)}
     kept: list[list[Together]] = []
     top = max(alone.values())
-    for _ in range(2, MOST + 1):
+    for _ in range(2, MOST_EFFECTS + 1):
         grown = {
             tuple(sorted((*members, i)))
             for members in beam[:BEAM]

@@ -21,7 +21,7 @@ TURN, EVEN = 0.2, 1e-3
 """rad, that the joints turn between rows of which slopes are worked out; and how far spacing may be uneven."""
 
 
-def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def latent_response(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Along ``path`` (T, D): paths (S, T, D + 2) with the hinge of ``model``, of S = ``count`` parameter sets.
 
     And the next states (S, T−1, D + 2) of their rows, to first order too.
@@ -34,7 +34,7 @@ def driven(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
     def moved(path: Tensor, rows: Tensor) -> Tensor:
         return gaussian_mean(model.transition(path[:, rows - 1], rows))
 
-    if model.driven is not None or model.effects.hinge is None:
+    if model.jumping is not None or model.effects.hinge is None:
         path = settled(model, path)
         return path, moved(path, rows)
 

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, spread, upper_bound
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, prior_sd, upper_bound
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.linearisation import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
@@ -97,7 +97,7 @@ def _changed(
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if hinge:
-            path, f = driven(with_effect, path, len(sets))
+            path, f = latent_response(with_effect, path, len(sets))
         else:
             # What the camera alone makes of it moves no arm.
             f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
@@ -147,7 +147,7 @@ def hypotheses(
         if straight:
             free, first = straight, len(pieces)
             for p in straight:
-                step = STEP * spread(p)
+                step = STEP * prior_sd(p)
                 sets.append(base | {p.name: absent[p.name] + step})
                 pieces.append((len(sets) - 1, 0, step))
             offset: int | None = None
@@ -161,7 +161,7 @@ def hypotheses(
                 step = 0.1 * spacing(p, point[p.name])
                 sets.append(base | {p.name: point[p.name] + step})
                 pieces.append((len(sets) - 1, here, step))
-        sd = [spread(p) if straight else spacing(p, point[p.name]) for p in free]
+        sd = [prior_sd(p) if straight else spacing(p, point[p.name]) for p in free]
         # Slopes at a grid point tell nothing of what lies beyond its neighbours.
         ends = [bounds(p) if straight else neighbours(p, point[p.name]) for p in free]
         found.append(

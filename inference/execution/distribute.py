@@ -49,7 +49,7 @@ class LostWork(OSError):
     """Parts whose worker died each time, or whose cluster went away; the message names them."""
 
 
-def spread(
+def distribute(
     part: Part,
     arguments: Sequence[tuple],
     names: Sequence[str],

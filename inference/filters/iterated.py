@@ -101,7 +101,7 @@ def iterate(
 
 
 def _spread(result: FilterResult) -> float:
-    return outer_weights(result.log_evidence).spread
+    return outer_weights(result.log_evidence).filter_sd
 
 
 @torch.no_grad()

@@ -28,14 +28,14 @@ class OuterWeights:
         ess: effective number of filters, 1 … M.
         log_evidence: log of the mean of the Ẑ_m.
         log_evidence_sd: its Monte Carlo standard error, sd(Ẑ_m) / (√M mean(Ẑ_m)).
-        spread: sd over filters of log Ẑ_m.
+        filter_sd: sd over filters of log Ẑ_m.
     """
 
     log_weights: Tensor
     ess: float
     log_evidence: float
     log_evidence_sd: float
-    spread: float
+    filter_sd: float
 
 
 def outer_weights(log_evidence: Tensor) -> OuterWeights:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.distribute import inside, spread
+from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
@@ -70,7 +70,7 @@ def particle_gibbs(
     if guide == "controlled":
         smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
     sweeps, sizes = warmup + thin * options.num_draws, options.tasks()
-    parts = spread(
+    parts = distribute(
         run_chains,
         [
             (

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.distribute import inside, spread
+from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
@@ -63,7 +63,7 @@ def smc(
         smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
     sizes = options.tasks()
     ends = np.cumsum(sizes)
-    parts = spread(
+    parts = distribute(
         run_task,
         [
             (model, observations, replace(options, num_filters=size), guide, smoother, derived(seed, FILTERS, k))

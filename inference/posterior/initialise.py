@@ -29,8 +29,10 @@ from invdyn.models import (
     TorqueProcess,
     dynamics_for,
 )
+from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
+from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -130,7 +132,7 @@ def arm_problem(
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
         model = ArmModel(body, recording.time, observation, substeps=substeps or 1, **options)
-    except (KeyError, ValueError) as error:
+    except (UnknownParameter, WrongValue) as error:
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))

@@ -191,7 +191,7 @@ def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
         "outer_ess": outer.ess,
         "log_evidence": outer.log_evidence,
         "log_evidence_sd": outer.log_evidence_sd,
-        "log_evidence_spread": outer.spread,
+        "log_evidence_spread": outer.filter_sd,
     }
 
 

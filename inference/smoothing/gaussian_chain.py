@@ -96,8 +96,8 @@ class GaussianChain(TorchDistribution):
         factors = smoother.factors
         gain, root = np.zeros_like(factors.gain), factors.root
         gain[1:] = factors.gain[1:] @ factors.F
-        if factors.spread.shape[-1]:
-            spread = factors.gain[1:] @ factors.spread
+        if factors.error_root.shape[-1]:
+            spread = factors.gain[1:] @ factors.error_root
             root = np.concatenate([root, np.pad(spread, [(1, 0), (0, 0), (0, 0)])], -1)
         # Orthogonal triangularisation, as a Cholesky of the covariance would lose half the digits.
         lower = np.swapaxes(np.linalg.qr(np.swapaxes(root, -1, -2), mode="r"), -1, -2)

@@ -127,7 +127,7 @@ Slopes = tuple[Tensor, Tensor]
 def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
     """Slopes of ``model`` along ``path`` (…, T, D) by differences, which take half the time of a backward pass.
 
-    Central ones, of an error of ``NUDGE``²; one-sided where the model has ``driven`` states, which lie at stops.
+    Central ones, of an error of ``NUDGE``²; one-sided where the model has ``jumping`` states, which lie at stops.
     """
     rows = torch.arange(path.shape[-2])
     scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
@@ -137,7 +137,7 @@ def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
         return gaussian_mean(model.transition(x, rows[1:]))
 
     H = _differences(lambda x: emission_mean(model, x, rows), path, nudges)
-    if model.driven is not None:
+    if model.jumping is not None:
         return _differences(transition, path[..., :-1, :], JUMP * torch.eye(path.shape[-1]).to(path), False), H
     return _differences(transition, path[..., :-1, :], nudges), H
 

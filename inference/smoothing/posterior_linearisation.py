@@ -34,9 +34,9 @@ def posterior_linearisation(
 
     A fixed-point iteration, kept up only while it contracts: where the posterior is very wide a pass
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
-    with driven states (:attr:`.StateSpaceModel.driven`) is left as it is linearised: no line fits their jumps.
+    with jumping states (:attr:`.StateSpaceModel.jumping`) is left as it is linearised: no line fits their jumps.
     """
-    if model.driven is not None:
+    if model.jumping is not None:
         return smoother
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()

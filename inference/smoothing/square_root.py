@@ -47,7 +47,8 @@ class BackwardFactors:
         A, alpha, log_n: likewise, ∫ N(x_t; m, L_t L_tᵀ) ψ_t = exp(log_n_t − ½|A_t m − α_t|²).
         gain, offset, root: (…, T, D, D), (…, T, D), (…, T, D, D):
             x_t given m_t is N(gain_t m_t + offset_t, root_t root_tᵀ).
-        F, a, spread: (…, T−1, …): m_{t+1} given x_t is N(F_t x_t + a_t, spread_t spread_tᵀ), all rows seen.
+        F, a, error_root: (…, T−1, …): m_{t+1} given x_t is N(F_t x_t + a_t, R_t R_tᵀ),
+            with error_root as R and all rows seen.
         log_evidence: (…) log-integral of the whole chain, without the observations' own normalisers.
     """
 
@@ -62,7 +63,7 @@ class BackwardFactors:
     root: np.ndarray
     F: np.ndarray
     a: np.ndarray
-    spread: np.ndarray
+    error_root: np.ndarray
     log_evidence: np.ndarray
 
 
@@ -179,7 +180,7 @@ def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
 def forward_covariance(factors: BackwardFactors) -> np.ndarray:
     """Posterior marginal covariances (…, T, D, D); sums of squares, hence never indefinite."""
     covariance = square(factors.root)
-    covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.spread)
+    covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.error_root)
     step = factors.gain[..., 1:, :, :] @ factors.F
     for t in range(step.shape[-3]):
         one = step[..., t, :, :]

@@ -32,7 +32,7 @@ class Uncertain(StateSpaceModel):
     def __init__(self, parameters: LogParameters, centre: Tensor, root: Tensor):
         super().__init__(parameters.model.parameters)
         self.log_parameters, self.centre, self.root = parameters, centre, root
-        self.driven = parameters.model.driven
+        self.jumping = parameters.model.jumping
         inverse = torch.linalg.inv(root)
         spread = inverse * torch.as_tensor(parameters.sd)
         self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)

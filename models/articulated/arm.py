@@ -31,7 +31,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.articulated.defaults import Value, default_parameters, shaped
+from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
 from invdyn.models.articulated.sight import Sight
 from invdyn.models.articulated.start import kinematic_paths
@@ -90,7 +90,7 @@ class ArmModel(StateSpaceModel):
         parameters: Mapping[str, Value] | None = None,
     ):
         if integrator not in INTEGRATORS:
-            raise ValueError(f"expected an integrator among {', '.join(INTEGRATORS)}, got {integrator!r}")
+            raise WrongValue(f"expected an integrator among {', '.join(INTEGRATORS)}, got {integrator!r}")
         self.body, self.dynamics = body, dynamics_for(body)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
@@ -311,7 +311,7 @@ class ArmModel(StateSpaceModel):
         return super().initial_paths(observations) if paths is None else paths
 
     @property
-    def driven(self) -> slice | None:  # type: ignore[override]  # its effects say
+    def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None

@@ -38,17 +38,25 @@ def default_parameters(
     }
 
 
+class WrongValue(ValueError):
+    """Of a parameter, or of another choice, that a model was given."""
+
+
 def shaped(given: Mapping[str, Value], defaults: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Given parameters in the shape of their defaults, but for many sets at once; unknown ones as they are.
 
-    Raises ValueError for another shape.
+    Raises WrongValue for another shape, or for what is no number.
     """
     found: dict[str, Any] = dict(given)
     for name in given.keys() & defaults.keys():
-        value, own = torch.as_tensor(given[name], dtype=torch.float64), defaults[name]
+        own = defaults[name]
+        try:
+            value = torch.as_tensor(given[name], dtype=torch.float64)
+        except (TypeError, ValueError):  # what torch makes of a text, or of rows of several lengths
+            raise WrongValue(f"parameter {name}: expected numbers, got {given[name]!r:.60}") from None
         try:
             found[name] = value.expand_as(own).clone() if value.ndim <= own.ndim else value
         except RuntimeError:
             expected = "a number" if own.ndim == 0 else f"a number or {tuple(own.shape)} of them"
-            raise ValueError(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
+            raise WrongValue(f"parameter {name}: expected {expected}, got {tuple(value.shape)}") from None
     return found

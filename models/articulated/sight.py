@@ -53,11 +53,11 @@ class Sight:
         body = self.mechanics.body_parameters()
         points = effects.sites(parameters, dynamics, q, z[..., self.layout.torque :], body)
 
-        def turned(seconds: Tensor) -> Tensor:
+        def angles_after(seconds: Tensor) -> Tensor:
             return self._ahead(state, t, body, seconds)
 
         def ahead(seconds: Tensor) -> Tensor:
-            return dynamics.keypoints(turned(seconds), body) - dynamics.keypoints(q, body)
+            return dynamics.keypoints(angles_after(seconds), body) - dynamics.keypoints(q, body)
 
         def acceleration() -> Tensor:
             return self.acceleration(state, t, body)
@@ -65,7 +65,7 @@ class Sight:
         def clock() -> Tensor:
             return self.timeline.elapsed[t].to(state).unsqueeze(-1)
 
-        view = View(q, qd, points, q, body, dynamics, acceleration, turned, ahead, clock)
+        view = View(q, qd, points, q, body, dynamics, acceleration, angles_after, ahead, clock)
         return self._as_seen(view, parameters, t) if effects.seen else view
 
     def _as_seen(self, view: View, parameters: Mapping[str, Tensor], t: Row) -> View:

@@ -138,7 +138,7 @@ class Mechanics:
         def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
             if not self.effects.pulls:
                 return 0.0
-            here = self.now(drive, hinge.turned(angles), hinge.turned(rates), s)
+            here = self.now(drive, hinge.own_angles(angles), hinge.own_angles(rates), s)
             bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
             rigid = self.effects.pull(self.parameters, here)
             return self.effects.pull(self.parameters, bent) - hinge.on_joints(rigid)

@@ -346,7 +346,7 @@ class Body(BodyBase):
 
         Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
         """
-        content = read_whole(path, body_xml.MOST)
+        content = read_whole(path, body_xml.MOST_BYTES)
         if not body_xml.is_xml(content):
             return cls._from_tables(body_toml.parse(content, str(path)), path)
         root = body_xml.parse(content, str(path))

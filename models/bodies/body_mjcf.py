@@ -27,7 +27,7 @@ def read(path: str | Path) -> dict:
     Warns (UserWarning) of what is left out. Raises `BodyError` for what MuJoCo cannot read, files outside the folder,
     what is no planar chain of hinges, and a missing MuJoCo; `OSError` when the file cannot be read.
     """
-    return of(body_xml.parse(read_whole(path, body_xml.MOST), str(path)), str(path))
+    return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
 
 
 def of(root: Element, where: str) -> dict:

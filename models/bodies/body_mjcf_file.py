@@ -8,7 +8,7 @@ alone, and handed over as bytes. Elements that multiply themselves are refused: 
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, tostring
 
-from invdyn.models.bodies.body_xml import DEEPEST, MOST, check_root, nearby, parse, read_nearby
+from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES, check_root, nearby, parse, read_nearby
 from invdyn.models.bodies.scalars import BodyError
 
 SECTIONS = ("compiler", "option", "default", "asset", "worldbody", "contact", "equality", "tendon", "actuator")
@@ -67,7 +67,7 @@ def _include(parent: Element, folder: Path, where: str, seen: set[Path], depth: 
         seen.add(path)
         if len(seen) > DEEPEST:
             raise BodyError(f"{where}: expected at most {DEEPEST} included files, got more")
-        other = parse(read_nearby(child.get("file", ""), folder, MOST, where), str(path))
+        other = parse(read_nearby(child.get("file", ""), folder, MOST_BYTES, where), str(path))
         _include(other, folder, where, seen, depth + 1)
         children += other
     parent[:] = children

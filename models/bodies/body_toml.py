@@ -27,7 +27,7 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
-from invdyn.models.bodies.body_xml import MOST
+from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
 from invdyn.models.bodies.whole_file import read_whole, write_whole
 
@@ -43,7 +43,7 @@ def read(path: str | Path) -> dict:
     for broken TOML, a TOML that is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file
     cannot be read.
     """
-    return parse(read_whole(path, MOST), str(path))
+    return parse(read_whole(path, MOST_BYTES), str(path))
 
 
 def parse(content: bytes, path: str) -> dict:

@@ -33,7 +33,7 @@ def read(path: str | Path) -> dict:
     Warns (UserWarning) of what is left out. Raises `BodyError` for what is no URDF, or no planar chain of hinges, and
     `OSError` when the file cannot be read.
     """
-    return of(body_xml.parse(read_whole(path, body_xml.MOST), str(path)), str(path))
+    return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
 
 
 def of(robot: Element, where: str) -> dict:

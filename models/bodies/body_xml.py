@@ -12,7 +12,7 @@ from xml.parsers import expat
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole
 
-MOST = 2**24
+MOST_BYTES = 2**24
 """Bytes of a file in XML or TOML."""
 DEEPEST = 200
 """Elements within each other."""

@@ -42,7 +42,7 @@ ARGUMENTS = {
     "keypoints": ("phi", "length", "base"),
 }
 MOVING = ("phi", "w")
-MOST = 2**18
+MOST_BYTES = 2**18
 """Bytes of a cache file; of four joints it has 5 kB."""
 AGREES = 1e-8
 """Relative; rounding of both ways is 10⁻¹² of the largest term at most."""
@@ -259,7 +259,7 @@ def _right(functions: dict[str, Generated], num_joints: int) -> bool:
 
 def _read_cache(path: Path, num_joints: int) -> dict[str, Generated] | None:
     try:
-        functions = _compile(json.loads(read_whole(path, MOST)), num_joints)
+        functions = _compile(json.loads(read_whole(path, MOST_BYTES)), num_joints)
         return functions if _right(functions, num_joints) else None
     except Exception:  # absent, broken or planted, whatever comes of it: derive again
         return None

@@ -83,18 +83,18 @@ class Backlash(HiddenHinge):
             inertia=split_link(body.inertia, j, rotor, inertia - rotor),
         )
 
-    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+    def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The joint's angle is the rotor's and the gap's together."""
         j = self.place[0]
         return joined_by_column(q[..., :j], q[..., j : j + 1] - hinge, hinge, q[..., j + 1 :])
 
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
-        """The inverse of :meth:`spread`."""
+        """The inverse of :meth:`all_hinges`."""
         j = self.place[0]
         rotor, hinge = angles[..., j : j + 1], angles[..., j + 1 : j + 2]
         return joined_by_column(angles[..., :j], rotor + hinge, angles[..., j + 2 :]), hinge
 
-    def turned(self, angles: Tensor) -> Tensor:
+    def own_angles(self, angles: Tensor) -> Tensor:
         """The rotor's, as what a joint has of its own is on the motor's side of its play."""
         j = self.place[0]
         return joined_by_column(angles[..., : j + 1], angles[..., j + 2 :])
@@ -115,7 +115,7 @@ class Backlash(HiddenHinge):
             begun = taken.floor()
             going, room = begun < parts, parts - begun <= left
             s, part = taken / parts, torch.where(going, begun + 1 - taken, 0.0) / parts
-            h, angles, rates = part * dt, self.spread(q, psi), self.spread(qd, rate)
+            h, angles, rates = part * dt, self.all_hinges(q, psi), self.all_hinges(qd, rate)
 
             held = _within(partial(arm.held, psi), q, qd, s, part)
             rigid_motion = Passage(q, qd, held(q, qd, 0.0), *rk4(held, q, qd, h), h)
@@ -168,23 +168,23 @@ class _Mechanics:
     def held(self, psi: Tensor, q: Tensor, qd: Tensor, s: float | Tensor) -> Tensor:
         """q̈ (..., K) with the gap at ψ."""
         hinge = self.hinge
-        angles, rates = hinge.spread(q, psi), hinge.spread(qd, torch.zeros_like(psi))
-        torque, own = self.row.net(hinge.turned(angles), qd, s)
+        angles, rates = hinge.all_hinges(q, psi), hinge.all_hinges(qd, torch.zeros_like(psi))
+        torque, own = self.row.net(hinge.own_angles(angles), qd, s)
         pulled = self.row.pull(angles, rates, s)
-        torque = torque + (hinge.turned(pulled) if isinstance(pulled, Tensor) else pulled)
+        torque = torque + (hinge.own_angles(pulled) if isinstance(pulled, Tensor) else pulled)
         return self.row.rigid.forward(q, qd, torque, self.row.body, own)
 
     def free(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:
         """Accelerations (..., K + 1) of the hinges."""
         hinge = self.hinge
-        torque, own = self.row.net(hinge.turned(angles), hinge.turned(rates), s)
+        torque, own = self.row.net(hinge.own_angles(angles), hinge.own_angles(rates), s)
         turning = hinge.on_joints(torque) + self.row.pull(angles, rates, s)
         return self.whole.forward(angles, rates, turning, self.links, hinge.on_joints(own))
 
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""
         still = torch.zeros_like(psi)
-        spread = self.hinge.spread
+        spread = self.hinge.all_hinges
         angles, rates = spread(q, psi), spread(qd, still)
         needed = self.whole.inverse(angles, rates, spread(qdd, still), self.links) - self.row.pull(angles, rates, s)
         return needed[..., self.hinge.place[0] + 1, None]

@@ -339,7 +339,7 @@ def with_entry(vector: Tensor, place: int, value: Tensor) -> Tensor:
     return torch.where(here, value, vector)
 
 
-def turned(vector: Tensor, angle: Tensor) -> Tensor:
+def rotated(vector: Tensor, angle: Tensor) -> Tensor:
     """Vectors (..., 2) turned counter-clockwise by an angle (..., 1), rad."""
     (x, y), (cos, sin) = vector.unbind(-1), (angle.cos()[..., 0], angle.sin()[..., 0])
     return torch.stack(torch.broadcast_tensors(cos * x - sin * y, sin * x + cos * y), -1)

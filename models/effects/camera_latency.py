@@ -42,4 +42,4 @@ class CameraLatency(Effect):
 
     def angles(self, p: Values, view: View) -> Tensor:
         """θ(t + δ)."""
-        return view.turned(p["latency"])
+        return view.angles_after(p["latency"])

@@ -6,7 +6,7 @@ from typing import ClassVar
 from pyro.distributions import StudentT
 from torch import Tensor
 
-from invdyn.models.effects.base import Parameter, Values, turned
+from invdyn.models.effects.base import Parameter, Values, rotated
 from invdyn.models.effects.optics import Optics
 from invdyn.models.effects.scale import Scale
 
@@ -29,4 +29,4 @@ class CameraRoll(Optics):
 
     def seen(self, p: Values, points: Tensor) -> Tensor:
         """R(angle) p."""
-        return turned(points, p["angle"].unsqueeze(-1))
+        return rotated(points, p["angle"].unsqueeze(-1))

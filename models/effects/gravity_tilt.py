@@ -7,7 +7,7 @@ from pyro.distributions import Normal
 
 from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values, turned
+from invdyn.models.effects.base import Effect, Parameter, Values, rotated
 from invdyn.models.effects.scale import Scale
 
 
@@ -36,4 +36,4 @@ class GravityTilt(Effect):
 
     def body(self, p: Values, body: BodyParameters) -> BodyParameters:
         """R(angle) g."""
-        return body._replace(gravity=turned(body.gravity, p["angle"]))
+        return body._replace(gravity=rotated(body.gravity, p["angle"]))

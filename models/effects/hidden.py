@@ -5,7 +5,7 @@ there, a joint with backlash plays there. The state gains (ψ, ψ̇); the tracke
 else of the model is as it was.
 
     chain      the K + 1 links                                      BodyParameters → BodyParameters
-    spread     the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
+    all_hinges the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
     gathered   its inverse
 
 The other effects act on the K joints; forces on points of the arm (:attr:`.Effect.pulls`) turn the hinge as well.
@@ -95,14 +95,14 @@ class HiddenHinge(Hidden):
         """The K + 1 links."""
 
     @abstractmethod
-    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+    def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """Angles, or rates, of the K + 1 hinges."""
 
     @abstractmethod
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
-    def turned(self, angles: Tensor) -> Tensor:
+    def own_angles(self, angles: Tensor) -> Tensor:
         """What the joints themselves have turned by, (..., K), of the angles, or rates, of the K + 1 hinges.
 
         It is what springs, stops and friction at the joints know of.
@@ -131,12 +131,14 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.spread(q, hidden[..., :1]), self.chain(p, body))
+        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body))
         return self._tracked(points)
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
         """What the K tips do; see :func:`tip_motion`."""
-        angles, rates = (self.spread(joints, hinge) for joints, hinge in zip((q, qd), hidden.chunk(2, -1), strict=True))
+        angles, rates = (
+            self.all_hinges(joints, hinge) for joints, hinge in zip((q, qd), hidden.chunk(2, -1), strict=True)
+        )
         points, velocities = tip_motion(angles, rates, self.chain(p, body))
         return self._tracked(points), self._tracked(velocities)
 

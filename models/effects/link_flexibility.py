@@ -93,13 +93,13 @@ class LinkFlexibility(HiddenHinge):
             inertia=split_link(body.inertia, k, inner**3 * rest, outer**3 * rest),
         )
 
-    def spread(self, q: Tensor, hinge: Tensor) -> Tensor:
+    def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The hinge's angle stands after its link's joint."""
         k = self.place[0]
         return joined_by_column(q[..., : k + 1], hinge, q[..., k + 1 :])
 
     def gathered(self, angles: Tensor) -> tuple[Tensor, Tensor]:
-        """The inverse of :meth:`spread`."""
+        """The inverse of :meth:`all_hinges`."""
         k = self.place[0]
         return joined_by_column(angles[..., : k + 1], angles[..., k + 2 :]), angles[..., k + 1 : k + 2]
 
@@ -118,16 +118,16 @@ class LinkFlexibility(HiddenHinge):
             if bool(stiff.all()):
                 return locked
         parts = substeps_for(row.dt, FASTEST, row.parts)
-        angles = self.spread(q, hidden[..., :1])
+        angles = self.all_hinges(q, hidden[..., :1])
         stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
 
         def bending(angles: Tensor, rates: Tensor, s: float) -> Tensor:
             (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
             torque, own = row.net(q, qd, s)
-            turning = self.spread(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
+            turning = self.all_hinges(torque, -stiffness * hinge - damping * rate) + row.pull(angles, rates, s)
             return whole.forward(angles, rates, turning, links, self.on_joints(own))
 
-        angles, rates = rk4(bending, angles, self.spread(qd, hidden[..., 1:]), row.dt, parts)
+        angles, rates = rk4(bending, angles, self.all_hinges(qd, hidden[..., 1:]), row.dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
         bent = (join(hinge, rate), q, qd)
         if locked is None:

@@ -15,7 +15,7 @@ from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.view import View
 
-USUAL, LEAST, MOST = 1e-3, 1e-5, 0.1
+USUAL, LEAST, MOST_NOISE = 1e-3, 1e-5, 0.1
 """rad: noise where nothing is known of it, and between which jitter is believed to show it."""
 
 
@@ -48,7 +48,7 @@ class Encoders(NoisySensor):
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
         """Their jitter."""
-        return {"emission.angle_scale": np.clip(jitter, LEAST, MOST)}
+        return {"emission.angle_scale": np.clip(jitter, LEAST, MOST_NOISE)}
 
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The angles as encoders show them."""

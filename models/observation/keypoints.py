@@ -23,7 +23,7 @@ from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
-LEAST, MOST = 1e-5, 0.3
+LEAST, MOST_NOISE = 1e-5, 0.3
 """Of the reach: noise that a recording's jitter is believed to show."""
 
 
@@ -93,7 +93,9 @@ class Keypoints(NoisySensor):
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
         """The larger jitter of a keypoint's coordinates."""
-        return {"emission.keypoint_scale": np.clip(jitter.reshape(self.shape).max(1), LEAST * reach, MOST * reach)}
+        return {
+            "emission.keypoint_scale": np.clip(jitter.reshape(self.shape).max(1), LEAST * reach, MOST_NOISE * reach)
+        }
 
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The sites as they are seen, and their noise, as effects change it."""

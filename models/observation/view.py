@@ -27,7 +27,7 @@ class View:
         body: its numbers.
         dynamics: of this body.
         acceleration: function of none, → θ̈ (..., K).
-        turned: function of seconds (..., 1), negative ones too, → θ by then, (..., K) rad.
+        angles_after: function of seconds (..., 1), negative ones too, → θ by then, (..., K) rad.
         ahead: function of the same → how far the sites move by then, (..., S, d) m.
         clock: function of none, → s since the first row, (..., 1).
         doubt: (..., S) 1 − c of the tracker's confidence c, 0 at sites that are not tracked; None where it has none.
@@ -42,7 +42,7 @@ class View:
     body: Any
     dynamics: Dynamics
     acceleration: Callable[[], Tensor]
-    turned: Callable[[Tensor], Tensor]
+    angles_after: Callable[[Tensor], Tensor]
     ahead: Callable[[Tensor], Tensor]
     clock: Callable[[], Tensor]
     doubt: Tensor | None = None

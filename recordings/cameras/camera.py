@@ -168,7 +168,7 @@ class Calibration:
             raise InputError(f"a scale must be positive and finite, got {factor}")
         return replace(self, cameras=tuple(camera.scaled(factor) for camera in self.cameras), metric=metric)
 
-    def turned(self, rotation: np.ndarray) -> "Calibration":
+    def rotated(self, rotation: np.ndarray) -> "Calibration":
         """The same cameras in a frame that `rotation` (3, 3) takes the present one to: X′ = rotation X."""
         cameras = (replace(camera, rotation=camera.rotation @ rotation.T) for camera in self.cameras)
         return replace(self, cameras=tuple(cameras))

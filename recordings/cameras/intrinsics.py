@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from .boards import Board, opencv
 
-FEWEST, MOST = 5, 40
+FEWEST, MOST_PICTURES = 5, 40
 LEAST_PERSPECTIVE = 0.03
 """Of the board that tilts most: how much larger its near edge looks than its middle."""
 LOOSE = 0.03
@@ -105,8 +105,8 @@ def _fit(board: Board, pictures: list[np.ndarray], size: tuple[int, int]) -> tup
 
 
 def _spread(pictures: list[np.ndarray]) -> list[np.ndarray]:
-    """At most `MOST` pictures, each the farthest from those before in the board's place, size and slant."""
-    if len(pictures) <= MOST:
+    """At most `MOST_PICTURES` pictures, each the farthest from those before in the board's place, size and slant."""
+    if len(pictures) <= MOST_PICTURES:
         return pictures
     marks = []
     for pixels in pictures:
@@ -115,7 +115,7 @@ def _spread(pictures: list[np.ndarray]) -> list[np.ndarray]:
     marks = np.array(marks) / (np.std(marks, axis=0) + 1e-9)
     chosen = [0]
     distance = np.linalg.norm(marks - marks[0], axis=-1)
-    while len(chosen) < MOST:
+    while len(chosen) < MOST_PICTURES:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(marks - marks[chosen[-1]], axis=-1))
     return [pictures[number] for number in sorted(chosen)]

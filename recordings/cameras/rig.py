@@ -20,7 +20,7 @@ from .camera import Calibration, Camera
 from .intrinsics import Intrinsics
 from .projection import project
 
-FEWEST, MOST = 3, 60
+FEWEST, MOST_MOMENTS = 3, 60
 """Moments that two cameras must share, and those that the joint fit takes of them."""
 Pose = tuple[np.ndarray, np.ndarray]
 """Rotation (3, 3) and translation (3,)."""
@@ -48,7 +48,7 @@ def fit_rig(board: Board, lenses: dict[str, Intrinsics], found: dict[str, dict[i
     poses = _tree(names, boards)
     placed = [_camera(name, lenses[name], poses[name]) for name in names]
     moments = sorted({at for name in names for at in found[name]}, key=lambda at: -sum(at in found[n] for n in names))
-    moments = sorted(moments[:MOST])
+    moments = sorted(moments[:MOST_MOMENTS])
     corners = np.full((len(names), len(moments), len(board.corners), 2), np.nan)
     for c, name in enumerate(names):
         for m, at in enumerate(moments):

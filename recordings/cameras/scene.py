@@ -136,7 +136,7 @@ def reconstruct(
             name=name,
         ),
         sd=np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)),
-        calibration=replace(calibration.scaled(factor).turned(turn), error=None if refine else calibration.error),
+        calibration=replace(calibration.scaled(factor).rotated(turn), error=None if refine else calibration.error),
         rows=reprojection(
             calibration.names, views.keypoint_names, views.unflat(found.residuals), views.unflat(found.weights)
         ),

@@ -18,7 +18,7 @@ from ..recording import Recording
 from .camera import Calibration
 from .triangulate import triangulate
 
-MOST = 150
+MOST_FRAMES = 150
 """Frames that are looked at, spread over the film."""
 CORRELATED = 4
 """Neighbouring frames under a window that count as one."""
@@ -46,7 +46,7 @@ def find_offsets(
     first, *others = tracks
     window = tracks[first].frame_interval
     at = tracks[first].time
-    at = at[:: -(-len(at) // MOST)]
+    at = at[:: -(-len(at) // MOST_FRAMES)]
     step = 2 * window
     grid = step * np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1)
     points = tracks[first].keypoint_names

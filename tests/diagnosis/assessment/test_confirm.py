@@ -48,7 +48,7 @@ def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, ho
     here, none, cause = causes()
     module = sys.modules[confirm.__module__]
     monkeypatch.setattr(module, "CLEAR", clear)
-    monkeypatch.setattr(module, "HOPELESS", hopeless)
+    monkeypatch.setattr(module, "TOO_UNSURE", hopeless)
     confirmed = confirm_all(here, [none, cause], 3, temper)[1]
     assert confirmed.result.log_evidence.shape == (filters,)
     assert confirmed.result.states.shape[1] == len(confirmed.values) == filters

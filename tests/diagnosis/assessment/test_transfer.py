@@ -11,7 +11,7 @@ from pendulum import ARM, DAMPING, MANY, PENDULUM, causes, path_of, recorded, re
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment import transfer as elsewhere
 from invdyn.diagnosis.assessment.gap_closure import closed, unseen
-from invdyn.diagnosis.assessment.transfer import carried, turned
+from invdyn.diagnosis.assessment.transfer import carried, whole_turns_away
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -109,7 +109,7 @@ def test_the_noise_goes_with_its_keypoint():
     body = Body("arm", links, gravity=(0.0, -9.81))
     arm = random_arm(body, duration=1.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     both = record(arm, 0)[0]
-    turned = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])
+    reversed_points = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])
     one = replace(both, keypoints=both.keypoints[:, 1:], keypoint_names=both.keypoint_names[1:])
     name = "emission.keypoint_scale"
 
@@ -121,7 +121,7 @@ def test_the_noise_goes_with_its_keypoint():
             for model in (here.model, other.model, carried)
         ]
 
-    mine, _, carried = scales(both, turned)
+    mine, _, carried = scales(both, reversed_points)
     assert carried == mine
     mine, _, carried = scales(both, one)
     assert carried == {1: mine[1]}
@@ -162,11 +162,11 @@ def test_another_recording_may_begin_a_whole_turn_away(begin):
 def test_turns_are_told_by_what_feels_them():
     """By a spring, not by gravity and friction; and an encoder counts them itself."""
     here, none, friction = causes()
-    assert turned(none) == []
-    assert turned(friction) == []
+    assert whole_turns_away(none) == []
+    assert whole_turns_away(friction) == []
     one = {"effect.joint_stiffness.pivot.stiffness": torch.ones(1)}
     spring = none.moved_to(here.model.with_effects(SPRING).replace(**one), none.path)
-    for there, turn in zip(turned(spring), (2 * np.pi, -2 * np.pi), strict=True):
+    for there, turn in zip(whole_turns_away(spring), (2 * np.pi, -2 * np.pi), strict=True):
         _, angle, velocity = here.model.split(there.path - none.path)
         assert torch.allclose(angle, torch.full_like(angle, turn))
         assert not velocity.any()
@@ -174,4 +174,4 @@ def test_turns_are_told_by_what_feels_them():
         assert begins.item() == pytest.approx(turn)
     counted = replace(recorded(), angles=here.model.split(none.path)[1].numpy(), joint_names=("pivot",))
     model = diagnosis_problem(counted, PENDULUM).model.with_effects(SPRING).replace(**one)
-    assert turned(spring.moved_to(model, none.path)) == []
+    assert whole_turns_away(spring.moved_to(model, none.path)) == []

@@ -10,7 +10,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HOPELESS
+from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
@@ -29,7 +29,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
     extend(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, 1)
     assert asked[0] == ("barred" if left else 500)
-    assert set(asked[left:]) == {-HOPELESS if left else 500}
+    assert set(asked[left:]) == {-TOO_FAR_BEHIND if left else 500}
 
 
 @pytest.mark.parametrize(("damping", "large", "looked"), [(0.0, 10.0, True), (0.05, 10.0, False), (0.05, 60.0, True)])
@@ -50,7 +50,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
             each()
         pool.add(found)
 
-    monkeypatch.setattr(module, "HOPELESS", large)
+    monkeypatch.setattr(module, "TOO_FAR_BEHIND", large)
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
@@ -105,7 +105,7 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
         if kept:
             pool.add(found)
 
-    monkeypatch.setattr(module, "HOPELESS", 2.0)
+    monkeypatch.setattr(module, "TOO_FAR_BEHIND", 2.0)
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)

@@ -13,7 +13,7 @@ from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.period_equivalents import NAMES, equivalents, factor
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HOPELESS
+from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -85,6 +85,6 @@ def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
         clock = next(e for e in candidates if e.name == "clock_rate")
         cause = refine(bound, (clock,), {f"{clock.key}.rate": 1.05}, path, LOOSE, rounds=1)
         found = HypothesisPool(candidates, {"": none, clock.key: cause}, [], path, stray)
-        assert cause.log_evidence > found.top - HOPELESS  # or nothing would be followed
+        assert cause.log_evidence > found.top - TOO_FAR_BEHIND  # or nothing would be followed
         refine_kin(bound, found, 1)
         assert set(found.pool) == {"", clock.key}

@@ -11,7 +11,7 @@ from invdyn.diagnosis.hypotheses import substeps
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.substeps import MOST, finely_stepped, shortened
+from invdyn.diagnosis.hypotheses.substeps import MOST_TIMES, finely_stepped, shortened
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
@@ -33,7 +33,7 @@ def test_errors_of_integration_cost_no_evidence():
     """They would, dozens of nats, which an effect that is integrated in shorter steps would then have gained."""
     coarse = diagnosis_problem(seen(), ARM).in_substeps(1)
     fine = finely_stepped(coarse, data_path(coarse)[0])
-    assert 1 < fine.model.substeps <= MOST
+    assert 1 < fine.model.substeps <= MOST_TIMES
     assert coarse.model.substeps == 1
     exact = evidence(coarse.in_substeps(16))
     assert abs(evidence(fine) - exact) < 2.0

@@ -7,7 +7,7 @@ import torch
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.prior import MOST, log_prior_of
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
 from invdyn.diagnosis.sensitivity.screen import screen
@@ -42,7 +42,7 @@ def sets():
 
 def test_sets_come_by_number_and_the_best_first(sets):
     found, bound, _ = sets
-    assert 1 <= len(found) <= MOST - 1
+    assert 1 <= len(found) <= MOST_EFFECTS - 1
     for number, of_number in enumerate(found, 2):
         assert 1 <= len(of_number) <= 3
         assert [s.score for s in of_number] == sorted((s.score for s in of_number), reverse=True)

@@ -8,7 +8,7 @@ from pendulum import ARM
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.models.state_space import gaussian_mean
@@ -30,7 +30,7 @@ def bent():
 def test_the_hinge_goes_where_the_model_has_it_go(bent):
     """From row to row, to first order: within a tenth of the largest deflection."""
     model, path = bent
-    paths, _ = driven(model, path, 3)
+    paths, _ = latent_response(model, path, 3)
     with torch.no_grad():
         after = gaussian_mean(model.transition(paths[:, :-1], torch.arange(1, len(path))))
     angle = slice(2, 3)
@@ -41,7 +41,7 @@ def test_the_hinge_goes_where_the_model_has_it_go(bent):
 def test_what_the_hinge_does_to_the_arm_is_the_models_to_first_order(bent):
     """Next states beside those without a hinge: within a tenth of the largest change of each."""
     model, path = bent
-    paths, following = driven(model, path, 3)
+    paths, following = latent_response(model, path, 3)
     rows = torch.arange(1, len(path))
     still = paths.clone()
     still[..., 2:4] = 0.0
@@ -53,14 +53,14 @@ def test_what_the_hinge_does_to_the_arm_is_the_models_to_first_order(bent):
 def test_slopes_of_some_rows_do_for_all(bent, monkeypatch):
     """Within a twentieth of the largest deflection and of the largest change; of uneven rows all are asked."""
     model, path = bent
-    module = sys.modules[driven.__module__]
-    paths, following = driven(model, path, 3)
+    module = sys.modules[latent_response.__module__]
+    paths, following = latent_response(model, path, 3)
     assert len(module._some(model, paths[0])) < len(path) / 2
     uneven = ArmModel(ARM, model.time + 0.002 * (torch.arange(len(path)) > 70))
     assert len(module._some(uneven, path)) == len(path) - 1
     monkeypatch.setattr(module, "TURN", 1e-9)
     assert len(module._some(model, paths[0])) == len(path) - 1
-    exactly, next_exactly = driven(model, path, 3)
+    exactly, next_exactly = latent_response(model, path, 3)
     hinge = slice(2, 4)
     off = (paths - exactly).abs().amax(1)[:, hinge]
     assert (off <= 0.05 * exactly[..., hinge].abs().amax(1)).all()

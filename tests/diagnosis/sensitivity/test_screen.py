@@ -13,7 +13,7 @@ from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.unknowns import spread, unknowns
+from invdyn.diagnosis.problem.unknowns import prior_sd, unknowns
 from invdyn.diagnosis.sensitivity.screen import _cost, _halved, screen, screen_in_halves, windows
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW
 from invdyn.diagnosis.sensitivity.whiten import linear_of
@@ -40,7 +40,7 @@ def test_screen_is_a_ranking_of_all_and_none():
     roll = next(s for s in screened if s.effect is not None and s.effect.name == "camera_roll")
     (known,) = refine(here, (roll.effect,), {}, path, LOOSE).sd
     (parameter,) = roll.effect.parameters(here.model.scale)
-    assert roll.dprime == pytest.approx(0.67 * spread(parameter) / known, rel=0.02)
+    assert roll.dprime == pytest.approx(0.67 * prior_sd(parameter) / known, rel=0.02)
 
 
 def test_half_the_sub_steps_do_for_what_is_changed():

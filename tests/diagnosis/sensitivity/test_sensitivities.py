@@ -13,9 +13,9 @@ from scipy.stats import t as student_t
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_noise
-from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, spread, unknowns, upper_bound
+from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, prior_sd, unknowns, upper_bound
 from invdyn.diagnosis.sensitivity import sensitivities as candidates
-from invdyn.diagnosis.sensitivity.latent_response import driven
+from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.diagnosis.sensitivity.sensitivities import STEP, hypotheses, slopes, spacing, unchanged
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
@@ -128,14 +128,14 @@ def test_columns_are_differences_of_the_model(name):
         point = hypothesis.point
         base = ideal
         if hypothesis.offset is None:
-            assert hypothesis.sd == pytest.approx([spread(parameters[free]) for free in hypothesis.free])
+            assert hypothesis.sd == pytest.approx([prior_sd(parameters[free]) for free in hypothesis.free])
         else:
             base = means(having(model, effect, point), path)
             for got, here, without in zip((columns.g, columns.d), base, ideal, strict=True):
                 np.testing.assert_allclose(got[..., hypothesis.offset], here - without, atol=1e-12)
         for free, column in zip(hypothesis.free, hypothesis.columns, strict=True):
             p = parameters[free]
-            step = STEP * spread(p) if hypothesis.offset is None else 0.1 * spacing(p, point[free])
+            step = STEP * prior_sd(p) if hypothesis.offset is None else 0.1 * spacing(p, point[free])
             moved = means(having(model, effect, point | {free: point[free] + step}), path)
             for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
                 expected = (there - here) / step
@@ -162,7 +162,7 @@ def test_a_bending_link_to_first_order():
     ideal = means(model, path)[0]
     for hypothesis in found:
         bent = having(model, effect, hypothesis.point)
-        hinged = driven(bent, path, 1)[0].squeeze(0)
+        hinged = latent_response(bent, path, 1)[0].squeeze(0)
         following = means(bent, hinged)[0]
         hidden = slice(model.torque_size, model.torque_size + 2)
         true = np.delete(following, hidden, axis=1) - ideal
@@ -229,12 +229,12 @@ def test_log_prior_is_that_of_half_normals_and_normals():
 def test_the_gaussian_of_a_prior():
     damping, *_ = chosen("viscous_friction.elbow")[0].parameters(bound().model.scale)
     assert (centre(damping), lower_bound(damping)) == (0.0, 0.0)
-    assert upper_bound(damping) == FARTHER["HalfNormal"] * spread(damping)
-    assert spread(damping) == pytest.approx(float(damping.prior.scale))
+    assert upper_bound(damping) == FARTHER["HalfNormal"] * prior_sd(damping)
+    assert prior_sd(damping) == pytest.approx(float(damping.prior.scale))
     rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
-    assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FARTHER["Beta"] * spread(rate)))
+    assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FARTHER["Beta"] * prior_sd(rate)))
     assert isinstance(scale.prior, LogNormal)
-    assert spread(scale) == pytest.approx(float(scale.prior.stddev))
+    assert prior_sd(scale) == pytest.approx(float(scale.prior.stddev))
 
 
 def test_of_what_may_be_any_size_much_is_plausible():

@@ -14,7 +14,7 @@ import torch
 
 from invdyn.inference import SMCOptions, arm_problem, compare, gaussian_smoother, infer
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.distribute import RETRIES, LostWork, spread
+from invdyn.inference.execution.distribute import RETRIES, LostWork, distribute
 from invdyn.inference.execution.executors import open_executor
 from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
@@ -204,21 +204,21 @@ NAMES = [f"part {seed}" for (seed,) in SEEDS]
 
 @pytest.fixture
 def fresh_pools(pool, monkeypatch):
-    monkeypatch.setattr(sys.modules[spread.__module__], "process_pool", pool)
+    monkeypatch.setattr(sys.modules[distribute.__module__], "process_pool", pool)
 
 
 def test_a_killed_worker_of_a_pool_is_replaced(pool, fresh_pools, tmp_path):
-    expected = spread(parts.noise, SEEDS, NAMES)
+    expected = distribute(parts.noise, SEEDS, NAMES)
     marker = tmp_path / "killed"
     with pool(2) as executor:
-        found = spread(parts.noise_or_death, [(seed, str(marker)) for (seed,) in SEEDS], NAMES, executor=executor)
+        found = distribute(parts.noise_or_death, [(seed, str(marker)) for (seed,) in SEEDS], NAMES, executor=executor)
     assert marker.exists()
     assert all(torch.equal(a["x"], b["x"]) for a, b in zip(found, expected, strict=True))
 
 
 def test_a_part_that_kills_all_its_workers_is_named(pool, fresh_pools):
     with pool(1) as executor, pytest.raises(LostWork, match=f"part 0 could not be had.* {RETRIES + 1} times"):
-        spread(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=executor)
+        distribute(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=executor)
 
 
 def test_a_killed_worker_of_a_cluster_changes_nothing(alone, cluster):
@@ -239,7 +239,7 @@ def test_a_killed_worker_of_a_cluster_changes_nothing(alone, cluster):
 
 def test_a_cluster_that_goes_on_dying_is_an_error(cluster):
     with pytest.raises(LostWork, match="part 0 could not be had: KilledWorker"):
-        spread(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=cluster.get_executor())
+        distribute(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=cluster.get_executor())
 
 
 class AtOnce(Executor):
@@ -257,7 +257,7 @@ class AtOnce(Executor):
 def test_what_fails_is_not_tried_again(pool):
     for executor in (None, pool(1), AtOnce()):
         with pytest.raises(ArithmeticError, match="seed 0") as failure:
-            spread(parts.failing, SEEDS, NAMES, executor=executor)
+            distribute(parts.failing, SEEDS, NAMES, executor=executor)
         assert failure.value.__notes__ == ["in part 0"]
         if executor is not None:
             executor.shutdown()

@@ -18,7 +18,7 @@ def test_weights_ess_and_evidence_by_hand():
     assert outer.ess == pytest.approx(1 / np.sum(w**2))
     assert outer.log_evidence == pytest.approx(np.log(z.mean()) - 5000)
     assert outer.log_evidence_sd == pytest.approx(z.std(ddof=1) / math.sqrt(3) / z.mean())
-    assert outer.spread == pytest.approx(np.log(z).std(ddof=1))
+    assert outer.filter_sd == pytest.approx(np.log(z).std(ddof=1))
 
 
 def test_equal_filters_are_all_worth_one():
@@ -37,7 +37,7 @@ def test_a_lucky_filter_carries_all():
 def test_one_filter_has_no_spread_to_speak_of():
     outer = outer_weights(torch.tensor([3.0]))
     assert outer.log_evidence == pytest.approx(3.0)
-    assert math.isnan(outer.spread)
+    assert math.isnan(outer.filter_sd)
     assert math.isnan(outer.log_evidence_sd)
 
 

@@ -77,4 +77,4 @@ def test_the_algebra_of_the_chain(smoother):
 
 
 def test_the_arms_smoother_has_a_spread_to_test():
-    assert np.abs(arm_smoother().factors.spread).max() > 1e-3
+    assert np.abs(arm_smoother().factors.error_root).max() > 1e-3

@@ -10,6 +10,7 @@ import torch
 from pyro import poutine
 
 from invdyn.models import ArmModel, Body, Keypoints, Learned, Link, Observation, OrnsteinUhlenbeck, RandomWalk
+from invdyn.models.articulated.defaults import WrongValue
 
 F64 = torch.float64
 
@@ -218,7 +219,9 @@ def test_relaxed_models_have_looser_angles_and_end_at_the_model():
         ({"command": np.zeros((4, 2))}, ValueError, r"command of shape \(3, 2\)"),
         ({"command": np.zeros((3, 1))}, ValueError, r"command of shape \(3, 2\)"),
         ({"parameters": {"torque.size": 1.0}}, KeyError, "no parameter torque.size.*torque.scale"),
-        ({"parameters": {"torque.scale": [1.0, 2.0, 3.0]}}, ValueError, r"torque.scale.*\(2,\).*\(3,\)"),
+        ({"parameters": {"torque.scale": [1.0, 2.0, 3.0]}}, WrongValue, r"torque.scale.*\(2,\).*\(3,\)"),
+        ({"parameters": {"torque.scale": "large"}}, WrongValue, "torque.scale: expected numbers, got 'large'"),
+        ({"parameters": {"torque.scale": [1.0, [2.0]]}}, WrongValue, "torque.scale: expected numbers"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(options, error, message):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from invdyn.models import Body, BodyError
-from invdyn.models.bodies.body_xml import DEEPEST, MOST
+from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES
 
 CORNER = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 """A tetrahedron of 1/6 m³."""
@@ -62,7 +62,7 @@ def test_a_file_without_bounds_is_one_line(text, message, tmp_path):
 
 
 def test_an_endless_file_ends():
-    with pytest.raises(BodyError, match=f"at most {MOST / 2**20:g} MiB"):
+    with pytest.raises(BodyError, match=f"at most {MOST_BYTES / 2**20:g} MiB"):
         Body.load("/dev/zero")
 
 

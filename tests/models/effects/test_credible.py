@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from invdyn.diagnosis.problem.unknowns import spread
+from invdyn.diagnosis.problem.unknowns import prior_sd
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.joint_limit import have_room
 
@@ -108,7 +108,7 @@ def test_typical_sizes_are_credible(name, arm):
     for effect in EFFECTS[name].everywhere(model.body, model.body.keypoint_names):
         effect = effect.bound(model.body)
         parameters = effect.parameters(model.scale)
-        values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.3 * spread(p) for p in parameters}
+        values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.3 * prior_sd(p) for p in parameters}
         assert effect.credible(values, {key: 0.1 * abs(value) for key, value in values.items()}, model.scale)
 
 

@@ -33,13 +33,13 @@ def test_the_parts_are_the_link(link, position, arm, having, states):
     x = states(ideal, 8)
     q, qd = x[:, 2:4], x[:, 4:]
     none = torch.zeros(8, 1, dtype=F64)
-    wide, rates = effect.spread(q, none), effect.spread(qd, none)
+    wide, rates = effect.all_hinges(q, none), effect.all_hinges(qd, none)
     torch.testing.assert_close(whole.kinetic_energy(wide, rates, links), ideal.dynamics.kinetic_energy(q, qd, body))
     torch.testing.assert_close(whole.potential_energy(wide, links), ideal.dynamics.potential_energy(q, body))
     torch.testing.assert_close(effect.tips(p, q, torch.zeros(8, 2, dtype=F64), body), ideal.dynamics.keypoints(q, body))
     assert bool((links.inertia > 0).all())
     back, hinge = effect.gathered(wide + 0.1)
-    torch.testing.assert_close(effect.spread(back, hinge), wide + 0.1)
+    torch.testing.assert_close(effect.all_hinges(back, hinge), wide + 0.1)
 
 
 def test_a_rod_that_bends_anywhere_is_two_rods():
@@ -218,7 +218,7 @@ def test_the_rotor_comes_out_of_the_link(arm, states):
         effect = Backlash(f"joint{joint}").bound(ideal.body)
         links, whole = effect.chain({}, body), planar_dynamics(3)
         none = torch.zeros(8, 1, dtype=F64)
-        wide, rates = effect.spread(x[:, 2:4], none), effect.spread(x[:, 4:], none)
+        wide, rates = effect.all_hinges(x[:, 2:4], none), effect.all_hinges(x[:, 4:], none)
         found = whole.kinetic_energy(wide, rates, links)
         torch.testing.assert_close(found, ideal.dynamics.kinetic_energy(x[:, 2:4], x[:, 4:], body))
         gap = torch.full((8, 1), 0.01, dtype=F64)

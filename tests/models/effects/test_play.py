@@ -42,7 +42,7 @@ def exact():
         return torch.cat([rates, whole.forward(angles, rates, torch.zeros(3, dtype=F64), links)]).numpy()
 
     def wide(values, gap):
-        return PLAY.spread(torch.as_tensor(values), torch.tensor([gap], dtype=F64))
+        return PLAY.all_hinges(torch.as_tensor(values), torch.tensor([gap], dtype=F64))
 
     def push(_, x):
         """Of the stop on the gap, N·m."""

@@ -56,7 +56,7 @@ def test_a_set_needs_cameras_of_different_names():
 def test_scaled_and_turned_scenes_give_the_same_pixels():
     calibration, points = ring(3), np.random.default_rng(0).normal((0, 0, 1), 0.3, (10, 3))
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    changed = calibration.scaled(2.5).turned(turn)
+    changed = calibration.scaled(2.5).rotated(turn)
     for before, after in zip(calibration, changed, strict=True):
         np.testing.assert_allclose(project(after, 2.5 * points @ turn.T), project(before, points), atol=1e-9)
     assert changed.baseline("cam1", "cam2") == pytest.approx(2.5 * calibration.baseline("cam1", "cam2"))

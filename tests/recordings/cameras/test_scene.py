@@ -77,7 +77,7 @@ def test_the_named_axis_points_up(tmp_path, axis):
     direction = (-1 if axis[0] == "-" else 1) * np.eye(3)["xyz".index(axis[-1])]
     np.testing.assert_array_equal(UP[axis] @ direction, [0, 0, 1])
     calibration = ring(2)
-    turned = calibration.turned(UP[axis].T)  # in its frame `axis` is what was z
+    turned = calibration.rotated(UP[axis].T)  # in its frame `axis` is what was z
     views = read_views(write_tracks(tmp_path, calibration), turned)
     scene = reconstruct(views, up=axis, scale=1.0)
     np.testing.assert_allclose(scene.recording.keypoints[..., 2], POINTS[..., 2], rtol=0, atol=1e-9)

@@ -1,0 +1,135 @@
+"""What every stage of :func:`.variational_smc.vsmc` shares: its start, the training of its guide, its filters."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import arviz as az
+import pyro
+import torch
+from pyro.infer import SVI
+from pyro.optim import ClippedAdam
+from torch import Tensor
+
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.progress import Report
+from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.filters.backward_simulation import backward_simulation
+from invdyn.inference.filters.filtering import SMCOptions, sufficient_dtype
+from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.variational.affine import Corrected
+from invdyn.inference.variational.training import train
+from invdyn.inference.variational.vsmc import VSMC_ELBO
+from invdyn.models import ArmModel, StateSpaceModel
+
+WORTH = 0.01
+"""Nats that training must gain to be kept."""
+PILOTS = 32
+"""Filters of a pilot run."""
+CHUNK = 500
+"""Rows whose graph is held at once, of longer recordings."""
+
+
+class Learner(ABC):
+    """What the stages of :func:`vsmc` share: the problem, its start, its guide and the model that it is trained for."""
+
+    guide: Corrected
+    target: StateSpaceModel
+
+    def __init__(self, problem: Problem, options: SMCOptions, model: ArmModel, start: Tensor | None):
+        self.problem, self.options = problem, options
+        self.observations = problem.observations.double()
+        self.smoother = gaussian_smoother(model, self.observations, start)
+        self.dtype = options.dtype or sufficient_dtype(self.smoother)
+        self.model = model.to(dtype=self.dtype, device=options.device)
+        self.rows = self.observations.to(dtype=self.dtype, device=options.device)
+
+    @abstractmethod
+    def posterior(
+        self, seed: int, settings: dict, report: Report | None, smoothing: Report | None
+    ) -> tuple[az.InferenceData, list[dict]]:
+        """What the trained filters find; and what of the parameters is not identified."""
+
+    @abstractmethod
+    def bound(self, count: int) -> Tensor:
+        """Log of the weights' numerator over denominator, (M,), of ``count`` filters."""
+
+    def train(self, steps: int, learning_rate: float, report: Report | None, checkpoint: Checkpoint | None) -> float:
+        """Ascend the bound; the parameters stay in Pyro's store. Returns the gain; 0 where it was undone."""
+        if steps == 0:
+            return 0.0
+        slow = {"lr": learning_rate / 10, "lrd": 0.1 ** (1 / steps), "clip_norm": 100.0}
+        fast = {**slow, "lr": learning_rate}
+        own = (f"{self.guide.name}.loc", f"{self.guide.name}.root")
+        chunk = CHUNK if len(self.rows) > 2 * CHUNK else None
+        particles = min(self.options.num_particles, 50)
+        loss = VSMC_ELBO(particles, num_filters=4, ess_threshold=self.options.ess_threshold, chunk=chunk)
+        svi = SVI(self.target, self.guide, ClippedAdam(lambda name: fast if name in own else slow), loss=loss)
+        seed = int(torch.randint(2**31, ()))
+        before = self._pilot(seed)
+        train(svi, steps, self.rows, checkpoint=checkpoint, report=report)
+        gain = self._pilot(seed) - before
+        if not gain > WORTH:
+            pyro.clear_param_store()  # all of them begin at the start
+            return 0.0
+        return gain
+
+    @torch.no_grad()
+    def _pilot(self, seed: int) -> float:
+        """The bound, by filters whose random numbers are the same before and after training."""
+        with seeded(seed, self.options.device):
+            return self.bound(PILOTS).mean().item()
+
+    def _filters(self, model: StateSpaceModel, guide: Corrected, count: int, report: Report | None) -> FilterResult:
+        o = self.options
+        filters = ParticleFilter(
+            model,
+            guide,
+            o.num_particles,
+            num_filters=count,
+            ess_threshold=o.ess_threshold,
+            resampling=o.resampling,
+        )
+        return filters.run(self.rows, progress=report)
+
+    def settings(self, given: dict) -> dict:
+        """What is recorded."""
+        names = ("num_filters", "num_particles", "resampling")
+        return {**given, **{name: getattr(self.options, name) for name in names}}
+
+
+class AtParameters(Learner):
+    """Parameters as they are: only the guide is learned."""
+
+    def __init__(
+        self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report: Report | None
+    ):
+        super().__init__(problem, options, problem.model.to(dtype=torch.float64), start)
+        self.guide, self.target = Corrected(self.model, self.rows, self.smoother), self.model
+
+    def bound(self, count: int) -> Tensor:
+        """The filters' evidence."""
+        return self._trained(count, None).log_evidence
+
+    def _trained(self, count: int, report: Report | None) -> FilterResult:
+        return self._filters(self.model, self.guide.sampled(self.model), count, report)
+
+    def posterior(
+        self, seed: int, settings: dict, report: Report | None, smoothing: Report | None
+    ) -> tuple[az.InferenceData, list[dict]]:
+        """Filters with the trained guide, smoothed."""
+        result = self._trained(self.options.num_filters, report)
+        paths = backward_simulation(
+            self.model,
+            result,
+            self.rows,
+            self.options.num_draws,
+            smoother=self.smoother,
+            progress=smoothing,
+        )
+        own = self.settings(settings)
+        return to_inference_data(self.problem, paths, result, method="vsmc", seed=seed, settings=own), []
