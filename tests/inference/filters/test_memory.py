@@ -2,9 +2,9 @@
 
 import pytest
 
-from invdyn.inference import memory
-from invdyn.inference.memory import check_memory
-from invdyn.inference.smc import SMCOptions
+from invdyn.inference import SMCOptions
+from invdyn.inference.filters import memory
+from invdyn.inference.filters.memory import check_memory
 from invdyn.recordings import InputError
 
 
