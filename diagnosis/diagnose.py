@@ -172,7 +172,7 @@ def diagnose(
 def _searched(
     bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST_EFFECTS
 ) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The setting in sub-steps short enough, along the data's path and for all that was found, and the search."""
+    """The problem in sub-steps short enough, along the data's path and for all that was found, and the search."""
     try:
         with diverging():
             path, stray = data_path(bound)

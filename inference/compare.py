@@ -34,7 +34,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.held_out import log_score
@@ -149,8 +149,8 @@ def compare(
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
     check_memory(recording.num_frames, body.num_joints, options, methods)
     bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
-    whole = bind(recording, truth=truth, report=_stage(progress, "fit"))
-    head, future, missing = _split(whole, recording, bind, held_out, _stage(progress, "fit without the tail"))
+    whole = bind(recording, truth=truth, report=stage(progress, "fit"))
+    head, future, missing = _split(whole, recording, bind, held_out, stage(progress, "fit without the tail"))
     launch = _in_own_process if isolate else partial(measured, executor=executor)
     rows: dict[str, dict[str, Any]] = {}
     posteriors: dict[str, az.InferenceData] = {}
@@ -240,10 +240,6 @@ def _evidence(idata: az.InferenceData) -> dict[str, object]:
         "evidence_kind": kind,
         "outer_ess": found["outer_ess"] if "ess" in statistics else math.nan,
     }
-
-
-def _stage(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else lambda done, total: progress(done, total, what)
 
 
 def _named(progress: Progress | None, method: str) -> Progress | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import arviz as az
 
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.methods.registry import METHODS
@@ -84,7 +84,7 @@ def infer(
         settings=settings,
         truth=truth,
         learn_lengths=learn_lengths,
-        report=None if progress is None else lambda done, total: progress(done, total, "fit"),
+        report=stage(progress, "fit"),
         torque=torque,
         integrator=integrator,
         substeps=substeps,

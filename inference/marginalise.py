@@ -21,7 +21,7 @@ from pyro import poutine
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import Tensors, distribute
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
@@ -69,7 +69,7 @@ def over_bodies(
         [f"body draw {s + 1} of {num_sets}" for s in range(num_sets)],
         executor=executor,
         checkpoint=checkpoint,
-        progress=None if progress is None else lambda done, total: progress(done, total, "bodies"),
+        progress=stage(progress, "bodies"),
     )
     return combine([_unpacked(part) for part in parts], seed=seed)
 

@@ -53,7 +53,7 @@ def path_of(here):
 
 @cache
 def causes(damping=DAMPING):
-    """The pendulum's setting, "no effect" and viscous friction."""
+    """The pendulum's problem, "no effect" and viscous friction."""
     here = diagnosis_problem(recorded(damping), PENDULUM)
     path = path_of(here)
     return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)

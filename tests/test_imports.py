@@ -21,9 +21,7 @@ def test_all_rooms_are_found():
     assert len(FILES) > 40
     assert "invdyn.models.state_space" in IMPORTS["invdyn.models.articulated.arm"]
     assert "invdyn.recordings.errors" in IMPORTS["invdyn.recordings.recording"]
-    assert (
-        "invdyn.models.bodies.body_toml" in IMPORTS["invdyn.models.bodies.body"]
-    )  # from invdyn.models import body_toml
+    assert "invdyn.models.bodies.body_toml" in IMPORTS["invdyn.models.bodies.body"]  # a module by its package
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -56,7 +56,7 @@ class Closed:
 
 
 def split(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, np.ndarray]:
-    """The setting before its last rows, and which rows (T,) those are."""
+    """The problem before its last rows, and which rows (T,) those are."""
     seen = np.flatnonzero((~torch.isnan(problem.observations)).any(-1).numpy())
     first = int(seen[int(SHARE * len(seen))])
     return problem.until(first), np.arange(len(problem.observations)) >= first
@@ -126,7 +126,7 @@ def by_effect(
 def _apart(
     problem: DiagnosisProblem, other: DiagnosisProblem | None
 ) -> tuple[DiagnosisProblem, np.ndarray, Callable[[FittedHypothesis], FittedHypothesis]]:
-    """Where a cause is tried on what it has not seen: the setting, which of its rows count, and the cause there."""
+    """Where a cause is tried on what it has not seen: the problem, which of its rows count, and the cause there."""
     if other is not None:
         start, _ = data_path(other)
         return other, np.ones(len(other.observations), bool), lambda cause: carried(problem, cause, other, start)

@@ -42,7 +42,7 @@ def where(
         causes: key → (cause, probability that it is at work, alone or beside something else).
         outside: probability of what the catalogue lacks and no cause stands in for: a torque, or, where torques are
             unknown and do what they like, something that the camera sees.
-        regime: the setting's.
+        regime: the problem's.
         residual: (T, K) residual torque without any cause, N·m.
         typical: (K,) N·m.
         shifts: (P,) rms of what observation effects move each tracked keypoint by, in noise sds.

@@ -11,8 +11,9 @@ A cause explains a part only, s_c = 0, if errors of prediction are still alike f
 if keypoints stray in the same rows, as no stray detections do (swapped ones are a cause of their own); if errors are
 larger than the noise that the recording shows; if its parameters are such that its effects would not be what they are
 called (:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
-log p(spike), five nats more than a hundredth of what it gains where there is no cause (:meth:`.pool.Search.leaves`): it
-is small then, but surely there. Of a held-out recording the most probable cause is asked the same (:mod:`.transfer`).
+log p(spike), five nats more than a hundredth of what it gains where there is no cause
+(:meth:`.pool.HypothesisPool.leaves`): it is small then, but surely there. Of a held-out recording the most probable
+cause is asked the same (:mod:`.transfer`).
 
 Another effect is then at work beside c, and in the choice between causes that costs what it does where it has a name
 (:mod:`.prior`): p_c of those with s_c = 0 falls by P(n + 1)/P(n), n ≥ 1 the effects of c, but for what a held-out

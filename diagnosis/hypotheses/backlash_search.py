@@ -50,7 +50,7 @@ class Play:
     """Play of a joint beside a base, at any width.
 
     Attributes:
-        setting, base, effect: what is diagnosed, the cause that play joins, and play of one joint, bound.
+        problem, base, effect: what is diagnosed, the cause that play joins, and play of one joint, bound.
         parameter: its width, rad.
         tried: cause by width; None where the simulation does not run.
     """

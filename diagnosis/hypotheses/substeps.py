@@ -31,7 +31,7 @@ SHORTER = (2, 4)
 
 
 def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
-    """The setting with as many sub-steps as its own, or the fewest whose error along ``path`` (T, D) costs little.
+    """The problem with as many sub-steps as its own, or the fewest whose error along ``path`` (T, D) costs little.
 
     Under an unknown torque, which takes errors along, it stays as it is.
     """
@@ -58,7 +58,7 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
 
 
 def shortened(problem: DiagnosisProblem, found: HypothesisPool) -> DiagnosisProblem:
-    """The setting, in shorter sub-steps where the best effect, whose force jumps, leaves something but nothing in them.
+    """The problem, in shorter sub-steps where the best effect, whose force jumps, leaves something but nothing in them.
 
     It is kept as it is there, in its ideal form.
     """

@@ -88,7 +88,7 @@ class DiagnosisProblem:
         uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
-        budget: what is left of it; all settings of one diagnosis share it.
+        budget: what is left of it; all problems of one diagnosis share it.
     """
 
     problem: Problem

@@ -26,7 +26,7 @@ and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
 
 so that parameters which are known well, or far from what was expected, cost what they do without tempering.
 Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are. Stray
-detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.Search.score`).
+detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.HypothesisPool.score`).
 """
 
 import math

@@ -73,7 +73,7 @@ class Unknowns:
 
 
 def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
-    """Unknowns of bound ``effects``, but for those that are searched (:mod:`.noise`), and of the setting's body."""
+    """Unknowns of bound ``effects``, but for those that are searched (:mod:`.noise`), and of the problem's body."""
     found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(problem.model.scale)]
     rows = [(name, p.prior, centre(p), prior_sd(p), lower_bound(p), upper_bound(p)) for name, p in found]
     rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in problem.uncertain]

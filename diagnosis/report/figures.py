@@ -5,7 +5,7 @@ from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.drawing import MOST_POINTS, Plot, limits
-from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain
+from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain, root_mean_square
 
 Z90 = 1.6448536269514722
 """Half a central 90 % interval of a Gaussian, in standard deviations."""
@@ -64,7 +64,7 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
                 for sign, mask in (("plus", residual >= 0), ("minus", residual < 0)):
                     here = np.flatnonzero(mask & (classes == c))[:: stride if c == 0 else max(stride // 2, 1)]
                     plot.dots(angle[here], velocity[here], f"dot {sign} c{c}")
-            rms = handy(_rms(residual), "N·m")
+            rms = handy(root_mean_square(residual), "N·m")
             sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
         key = [plain(edge, 2) for edge in edges]
         found.append({"joint": name, "before": sides[0], "after": sides[1], "key": key, "quiet": loud <= QUIET})
@@ -89,13 +89,8 @@ def residuals(diagnosis: Diagnosis) -> list[dict]:
         plot.level(0.0)
         for words, mean, _ in pairs:
             plot.line(tracks.time, mean, f"line {words}")
-        rms = [handy(_rms(mean), "N·m") for _, mean, _ in pairs]
+        rms = [handy(root_mean_square(mean), "N·m") for _, mean, _ in pairs]
         label = f"Residual torque of {name} over time: {rms[0]} rms before, {rms[1]} after"
-        command = None if tracks.command is None else handy(_rms(tracks.command[:, j]), "N·m")
+        command = None if tracks.command is None else handy(root_mean_square(tracks.command[:, j]), "N·m")
         found.append({"joint": name, "figure": plot.html(label), "before": rms[0], "after": rms[1], "command": command})
     return found
-
-
-def _rms(values: np.ndarray) -> float | None:
-    seen = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else None

@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping
 from typing import TypeGuard
 
+import numpy as np
+
 from invdyn.diagnosis.assessment.result import Estimate
 
 NOTHING = "–"
@@ -113,3 +115,9 @@ def _signed(text: str) -> str:
 
 def _superscript(exponent: int) -> str:
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def root_mean_square(values: np.ndarray) -> float | None:
+    """Root mean square of what is finite; None of nothing."""
+    seen = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else None

@@ -8,7 +8,7 @@ import numpy as np
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.arm import View
 from invdyn.diagnosis.report.drawing import Plot, dots, limits
-from invdyn.diagnosis.report.numbers import fixed
+from invdyn.diagnosis.report.numbers import fixed, root_mean_square
 
 FRAMES = 600
 WIDTH, HEIGHT = 480, 360
@@ -41,7 +41,7 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     plot = Plot(limits(time - time[0], margin=0), limits(*off.values(), zero=True), "time, s", "mm", height=90)
     plot.line(time - time[0], off["nominal"], "line before")
     plot.line(time - time[0], off["corrected"], "line after")
-    label = ", ".join(f"{name} {fixed(_rms(v), 1)} mm rms" for name, v in off.items())
+    label = ", ".join(f"{name} {fixed(root_mean_square(v), 1)} mm rms" for name, v in off.items())
     ghosts = observed[:: -(-len(rows) // GHOSTS)].reshape(-1, 2)
     return {
         "data": data,
@@ -90,8 +90,3 @@ def _within(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
     low, high = seen.min(0), seen.max(0)
     room = (high - low).max()
     return np.clip(points, low - room, high + room)
-
-
-def _rms(values: np.ndarray) -> float | None:
-    seen = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else None

@@ -18,10 +18,12 @@ PARTICLES = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "vsmc"})
 
 
 def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str, ...]) -> None:
-    """Raise InputError, with what it would take, where ``rows`` of that many joints do not fit into this machine."""
-    state = 3 * joints
-    per_task = options.filters_per_task or (32 if options.device == "cpu" else options.num_filters)
-    at_once = min(options.num_filters, per_task)
+    """Raise InputError, with what it would take, where ``rows`` of that many joints do not fit into this machine.
+
+    And as :meth:`.SMCOptions.check` does.
+    """
+    options.check()
+    state, at_once = 3 * joints, max(options.tasks())
     taken = {
         "--filters × --draws": 16 * rows * options.num_filters * options.num_draws * state,
         "--particles": 4 * rows * at_once * options.num_particles * (state + 2) if PARTICLES & {*methods} else 0,

@@ -85,6 +85,10 @@ class LogParameters(Generic[M]):
 
     def __init__(self, model: M, free: Sequence[Free]):
         self.model, self.free = model, tuple(free)
+        for name in (f.name for f in self.free if model.parameters[f.name].ndim == 0):
+            raise ValueError(
+                f"parameter {name}: expected a tensor of one entry or more to fit, such as (1,), got a number"
+            )
         entries = [f.indices(model.parameters[f.name].numel()) for f in self.free]
         sizes = [1 if f.tied else len(own) for f, own in zip(self.free, entries, strict=True)]
         self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])

@@ -6,7 +6,7 @@ import arviz as az
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.mcmc.mixing import mixing
@@ -72,7 +72,7 @@ def nuts(
             draws=draws,
             warmup=warmup,
             seed=seed,
-            progress=None if progress is None else lambda done, total: progress(done, total, "nuts"),
+            progress=stage(progress, "nuts"),
         )
         torch.manual_seed(seed)
         return to_inference_data(

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.mcmc.mixing import mixing
@@ -88,7 +88,7 @@ def particle_gibbs(
         executor=executor,
         checkpoint=checkpoint,
         steps=sweeps,
-        progress=None if progress is None else lambda done, total: progress(done, total, "sweep"),
+        progress=stage(progress, "sweep"),
     )
     kept = torch.cat([part["paths"] for part in parts])
     with seeded(derived(seed, PREDICTIVE)), torch.no_grad():

@@ -13,7 +13,7 @@ import torch
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
-from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, adapted_smoother, run_task
@@ -73,7 +73,7 @@ def smc(
         executor=executor,
         checkpoint=checkpoint,
         steps=2 * len(observations),
-        progress=None if progress is None else lambda done, total: progress(done, total, "filter and smooth"),
+        progress=stage(progress, "filter and smooth"),
     )
     joined = {name: torch.cat([part[name] for part in parts], dim) for name, dim in PER_FILTER.items()}
     dropped = torch.empty(0)  # the particles stay where they were made

@@ -34,7 +34,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import inside
-from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free
@@ -80,15 +80,12 @@ def vsmc(
     """
     options = options or SMCOptions()
 
-    def stage(what: str) -> Report | None:
-        return None if progress is None else lambda done, total: progress(done, total, what)
-
     with seeded(seed, options.device), pyro.get_param_store().scope():
         kind = OverParameters if free else AtParameters
-        learner = kind(problem, free, options, start, stage("fit"))
-        gain = learner.train(steps, learning_rate, stage("train"), inside(checkpoint, "vsmc"))
+        learner = kind(problem, free, options, start, stage(progress, "fit"))
+        gain = learner.train(steps, learning_rate, stage(progress, "train"), inside(checkpoint, "vsmc"))
         with torch.no_grad():
-            idata, found = learner.posterior(seed, settings or {}, stage("filter"), stage("smooth"))
+            idata, found = learner.posterior(seed, settings or {}, stage(progress, "filter"), stage(progress, "smooth"))
     each = idata["sample_stats"]["log_evidence"].values
     error = each.std(ddof=1) / math.sqrt(len(each)) if len(each) > 1 else math.nan
     idata["sample_stats"].attrs |= {

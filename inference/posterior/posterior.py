@@ -254,7 +254,7 @@ def load_posterior(path: str | Path) -> az.InferenceData:
     """Read what :func:`save_posterior` wrote.
 
     Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours, with which of its
-    variables is not as :mod:`.posterior_layout` has it.
+    variables is not as :mod:`.layout` has it.
     """
     if not resolved(path).exists():
         raise FileNotFoundError(2, "no such posterior", str(path))

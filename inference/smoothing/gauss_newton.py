@@ -159,12 +159,15 @@ def _ascend(
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
         linear = linear or linearise(model, path, observations, here, slopes)
-        with np.errstate(over="ignore", invalid="ignore"):  # a step that is not finite reaches nothing, and is refused
+        with np.errstate(over="ignore", invalid="ignore"):
             step = torch.as_tensor(mean_step(linear, damping, scale))
+        # A step that is not finite is refused, and no model is asked about it: one that checks its values would raise.
+        finite = torch.isfinite(step).flatten(-2).all(-1)
+        step = torch.where(finite[..., None, None], step, 0.0)
         candidate = settled(model, path + step)
         there = deviations(model, candidate, observations)
         reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
-        gain = reached - merit
+        gain = np.where(finite.numpy(), reached - merit, -np.inf)
         better = (gain >= 0) & ~done
         if better.any():
             path = torch.where(torch.as_tensor(better)[..., None, None], candidate, path)

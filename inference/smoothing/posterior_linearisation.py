@@ -58,6 +58,8 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
     linear = fit_linear(model, observations, smoother.path, smoother.covariance())
     shift = forward_mean(solve(linear), linear.m0)
     path = smoother.path + torch.as_tensor(shift)
+    if not bool(torch.isfinite(path).all()):
+        raise Singular("the pass ran away")  # before a model that checks its values is asked about them
     # Coordinates are deviations from the path that was fitted along: move them to the new one.
     linear = _recentred(linear, shift)
     factors = solve(linear)

@@ -7,11 +7,11 @@ from torch import Tensor
 
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.effects.scale import Scale
 
 
-class CoulombFriction(Rubbing):
+class CoulombFriction(RegularisedFriction):
     """Torque −τ_c sgn θ̇ at a joint, whatever its speed; a joint at rest sticks.
 
     Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.

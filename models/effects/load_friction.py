@@ -8,11 +8,11 @@ from torch import Tensor
 
 from invdyn.models.effects.base import ABRUPT, Parameter, Values
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.effects.scale import Scale
 
 
-class LoadFriction(Rubbing):
+class LoadFriction(RegularisedFriction):
     """Friction in proportion to what the gear carries: the motor on one side, the arm on the other.
 
     The arm exerts −(h + c), its gravity, Coriolis and centrifugal torques; a motor that holds it up, u = c, loads the
@@ -24,7 +24,7 @@ class LoadFriction(Rubbing):
     meaning = "friction that grows with the torque that the joint carries"
     shown_by = "the same motion under a changed load"
     form_words: ClassVar[Mapping[str, str]] = {
-        **Rubbing.form_words,
+        **RegularisedFriction.form_words,
         "coriolis_share": "loaded by this share of the Coriolis and centrifugal torques",
     }
 

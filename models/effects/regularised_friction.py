@@ -34,7 +34,7 @@ CREEP = 0.001
 """s, its typical ρ."""
 
 
-class Rubbing(Effect):
+class RegularisedFriction(Effect):
     """Base of dry frictions: a level, and in their softer form the times ``settling``, T, and ``creep``, ρ."""
 
     longest: ClassVar[float] = ABRUPT

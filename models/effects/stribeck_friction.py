@@ -9,11 +9,11 @@ from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Parameter, Values, quantiles
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.effects.scale import Scale
 
 
-class StribeckFriction(Rubbing):
+class StribeckFriction(RegularisedFriction):
     """Coulomb friction τ_c in motion, more of it, τ_s, when slow: below about ω_s.
 
     A straight line in τ_c and τ_s for a given ω_s. Told apart from Coulomb friction by slow reversals.

@@ -128,3 +128,11 @@ def test_the_prior_holds_what_the_data_do_not_tell(chain):
 def test_unknown_parameters_are_refused(chain, y):
     with pytest.raises(KeyError, match=r"no parameter torque\.scale"):
         fit(chain.model(STEPS), torch.as_tensor(y), [Free("torque.scale")])
+
+
+def test_a_parameter_without_dimensions_is_told(chain, y):
+    """Many values of it at once would not broadcast against rows."""
+    model = chain.model(len(y))
+    model.parameters["strange"] = torch.tensor(1.0)
+    with pytest.raises(ValueError, match="parameter strange: expected a tensor of one entry or more"):
+        fit(model, torch.as_tensor(y), [Free("strange")])

@@ -14,12 +14,12 @@ from invdyn.models import Encoders, Keypoints, Observation
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.effects.bristles import BristleFriction
-from invdyn.models.effects.regularised_friction import Rubbing
+from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
 FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
-FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if issubclass(kind, Rubbing)))
+FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if issubclass(kind, RegularisedFriction)))
 FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
