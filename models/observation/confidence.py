@@ -17,8 +17,8 @@ import torch
 from scipy.stats import rankdata
 from torch import Tensor
 
-USUAL_SLOPE, USUAL_DROP = 0.1, 0.0
-"""γ and δ where nothing is known of them."""
+USUAL_SLOPE, USUAL_DROP = 0.1, 0.02
+"""γ and δ where nothing is known of them: above 0, where a search for them can begin."""
 
 
 @dataclass(frozen=True, eq=False)
