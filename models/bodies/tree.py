@@ -11,7 +11,7 @@ The base is what the first joint makes of it: fixed where the link's joint is an
 free, moved by one that is `driven`. Files: `tree_toml.py`; tables of Denavit and Hartenberg: `dh.py`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -253,13 +253,94 @@ class Tree(BodyBase):
     @property
     def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
-        scalars = [
-            scalar
-            for link in self.links
-            for group in ([link.mass, link.length], link.origin, link.com, link.inertia, *link.sites.values())
-            for scalar in group or ()
-        ]
-        return any(isinstance(scalar, dist.Distribution) for scalar in scalars)
+        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self._scalars())
+
+    @property
+    def learned(self) -> dict[str, tuple[int, ...]]:
+        """Entries to be learned, as flat indices by number; a stick's length is its tip's x among the sites."""
+        return self._entries(Learned)
+
+    def completed(self, numbers: TreeParameters) -> TreeParameters:
+        """The numbers with what sticks leave out following their lengths, which their tips show, and masses."""
+        if not any(link.length is not None for link in self.links):
+            return numbers
+        own = self._left_out(numbers.mass.device)
+        length = numbers.sites[..., own["tip"], 0]
+        none, rod = torch.zeros_like(length), numbers.mass * length**2 / 12
+        none_of_rod = torch.zeros_like(rod)
+        stretch = length[..., own["parent"]]
+        follows = {
+            "com": [length / 2, none, none],
+            "inertia": [none_of_rod, rod, rod, none_of_rod, none_of_rod, none_of_rod],
+            "position": [stretch, none, none],
+        }
+        return numbers._replace(
+            **{
+                key: torch.where(own[key], torch.stack(each, -1), getattr(numbers, key))
+                for key, each in follows.items()
+            }
+        )
+
+    def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
+        """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
+        like: dict[str, Any] = {"dtype": numbers.mass.dtype, "device": numbers.mass.device}
+        sampled, found = self.sample(**like)._asdict(), {}
+        for key, entries in self._entries(dist.Distribution | Learned).items():
+            given, shape = getattr(numbers, key), self._shapes[key]
+            which = torch.zeros(shape, dtype=torch.bool).reshape(-1)
+            which[list(entries)] = True
+            found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
+        return found
+
+    def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
+        """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
+        for place, link in enumerate(self.links):
+            yield "mass", place, link.mass
+            for key, given in (("position", link.origin), ("com", link.com), ("inertia", link.inertia)):
+                values = given or ()
+                yield from ((key, place * len(values) + i, value) for i, value in enumerate(values))
+            for site, at in link.points.items():
+                first = 3 * self.keypoint_names.index(site)
+                yield from (("sites", first + i, value) for i, value in enumerate(at or [link.length]))
+
+    def _entries(self, kind: Any) -> dict[str, tuple[int, ...]]:
+        """Flat indices of the scalars of a kind, by number."""
+        found: dict[str, list[int]] = {}
+        for key, index, scalar in self._scalars():
+            if isinstance(scalar, kind):
+                found.setdefault(key, []).append(index)
+        return {key: tuple(indices) for key, indices in found.items()}
+
+    @cached_property
+    def _shapes(self) -> dict[str, torch.Size]:
+        return {key: value.shape for key, value in self.parameters()._asdict().items()}
+
+    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
+        """Which rows of com, inertia and position (L, 1) follow from lengths; links' tips and parents (L,), 0 for none.
+
+        Kept where they are asked for, as no row may wait.
+        """
+        if device not in self._left_out_on:
+            sticks = [link.length is not None for link in self.links]
+            on_stick = [parent >= 0 and sticks[parent] for parent in self.parents]
+            which = {
+                "com": [stick and link.com is None for stick, link in zip(sticks, self.links, strict=True)],
+                "inertia": [stick and link.inertia is None for stick, link in zip(sticks, self.links, strict=True)],
+                "position": [on and link.origin is None for on, link in zip(on_stick, self.links, strict=True)],
+            }
+            places = {
+                "tip": [0 if link.tip is None else self.keypoint_names.index(link.tip) for link in self.links],
+                "parent": [max(parent, 0) for parent in self.parents],
+            }
+            self._left_out_on[device] = {
+                **{key: torch.tensor(rows, device=device).unsqueeze(-1) for key, rows in which.items()},
+                **{key: torch.tensor(rows, device=device) for key, rows in places.items()},
+            }
+        return self._left_out_on[device]
+
+    @cached_property
+    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
+        return {}
 
     def _turning(self) -> list[np.ndarray]:
         """For each link, directions in its own frame that its angular velocity may have, (n, 3).
