@@ -26,11 +26,19 @@ from torch.distributions import constraints
 
 from invdyn.models.bodies import tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
-from invdyn.models.bodies.joints import UNTURNED, Joint, Motion
+from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase
-from invdyn.models.bodies.quantities import WORLD, checked_scalar, checked_scalars, ordered
-from invdyn.models.bodies.rotations import about, from_axes, numbers
-from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
+from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
+from invdyn.models.bodies.scalars import (
+    SMALLEST,
+    BodyError,
+    Learned,
+    Scalar,
+    check_name,
+    checked_scalar,
+    checked_scalars,
+    nominal,
+)
 
 __all__ = ["SpatialLink", "Tree", "TreeParameters"]
 
@@ -84,24 +92,25 @@ class SpatialLink:
         if self.name == WORLD or not isinstance(self.joint, Joint):
             raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
         keep = object.__setattr__
-        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", least=0))
+        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", smallest=SMALLEST["mass"]))
         for key, unit in (("origin", "m"), ("com", "m")):
             if getattr(self, key) is not None:
                 keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in {unit}"))
         if self.inertia is not None:
             what = f"{where}: inertia in kg·m²"
             products = checked_scalars(self.inertia, 6, what)
-            keep(self, "inertia", (*(checked_scalar(x, what, least=0) for x in products[:3]), *products[3:]))
+            moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
+            keep(self, "inertia", (*moments, *products[3:]))
         if self.length is not None:
-            keep(self, "length", checked_scalar(self.length, f"{where}: length in m", least=0, above=True))
+            what = f"{where}: length in m"
+            keep(self, "length", checked_scalar(self.length, what, positive=True, smallest=SMALLEST["length"]))
         if (self.tip is not None) != (self.length is not None):
             raise BodyError(f"{where}: expected length and tip together: the tip is a site at (length, 0, 0)")
-        axes = from_axes(np.transpose([numbers(row, 3, f"{where}: rotation") for row in self.rotation]), where)
-        keep(self, "rotation", tuple(map(tuple, axes.tolist())))
+        keep(self, "rotation", from_rows(self.rotation, f"{where}: rotation"))
+        for name in (*([] if self.tip is None else [self.tip]), *self.sites):
+            check_name(name, f"{where}: name of a site")
         sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
         keep(self, "sites", sites)
-        for name in self.points:
-            check_name(name, f"{where}: name of a site")
 
     @property
     def points(self) -> dict[str, Vector | None]:
@@ -140,7 +149,7 @@ class Tree(BodyBase):
             for name in names:
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
-        object.__setattr__(self, "links", ordered(self.links, where))
+        object.__setattr__(self, "links", _ordered(self.links, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self._turning(), strict=True):
@@ -361,7 +370,12 @@ class Tree(BodyBase):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file in space. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        tables = {"name": Path(path).stem, **tree_toml.read(path)}
+        return cls.from_tables(tree_toml.read(path), path)
+
+    @classmethod
+    def from_tables(cls, tables: dict, path: str | Path) -> Self:
+        """The tree of a TOML file's tables; see `from_toml`."""
+        tables = {"name": Path(path).stem, **tree_toml.of(tables, path)}
         try:
             links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables.pop("links")]
             return cls(links=links, **tables)
@@ -379,6 +393,27 @@ class Tree(BodyBase):
             for link in self.links
         ]
         tree_toml.write(path, self.name, self.gravity, links)
+
+
+def _ordered(links: Sequence[SpatialLink], where: str) -> tuple[SpatialLink, ...]:
+    """Links with parents before their children, else as given. Raises `BodyError` for unknown parents and a cycle."""
+    names = {link.name for link in links}
+    for link in links:
+        if link.parent != WORLD and link.parent not in names:
+            raise BodyError(
+                f"{where}: link '{link.name}' hangs on '{link.parent}', which is no link; "
+                f"links are {', '.join(link.name for link in links)}, and '{WORLD}' is what does not move"
+            )
+    placed, waiting, known = [], list(links), {WORLD}
+    while waiting:
+        ready = next((link for link in waiting if link.parent in known), None)
+        if ready is None:
+            circle = ", ".join(f"'{link.name}' on '{link.parent}'" for link in waiting)
+            raise BodyError(f"{where}: expected a tree, but links hang on each other in a circle: {circle}")
+        waiting.remove(ready)
+        known.add(ready.name)
+        placed.append(ready)
+    return tuple(placed)
 
 
 def _stacked(scalars: Sequence[Tensor], dim: int = -1) -> Tensor:
