@@ -4,8 +4,12 @@ from .bodies.body import BodyError as BodyError
 from .bodies.body import BodyParameters as BodyParameters
 from .bodies.body import Learned as Learned
 from .bodies.body import Link as Link
+from .bodies.dh import from_dh as from_dh
+from .bodies.joints import Joint as Joint
 from .bodies.protocol import ArticulatedBody as ArticulatedBody
 from .bodies.protocol import BodyBase as BodyBase
+from .bodies.tree import SpatialLink as SpatialLink
+from .bodies.tree import Tree as Tree
 from .dynamics.integrators import INTEGRATORS as INTEGRATORS
 from .dynamics.interface import Dynamics as Dynamics
 from .dynamics.planar_recursive import RecursiveDynamics as RecursiveDynamics

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
-from invdyn.models.bodies.joints import UNTURNED, Joint
+from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.rotations import UNTURNED
 from invdyn.models.bodies.tree import SpatialLink, Tree
 
 F64 = torch.float64

@@ -347,15 +347,25 @@ class Body(BodyBase):
         Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
         """
         content = read_whole(path, body_xml.MOST_BYTES)
-        if not body_xml.is_xml(content):
-            return cls._from_tables(body_toml.parse(content, str(path)), path)
+        if body_xml.is_xml(content):
+            return cls.from_xml(content, path)
+        return cls.from_tables(body_toml.parse(content, str(path)), path)
+
+    @classmethod
+    def from_xml(cls, content: bytes, path: str | Path) -> Self:
+        """The body of the content of a file of MJCF or URDF; see `load`."""
         root = body_xml.parse(content, str(path))
-        return cls._from_tables((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
+        return cls._of((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
+
+    @classmethod
+    def from_tables(cls, tables: dict, path: str | Path) -> Self:
+        """The body of a TOML file's tables; see `load`."""
+        return cls._of(body_toml.of(tables, str(path)), path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls._from_tables(body_toml.read(path), path)
+        return cls._of(body_toml.read(path), path)
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Self:
@@ -363,15 +373,15 @@ class Body(BodyBase):
 
         Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
         """
-        return cls._from_tables(body_mjcf.read(path), path)
+        return cls._of(body_mjcf.read(path), path)
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
         """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
-        return cls._from_tables(body_urdf.read(path), path)
+        return cls._of(body_urdf.read(path), path)
 
     @classmethod
-    def _from_tables(cls, tables: dict, path: str | Path) -> Self:
+    def _of(cls, tables: dict, path: str | Path) -> Self:
         try:
             return cls(**tables | {"links": [Link(**link) for link in tables["links"]]})
         except BodyError as error:

@@ -43,13 +43,13 @@ def read(path: str | Path) -> dict:
     for broken TOML, a TOML that is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file
     cannot be read.
     """
-    return parse(read_whole(path, MOST_BYTES), str(path))
+    return of(parse(read_whole(path, MOST_BYTES), str(path)), str(path))
 
 
 def parse(content: bytes, path: str) -> dict:
-    """The tables of a body file's content; see :func:`read`."""
+    """The tables of a file's content, of any TOML. Raises `BodyError`, which begins with `path`, for what is none."""
     try:
-        tables = tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
     except tomllib.TOMLDecodeError as error:
@@ -58,6 +58,10 @@ def parse(content: bytes, path: str) -> dict:
         raise BodyError(f"{path}: expected a body, got TOML nested too deep for one") from None
     except ValueError:  # Python turns no more than 4,300 digits into an integer
         raise BodyError(f"{path}: expected a body, got TOML with an integer too long to be read") from None
+
+
+def of(tables: dict, path: str) -> dict:
+    """The tables of a body; see :func:`read`."""
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from invdyn.models.bodies.inertia import six, tensor
-from invdyn.models.bodies.joints import Joint
-from invdyn.models.bodies.quantities import WORLD
+from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.rotations import LETTERS, about, numbers
 from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.tree import SpatialLink, Tree

@@ -8,17 +8,23 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies import body_toml, body_xml, tree_toml
 from invdyn.models.bodies.body import Body, BodyParameters
-from invdyn.models.bodies.joints import Joint
-from invdyn.models.bodies.quantities import WORLD
+from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
+from invdyn.models.bodies.whole_file import read_whole
 
 
 def load(path: str | Path) -> Body | Tree:
-    """Read a body file: a `Tree` of a TOML that says dimensions = 3, else what `Body.load` reads; raises as they do."""
-    planar = Path(path).suffix.lower() in (".xml", ".mjcf", ".urdf") or not tree_toml.is_in_space(path)
-    return Body.load(path) if planar else Tree.from_toml(path)
+    """Read a body file: a `Tree` of a TOML that says dimensions = 3, else what `Body.load` reads; raises as they do.
+
+    What a file is, its content says, not its name.
+    """
+    content = read_whole(path, body_xml.MOST_BYTES)
+    if body_xml.is_xml(content):
+        return Body.from_xml(content, path)
+    tables = body_toml.parse(content, str(path))
+    return (Tree if tree_toml.is_in_space(tables, path) else Body).from_tables(tables, path)
 
 
 def tree_of(body: Body) -> Tree:

@@ -22,13 +22,14 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from invdyn.models.bodies.rotations import LETTERS, unit
+from invdyn.models.bodies.rotations import LETTERS, UNTURNED, from_rows, unit
 from invdyn.models.bodies.scalars import BodyError, check_name
 
 COORDINATES = {"hinge": 1, "slide": 1, "universal": 2, "ball": 3, "translation": 3, "free": 6, "fixed": 0}
 CHARTS = {"universal": "zy", "ball": "zyx", "free": "zyx"}
 TURNS = {"x": "roll", "y": "pitch", "z": "yaw"}
-UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+WORLD = "world"
+"""What a link's parent is called where it hangs on nothing that moves."""
 
 
 class Motion(NamedTuple):
@@ -43,8 +44,8 @@ class Motion(NamedTuple):
 class Joint:
     """One joint; types and meanings at the top of this file. `reference` has rows of a rotation, `axis` length 1.
 
-    Raises `BodyError` for a blank name, an unknown type, an axis that is not of unit length, and a chart that the
-    type cannot have.
+    Raises `BodyError` for a blank name, an unknown type, an axis that is not of unit length, a reference that is no
+    rotation, and a chart that the type cannot have.
     """
 
     name: str
@@ -57,12 +58,13 @@ class Joint:
     def __post_init__(self) -> None:
         check_name(self.name, "name of a joint")
         where = f"joint '{self.name}'"
-        if self.type not in COORDINATES:
+        if not isinstance(self.type, str) or self.type not in COORDINATES:
             raise BodyError(f"{where}: expected a type of {', '.join(COORDINATES)}, got {self.type!r:.40}")
         if not isinstance(self.driven, bool):
             raise BodyError(f"{where}: expected driven = true or false, got {self.driven!r:.40}")
         axis = unit(self.axis, 3, f"{where}: axis")
         object.__setattr__(self, "axis", tuple(axis.tolist()))
+        object.__setattr__(self, "reference", from_rows(self.reference, f"{where}: reference"))
         object.__setattr__(self, "chart", self._checked_chart(where))
 
     def _checked_chart(self, where: str) -> str:

@@ -3,17 +3,19 @@
 A rotation R (3, 3) has the axes of the turned frame as its columns, so that v_outer = R v_inner. Quaternions are
 (w, x, y, z), angles are rad, roll–pitch–yaw are URDF's: R = Rz(yaw) Ry(pitch) Rx(roll). What is within 1e-12 of 0 or
 ±1 becomes it: right angles are meant, and structural zeros make the dynamics short.
-
-Euler angles of three axes in general: K. Shoemake, "Euler angle conversion", Graphics Gems IV (1994).
 """
 
+import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies.scalars import BodyError, number
 
 IDENTITY = np.eye(3)
+UNTURNED = tuple(map(tuple, IDENTITY.tolist()))
+"""The same as rows."""
 LETTERS = {letter: IDENTITY[place] for place, letter in enumerate("xyz")}
 EXACT = 1e-12
 ROUNDED = 1e-3
@@ -43,24 +45,20 @@ def unit(values: object, count: int, what: str) -> np.ndarray:
 
 
 def about(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The rotation by `angle` rad about a unit axis (Rodrigues), (3, 3)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return clean(IDENTITY + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    """The rotation by `angle` rad about a unit axis, (3, 3)."""
+    return clean(Rotation.from_rotvec(angle * axis).as_matrix())
 
 
 def from_quaternion(quaternion: object, what: str) -> np.ndarray:
     """The rotation of a unit quaternion (w, x, y, z). Raises `BodyError`, which begins with `what`."""
     w, *vector = unit(quaternion, 4, f"{what}, a quaternion (w, x, y, z)")
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return clean(IDENTITY + 2 * w * cross + 2 * cross @ cross)
+    return clean(Rotation.from_quat([*vector, w]).as_matrix())
 
 
 def from_rpy(rpy: object, what: str) -> np.ndarray:
     """The rotation of roll, pitch and yaw, rad. Raises `BodyError`, which begins with `what`."""
-    roll, pitch, yaw = numbers(rpy, 3, f"{what}, roll, pitch and yaw in rad")
-    return clean(about(LETTERS["z"], yaw) @ about(LETTERS["y"], pitch) @ about(LETTERS["x"], roll))
+    angles = numbers(rpy, 3, f"{what}, roll, pitch and yaw in rad")
+    return clean(Rotation.from_euler("xyz", angles).as_matrix())
 
 
 def from_axes(axes: object, what: str) -> np.ndarray:
@@ -77,6 +75,14 @@ def from_axes(axes: object, what: str) -> np.ndarray:
         u, _, v = np.linalg.svd(matrix)  # the nearest rotation: printed digits are rounded
         matrix = u @ v
     return clean(matrix)
+
+
+def from_rows(rows: object, what: str) -> tuple[tuple[float, ...], ...]:
+    """The rows of a rotation, given as rows. Raises `BodyError` as `from_axes` does."""
+    if isinstance(rows, str) or not isinstance(rows, Iterable) or len(rows := list(rows)) != 3:
+        raise BodyError(f"{what}: expected three rows of three numbers, got {rows!r:.60}")
+    matrix = from_axes(np.transpose([numbers(row, 3, what) for row in rows]), what)
+    return tuple(map(tuple, matrix.tolist()))
 
 
 def onto(axis: np.ndarray) -> np.ndarray:
@@ -102,20 +108,7 @@ def chart_angles(rotations: np.ndarray, chart: str) -> np.ndarray:
     the last, too). Where the middle one is at an end, the first and the last are known by their sum or difference
     alone: the last is then 0.
     """
-    i, j, k = ("xyz".index(letter) for letter in chart)
-    symmetric = i == k
-    k = 3 - i - j
-    sign = float(np.linalg.det(IDENTITY[:, [i, j, k]]))
-    # in axes i, j, k (left-handed ones count turns backwards) the letters are x, y and z or x, y and x
-    m = rotations[..., [i, j, k], :][..., [i, j, k]]
-    if symmetric:
-        middle = sign * np.arctan2(np.hypot(m[..., 0, 1], m[..., 0, 2]), m[..., 0, 0])
-        first = np.arctan2(sign * m[..., 1, 0], -sign * m[..., 2, 0])
-        last = np.arctan2(sign * m[..., 0, 1], sign * m[..., 0, 2])
-        at_end = np.abs(np.sin(middle)) < 1e-9
-    else:
-        middle = np.arctan2(m[..., 0, 2], np.hypot(m[..., 0, 0], m[..., 0, 1]))
-        first, last = np.arctan2(-m[..., 1, 2], m[..., 2, 2]), np.arctan2(-m[..., 0, 1], m[..., 0, 0])
-        at_end = np.abs(np.cos(middle)) < 1e-9
-    first = np.where(at_end, np.arctan2(m[..., 2, 1], m[..., 1, 1]), first)
-    return sign * np.stack([first, middle, np.where(at_end, 0.0, last)], -1)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
+        angles = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler(chart.upper())
+    return angles.reshape(rotations.shape[:-1])

@@ -63,23 +63,43 @@ def prior(mean: float, sd: float) -> dist.Distribution:
 def checked(value: Scalar, quantity: str, where: str) -> Scalar:
     """Return a scalar of a link, numbers as float. Raises `BodyError`, which begins with `where`."""
     what = f"{where}: {quantity} in {UNITS[quantity]}"
+    if quantity == "com":
+        return checked_scalar(value, what, signed=True)
+    return checked_scalar(value, what, positive=quantity in ("length", "mass"), smallest=SMALLEST[quantity])
+
+
+def checked_scalar(
+    value: Scalar, what: str, signed: bool = False, positive: bool = False, smallest: float = 0.0
+) -> Scalar:
+    """Return a scalar, numbers as float. Raises `BodyError`, which begins with `what`.
+
+    One that is not ``signed`` is not negative, and not 0 where it is ``positive`` or learned, nor between 0 and
+    ``smallest``.
+    """
     if isinstance(value, dist.Distribution):
         if value.shape() != ():
             raise BodyError(f"{what}: expected a scalar prior, got one of shape {tuple(value.shape())}")
-        if quantity != "com" and bool(value.support.check(torch.tensor(-1e-6))):
+        if not signed and bool(value.support.check(torch.tensor(-1e-6))):
             raise BodyError(f"{what}: the prior allows negative values; use a LogNormal, for example")
     elif isinstance(value, Learned):
         value = Learned(number(value.start, what))
     else:
         value = number(value, what)
     centre = number(nominal(value), what)
-    if centre < 0 and quantity != "com":
+    if centre < 0 and not signed:
         raise BodyError(f"{what}: expected no negative number, got {centre:g}")
-    if centre == 0 and (quantity in ("length", "mass") or (quantity == "inertia" and isinstance(value, Learned))):
+    if centre == 0 and not signed and (positive or isinstance(value, Learned)):
         raise BodyError(f"{what}: expected a positive number, got 0")
-    if 0 < abs(centre) < SMALLEST.get(quantity, 0):
-        raise BodyError(f"{what}: expected {SMALLEST[quantity]:.0e} or more, got {centre:g}; is the unit right?")
+    if 0 < abs(centre) < smallest:
+        raise BodyError(f"{what}: expected {smallest:.0e} or more, got {centre:g}; is the unit right?")
     return value
+
+
+def checked_scalars(values: object, count: int, what: str) -> tuple[Scalar, ...]:
+    """Return `count` scalars of either sign. Raises `BodyError`, which begins with `what`."""
+    if isinstance(values, str) or not isinstance(values, Iterable) or len(values := tuple(values)) != count:
+        raise BodyError(f"{what}: expected {count} numbers, got {values!r:.60}")
+    return tuple(checked_scalar(value, what, signed=True) for value in values)
 
 
 def number(value: object, what: str) -> float:

@@ -11,7 +11,7 @@ The base is what the first joint makes of it: fixed where the link's joint is an
 free, moved by one that is `driven`. Files: `tree_toml.py`; tables of Denavit and Hartenberg: `dh.py`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -26,11 +26,19 @@ from torch.distributions import constraints
 
 from invdyn.models.bodies import tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
-from invdyn.models.bodies.joints import UNTURNED, Joint, Motion
+from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase
-from invdyn.models.bodies.quantities import WORLD, checked_scalar, checked_scalars, ordered
-from invdyn.models.bodies.rotations import about, from_axes, numbers
-from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
+from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
+from invdyn.models.bodies.scalars import (
+    SMALLEST,
+    BodyError,
+    Learned,
+    Scalar,
+    check_name,
+    checked_scalar,
+    checked_scalars,
+    nominal,
+)
 
 __all__ = ["SpatialLink", "Tree", "TreeParameters"]
 
@@ -84,24 +92,25 @@ class SpatialLink:
         if self.name == WORLD or not isinstance(self.joint, Joint):
             raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
         keep = object.__setattr__
-        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", least=0))
+        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", smallest=SMALLEST["mass"]))
         for key, unit in (("origin", "m"), ("com", "m")):
             if getattr(self, key) is not None:
                 keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in {unit}"))
         if self.inertia is not None:
             what = f"{where}: inertia in kg·m²"
             products = checked_scalars(self.inertia, 6, what)
-            keep(self, "inertia", (*(checked_scalar(x, what, least=0) for x in products[:3]), *products[3:]))
+            moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
+            keep(self, "inertia", (*moments, *products[3:]))
         if self.length is not None:
-            keep(self, "length", checked_scalar(self.length, f"{where}: length in m", least=0, above=True))
+            what = f"{where}: length in m"
+            keep(self, "length", checked_scalar(self.length, what, positive=True, smallest=SMALLEST["length"]))
         if (self.tip is not None) != (self.length is not None):
             raise BodyError(f"{where}: expected length and tip together: the tip is a site at (length, 0, 0)")
-        axes = from_axes(np.transpose([numbers(row, 3, f"{where}: rotation") for row in self.rotation]), where)
-        keep(self, "rotation", tuple(map(tuple, axes.tolist())))
+        keep(self, "rotation", from_rows(self.rotation, f"{where}: rotation"))
+        for name in (*([] if self.tip is None else [self.tip]), *self.sites):
+            check_name(name, f"{where}: name of a site")
         sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
         keep(self, "sites", sites)
-        for name in self.points:
-            check_name(name, f"{where}: name of a site")
 
     @property
     def points(self) -> dict[str, Vector | None]:
@@ -140,7 +149,7 @@ class Tree(BodyBase):
             for name in names:
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
-        object.__setattr__(self, "links", ordered(self.links, where))
+        object.__setattr__(self, "links", _ordered(self.links, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self._turning(), strict=True):
@@ -253,13 +262,94 @@ class Tree(BodyBase):
     @property
     def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
-        scalars = [
-            scalar
-            for link in self.links
-            for group in ([link.mass, link.length], link.origin, link.com, link.inertia, *link.sites.values())
-            for scalar in group or ()
-        ]
-        return any(isinstance(scalar, dist.Distribution) for scalar in scalars)
+        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self._scalars())
+
+    @property
+    def learned(self) -> dict[str, tuple[int, ...]]:
+        """Entries to be learned, as flat indices by number; a stick's length is its tip's x among the sites."""
+        return self._entries(Learned)
+
+    def completed(self, numbers: TreeParameters) -> TreeParameters:
+        """The numbers with what sticks leave out following their lengths, which their tips show, and masses."""
+        if not any(link.length is not None for link in self.links):
+            return numbers
+        own = self._left_out(numbers.mass.device)
+        length = numbers.sites[..., own["tip"], 0]
+        none, rod = torch.zeros_like(length), numbers.mass * length**2 / 12
+        none_of_rod = torch.zeros_like(rod)
+        stretch = length[..., own["parent"]]
+        follows = {
+            "com": [length / 2, none, none],
+            "inertia": [none_of_rod, rod, rod, none_of_rod, none_of_rod, none_of_rod],
+            "position": [stretch, none, none],
+        }
+        return numbers._replace(
+            **{
+                key: torch.where(own[key], torch.stack(each, -1), getattr(numbers, key))
+                for key, each in follows.items()
+            }
+        )
+
+    def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
+        """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
+        like: dict[str, Any] = {"dtype": numbers.mass.dtype, "device": numbers.mass.device}
+        sampled, found = self.sample(**like)._asdict(), {}
+        for key, entries in self._entries(dist.Distribution | Learned).items():
+            given, shape = getattr(numbers, key), self._shapes[key]
+            which = torch.zeros(shape, dtype=torch.bool).reshape(-1)
+            which[list(entries)] = True
+            found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
+        return found
+
+    def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
+        """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
+        for place, link in enumerate(self.links):
+            yield "mass", place, link.mass
+            for key, given in (("position", link.origin), ("com", link.com), ("inertia", link.inertia)):
+                values = given or ()
+                yield from ((key, place * len(values) + i, value) for i, value in enumerate(values))
+            for site, at in link.points.items():
+                first = 3 * self.keypoint_names.index(site)
+                yield from (("sites", first + i, value) for i, value in enumerate(at or [link.length]))
+
+    def _entries(self, kind: Any) -> dict[str, tuple[int, ...]]:
+        """Flat indices of the scalars of a kind, by number."""
+        found: dict[str, list[int]] = {}
+        for key, index, scalar in self._scalars():
+            if isinstance(scalar, kind):
+                found.setdefault(key, []).append(index)
+        return {key: tuple(indices) for key, indices in found.items()}
+
+    @cached_property
+    def _shapes(self) -> dict[str, torch.Size]:
+        return {key: value.shape for key, value in self.parameters()._asdict().items()}
+
+    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
+        """Which rows of com, inertia and position (L, 1) follow from lengths; links' tips and parents (L,), 0 for none.
+
+        Kept where they are asked for, as no row may wait.
+        """
+        if device not in self._left_out_on:
+            sticks = [link.length is not None for link in self.links]
+            on_stick = [parent >= 0 and sticks[parent] for parent in self.parents]
+            which = {
+                "com": [stick and link.com is None for stick, link in zip(sticks, self.links, strict=True)],
+                "inertia": [stick and link.inertia is None for stick, link in zip(sticks, self.links, strict=True)],
+                "position": [on and link.origin is None for on, link in zip(on_stick, self.links, strict=True)],
+            }
+            places = {
+                "tip": [0 if link.tip is None else self.keypoint_names.index(link.tip) for link in self.links],
+                "parent": [max(parent, 0) for parent in self.parents],
+            }
+            self._left_out_on[device] = {
+                **{key: torch.tensor(rows, device=device).unsqueeze(-1) for key, rows in which.items()},
+                **{key: torch.tensor(rows, device=device) for key, rows in places.items()},
+            }
+        return self._left_out_on[device]
+
+    @cached_property
+    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
+        return {}
 
     def _turning(self) -> list[np.ndarray]:
         """For each link, directions in its own frame that its angular velocity may have, (n, 3).
@@ -280,7 +370,12 @@ class Tree(BodyBase):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file in space. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        tables = {"name": Path(path).stem, **tree_toml.read(path)}
+        return cls.from_tables(tree_toml.read(path), path)
+
+    @classmethod
+    def from_tables(cls, tables: dict, path: str | Path) -> Self:
+        """The tree of a TOML file's tables; see `from_toml`."""
+        tables = {"name": Path(path).stem, **tree_toml.of(tables, path)}
         try:
             links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables.pop("links")]
             return cls(links=links, **tables)
@@ -298,6 +393,27 @@ class Tree(BodyBase):
             for link in self.links
         ]
         tree_toml.write(path, self.name, self.gravity, links)
+
+
+def _ordered(links: Sequence[SpatialLink], where: str) -> tuple[SpatialLink, ...]:
+    """Links with parents before their children, else as given. Raises `BodyError` for unknown parents and a cycle."""
+    names = {link.name for link in links}
+    for link in links:
+        if link.parent != WORLD and link.parent not in names:
+            raise BodyError(
+                f"{where}: link '{link.name}' hangs on '{link.parent}', which is no link; "
+                f"links are {', '.join(link.name for link in links)}, and '{WORLD}' is what does not move"
+            )
+    placed, waiting, known = [], list(links), {WORLD}
+    while waiting:
+        ready = next((link for link in waiting if link.parent in known), None)
+        if ready is None:
+            circle = ", ".join(f"'{link.name}' on '{link.parent}'" for link in waiting)
+            raise BodyError(f"{where}: expected a tree, but links hang on each other in a circle: {circle}")
+        waiting.remove(ready)
+        known.add(ready.name)
+        placed.append(ready)
+    return tuple(placed)
 
 
 def _stacked(scalars: Sequence[Tensor], dim: int = -1) -> Tensor:

@@ -31,56 +31,58 @@
 a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's too.
 """
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from invdyn.models.bodies.body_toml import literal, scalar_from_table, scalar_to_table
-from invdyn.models.bodies.quantities import WORLD
-from invdyn.models.bodies.rotations import from_axes, from_quaternion, from_rpy
+from invdyn.models.bodies.body_toml import literal, parse, scalar_from_table, scalar_to_table
+from invdyn.models.bodies.body_xml import MOST_BYTES
+from invdyn.models.bodies.joints import WORLD
+from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
 from invdyn.models.bodies.scalars import BodyError, check_keys
-from invdyn.models.bodies.whole_file import write_whole
+from invdyn.models.bodies.whole_file import read_whole, write_whole
 
 TREE_KEYS = ("name", "dimensions", "gravity", "links")
 ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
 JOINT_KEYS = ("type", "axis", "chart", "driven", "reference")
 SCALARS = ("mass", "length")
 VECTORS = ("origin", "com", "inertia")
-UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 LINK_KEYS = ("name", "parent", "joint", *JOINT_KEYS, *ROTATIONS, *SCALARS, "tip", *VECTORS, "sites")
 
 
-def is_in_space(path: str | Path) -> bool:
-    """Whether a body file says dimensions = 3. Raises `BodyError` for another number, broken TOML; `OSError`."""
-    dimensions = _tables(path).get("dimensions", 2)
+def is_in_space(tables: dict, path: str | Path) -> bool:
+    """Whether a body file's tables say dimensions = 3. Raises `BodyError` for another number than that and 2."""
+    dimensions = tables.get("dimensions", 2)
     if isinstance(dimensions, bool) or dimensions not in (2, 3):
         raise BodyError(f"{path}: expected dimensions = 2 (the default) or 3, got {dimensions!r:.40}")
     return dimensions == 3
 
 
 def read(path: str | Path) -> dict:
-    """Return gravity and links, and the name if it has one, of a body file in space.
+    """Return the tables of a body file. Raises `BodyError` for broken TOML, `OSError` when it cannot be read."""
+    return parse(read_whole(path, MOST_BYTES), str(path))
+
+
+def of(tables: dict, path: str | Path) -> dict:
+    """Return gravity and links, and the name if it has one, of the tables of a body file in space.
 
     Each link is a dict of what `SpatialLink` takes, with its joint as a dict of what `Joint` takes. Raises `BodyError`
-    for broken TOML, a planar file, unknown or missing keys; `OSError` when the file cannot be read.
+    for a planar file, unknown or missing keys.
     """
-    if not is_in_space(path):
+    if not is_in_space(tables, path):
         raise BodyError(f"{path}: a planar body; one in space has dimensions = 3 at its top")
-    tables = _tables(path)
     links = tables.get("links")
     if not isinstance(links, list) or not links or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
     check_keys(tables, TREE_KEYS, str(path))
-    del tables["dimensions"]
     found = []
     for place, link in enumerate(links, 1):
         before = links[place - 2].get("name") if place > 1 else WORLD
         found.append(_link({"parent": before, **link}, f"{path}: link {place}"))
-    return tables | {"links": found}
+    return {key: value for key, value in tables.items() if key != "dimensions"} | {"links": found}
 
 
 def write(path: str | Path, name: str, gravity: Sequence[float], links: list[dict]) -> None:
-    """Write links, dicts as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
+    """Write links, dicts as `of` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
     lines = [f"name = {literal(name)}", "dimensions = 3", f"gravity = {literal(gravity)}"]
     for link in links:
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in _written(link).items())]
@@ -91,9 +93,8 @@ def _written(link: dict) -> dict:
     joint = dict(link["joint"])
     values = {"name": link["name"], "parent": link["parent"], "joint": joint.pop("name")}
     for key, rows in (("axes", link["rotation"]), ("reference", joint.pop("reference"))):
-        columns = [list(column) for column in zip(*rows, strict=True)]
-        if columns != UNTURNED:
-            values[key] = columns
+        if rows != UNTURNED:
+            values[key] = [list(column) for column in zip(*rows, strict=True)]
     usual = {"chart": "", "driven": False}
     values |= {key: value for key, value in joint.items() if usual.get(key) != value}
     for key in (*SCALARS, *VECTORS, "tip"):
@@ -104,15 +105,6 @@ def _written(link: dict) -> dict:
             values[key] = value if key == "tip" else scalar_to_table(value, key)
     own = {name: [scalar_to_table(x, name) for x in at] for name, at in link["sites"].items()}
     return values | ({"sites": own} if own else {})
-
-
-def _tables(path: str | Path) -> dict:
-    try:
-        return tomllib.loads(Path(path).read_bytes().decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise BodyError(f"{path}: expected a body in TOML, got a file that is not UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise BodyError(f"{path}: broken TOML: {error}") from error
 
 
 def _link(link: dict, where: str) -> dict:

@@ -42,8 +42,7 @@ class PlanarDynamics(Dynamics):
 
     def torque_of(self, q: Tensor, site: int, force: Tensor, p: BodyParameters) -> Tensor:
         """Jᵀ F of a force (..., 2) N that pulls at a link's tip, (..., K)."""
-        phi = q.cumsum(-1)
-        turned = torch.stack([-phi.sin(), phi.cos()], -1) * p.length.unsqueeze(-1)
+        turned = across(along(q)) * p.length.unsqueeze(-1)
         lever = (turned[..., : site + 1, :] * force.unsqueeze(-2)).sum(-1)
         moment = lever.flip(-1).cumsum(-1).flip(-1)
         return torch.nn.functional.pad(moment, (0, q.shape[-1] - site - 1))

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar import PlanarDynamics
+from invdyn.models.dynamics.planar import PlanarDynamics, along
 from invdyn.models.shapes import common
 
 
@@ -146,9 +146,7 @@ class RecursiveDynamics(PlanarDynamics):
     def keypoints(self, q: Tensor, p: BodyParameters) -> Tensor:
         """Positions (x, y) of the tips in the recording's frame, m, (..., K, 2)."""
         self._check(q=q)
-        phi = q.cumsum(-1)
-        direction = torch.stack((phi.cos(), phi.sin()), -1)
-        return p.base.unsqueeze(-2) + (p.length.unsqueeze(-1) * direction).cumsum(-2)
+        return p.base.unsqueeze(-2) + (p.length.unsqueeze(-1) * along(q)).cumsum(-2)
 
     def _batch(self, p: BodyParameters, **joint: Tensor) -> tuple[BodyParameters, list[Tensor]]:
         """All of them expanded to one batch shape, which vectors with the batch last need."""

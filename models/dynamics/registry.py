@@ -8,6 +8,7 @@ from functools import singledispatch
 
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import PlanarDynamics
@@ -19,7 +20,7 @@ from invdyn.models.dynamics.planar_symbolic import MAX_SYMBOLIC, SymbolicDynamic
 def dynamics_for(body: ArticulatedBody) -> Dynamics:
     """Return the `Dynamics` of a body.
 
-    Raises `TypeError` for a kind of body that has none here.
+    Raises `TypeError` for a kind of body that has none here, `BodyError` for a tree with driven joints.
     """
     raise TypeError(f"expected a body whose dynamics are known, got {body!r:.60}: register them by dynamics_for")
 
@@ -33,6 +34,11 @@ def _(body: Body) -> PlanarDynamics:
 def _(body: Tree) -> Dynamics:
     from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
+    if body.driven_names:
+        raise BodyError(
+            f"body '{body.name}': expected no driven joints, got {', '.join(body.driven_names)}: a model has no motion "
+            "to give them yet; SpatialDynamics takes one"
+        )
     return SpatialDynamics(body)
 
 

@@ -51,17 +51,16 @@ class Composition:
         self.has_changing_friction = self.has_friction and any(
             type(effect).friction is not Effect.friction and not effect.steady for effect in effects
         )
-        self.has_inertia = any(type(effect).inertia is not Effect.inertia for effect in effects)
         commanding = [effect for effect in effects if type(effect).command is not Effect.command]
         self.has_command = bool(commanding)
         self.has_late = any(type(effect).late is not Effect.late for effect in effects)
         # What one makes of a row is a curve, which another may cut within the row.
         self.parts = PARTS if self.has_late and len(commanding) > 1 else 1
-        self.has_points = any(type(effect).points is not Effect.points for effect in effects)
-        self.has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
+        has_points = any(type(effect).points is not Effect.points for effect in effects)
+        has_angles = any(type(effect).angles is not Effect.angles for effect in effects)
         self.has_noise = any(type(effect).noise is not Effect.noise for effect in effects)
-        self.has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
-        self.seen = self.has_points or self.has_angles or self.has_noise or self.has_mistakes
+        has_mistakes = any(type(effect).mistake is not Effect.mistake for effect in effects)
+        self.seen = has_points or has_angles or self.has_noise or has_mistakes
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
         if len(movers) > 1:

@@ -76,7 +76,7 @@ class Observation:
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
         known = None if self.keypoints is None else self.keypoints.confidence
-        return [] if known is None else [known.doubt, known.drop]
+        return [] if known is None else [known.doubt, known.drop, known.itself]
 
     # -- rows ----------------------------------------------------------------------------------
     @property

@@ -6,7 +6,7 @@
 Brown, "Close-range camera calibration", Photogrammetric Engineering 37, 1971, in OpenCV's order k1, k2, p1, p2, k3.
 Fisheye lenses: d = ϑ (1 + k1 ϑ² + k2 ϑ⁴ + k3 ϑ⁶ + k4 ϑ⁸) / r with ϑ = atan r (Kannala and Brandt, IEEE PAMI 28, 2006).
 Metres in, pixels out. The readers of calibrations project with numpy, in a room that this one does not know; a test
-holds both to OpenCV.
+holds both to OpenCV. No sensor uses this yet.
 """
 
 from typing import NamedTuple

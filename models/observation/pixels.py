@@ -11,7 +11,7 @@ camera, keypoint and axis of the picture, is an Ornstein–Uhlenbeck process of 
     b′ = a b + β √(1 − a²) η,   a = exp(−δ/ℓ),   b₀ ~ N(0, β²)
 
 Where no pixel was tracked there is no term. Where one was and the model says that the camera cannot see the point, the
-pixel is of something else: uniform over the picture.
+pixel is of something else: uniform over the picture. No sensor uses this yet.
 """
 
 import math

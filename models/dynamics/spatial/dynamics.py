@@ -50,13 +50,15 @@ class _Body(NamedTuple):
     structure: bytes
     batch: tuple[int, ...]
     is_differentiated: bool
+    has_tangent: bool
 
 
 class SpatialDynamics(Dynamics):
     """What a tree does; interface, shapes and units as in `Dynamics`, with p a `TreeParameters`.
 
     Trees with driven joints want `driven` in every call. With `fast`, what needs no gradient runs through numba (extra
-    `fast`), each program compiled at its first use, which takes seconds (`compile_seconds`).
+    `fast`), each program compiled at its first use, which takes seconds (`compile_seconds`). `fast` and `rotors` are
+    for direct use: a model says neither.
 
     Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
     """
@@ -156,18 +158,35 @@ class SpatialDynamics(Dynamics):
         shape = len(self.tree.keypoint_names), 3, self.num_joints
         return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
 
+    def site_velocities(self, q: Tensor, qd: Tensor, p: TreeParameters) -> Tensor:
+        """ṙ = J q̇, m/s, (..., S, 3)."""
+        self._check(q=q, qd=qd)
+        return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
+
+    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: TreeParameters) -> Tensor:
+        """r̈ = J q̈ + J̇ q̇, m/s², (..., S, 3)."""
+        self._prepared("jacobian", p)  # numbers that are first seen within a derivative could not be kept
+        return super().site_accelerations(q, qd, qdd, p)
+
+    def _prepared(self, method: str, p: TreeParameters, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
+        """What was seen of the body, a method's program for it, and the body's own coefficients in that."""
+        body = self._body(p)
+        traced = self._program(method, body.structure, with_own)
+        return body, traced, self._numbers((method, body.structure, with_own), traced, p)
+
     def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **given: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
         joint = self._with_driven(driven, {name: value for name, value in given.items() if value is not None})
-        body = self._body(p)
-        traced = self._program(method, body.structure, "own" in joint)
+        body, traced, numbers = self._prepared(method, p, "own" in joint)
         joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
-        numbers = self._numbers((method, body.structure, "own" in joint), traced, p)
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
         if self._compiled and like.device.type == "cpu":
-            asked = body.is_differentiated or any(map(_is_differentiated, joint.values()))
-            if not (asked and torch.is_grad_enabled()):
+            pushed = body.has_tangent or any(map(_has_tangent, joint.values()))  # forward mode, whatever no_grad says
+            pulled = torch.is_grad_enabled() and (
+                body.is_differentiated or any(value.requires_grad for value in joint.values())
+            )
+            if not (pushed or pulled):
                 return self._compiled(method, traced, joint, numbers, batch)
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
@@ -236,7 +255,9 @@ class SpatialDynamics(Dynamics):
             structure = b"".join(np.isnan(known).tobytes() for known in pattern)
             self._patterns.setdefault(structure, pattern)
             batches = [value.shape[: value.ndim - known.ndim] for known, value in zip(pattern, p, strict=True)]
-            self._seen = _Body(p, structure, common(*batches), any(map(_is_differentiated, p)))
+            self._seen = _Body(
+                p, structure, common(*batches), any(map(_is_differentiated, p)), any(map(_has_tangent, p))
+            )
         return self._seen
 
     def _check_inertia(self) -> None:
@@ -301,4 +322,8 @@ def _constants(name: str, value: Tensor) -> np.ndarray:
 
 
 def _is_differentiated(value: Tensor) -> bool:
-    return value.requires_grad or forward_ad.unpack_dual(value).tangent is not None
+    return value.requires_grad or _has_tangent(value)
+
+
+def _has_tangent(value: Tensor) -> bool:
+    return forward_ad.unpack_dual(value).tangent is not None

@@ -1,11 +1,27 @@
 """The same arm as a planar chain and as a tree in space: one model, two dynamics, the same answer."""
 
 import numpy as np
+import pyro
 import pytest
 import torch
+from trees import mobile_arm
 
-from invdyn.models import ArmModel, ArticulatedBody, Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import (
+    ArmModel,
+    ArticulatedBody,
+    Body,
+    BodyError,
+    Encoders,
+    Joint,
+    Keypoints,
+    Learned,
+    Link,
+    Observation,
+    SpatialLink,
+    Tree,
+)
 from invdyn.models.bodies.in_space import tree_of
+from invdyn.models.bodies.scalars import prior
 from invdyn.models.effects import Armature, CoulombFriction, JointStiffness, Payload, ViscousFriction
 
 F64 = torch.float64
@@ -54,3 +70,74 @@ def test_rows_are_the_same(effects, both):
 def test_an_effect_of_the_plane_is_refused_in_space(both):
     with pytest.raises(ValueError, match="payload: expected a chain in the plane, got 'arm'"):
         both[1].with_effects(Payload())
+
+
+def test_driven_joints_are_refused_in_one_line():
+    with pytest.raises(BodyError, match="'mobile arm': expected no driven joints, got forward:") as refusal:
+        ArmModel(mobile_arm(driven=True), TIME)
+    assert "\n" not in str(refusal.value)
+
+
+def stick_arm(**upper):
+    return Tree(
+        "sticks",
+        [
+            SpatialLink(
+                "upper", Joint("shoulder", "universal"), **{"length": 0.4, "tip": "elbow", "mass": 1.0} | upper
+            ),
+            SpatialLink("fore", Joint("elbow"), "upper", mass=0.6, com=(0.1, 0, 0), sites={"wrist": (0.3, 0, 0)}),
+        ],
+    )
+
+
+def test_learned_scalars_of_a_tree_are_parameters():
+    tree = stick_arm(length=Learned(0.4), mass=Learned(1.0))
+    assert tree.learned == {"mass": (0,), "sites": (0,)}
+    model, store = ArmModel(tree, TIME), pyro.get_param_store()
+    model.sampled()
+    assert set(store) == {"upper.mass", "upper.length"}
+    store["upper.length"], store["upper.mass"] = torch.tensor(0.5, dtype=F64), torch.tensor(3.0, dtype=F64)
+    found, expected = model.sampled().body_parameters(), stick_arm(length=0.5, mass=3.0).parameters()
+    for name, ours, theirs in zip(found._fields, found, expected, strict=True):
+        torch.testing.assert_close(ours.detach(), theirs, rtol=0, atol=1e-15, msg=name)
+    (found.inertia.sum() + found.position.sum()).backward()
+    assert all(store._params[name].grad.abs() > 0 for name in store)
+
+
+def test_what_a_stick_leaves_out_follows_given_numbers():
+    tree = stick_arm()
+    model = ArmModel(tree, TIME, parameters={"body.mass": [2.0, 0.6]})
+    expected = stick_arm(mass=2.0).parameters()
+    assert torch.equal(model.body_parameters().inertia, expected.inertia)
+    assert not torch.equal(expected.inertia, tree.parameters().inertia)
+    said = stick_arm(com=(0.1, 0.0, 0.0), inertia=(0.0, 0.01, 0.01, 0.0, 0.0, 0.0))
+    own = ArmModel(said, TIME, parameters={"body.mass": [2.0, 0.6]}).body_parameters()
+    assert torch.equal(own.inertia, said.parameters().inertia)
+    assert torch.equal(own.com, said.parameters().com)
+
+
+def test_given_numbers_stay_beside_drawn_ones():
+    com = [[0.2, 0.0, 0.0], [0.15, 0.01, 0.0]]
+    tree = stick_arm(mass=prior(1.0, 0.1), com=(0.2, prior(0.1, 0.05), 0.0))
+    model = ArmModel(tree, TIME, parameters={"body.com": com, "body.gravity": [0.0, 0.0, -1.6]})
+    sampled = model.sampled()
+    p = sampled.body_parameters()
+    assert p.com[1].tolist() == com[1]
+    assert p.com[0, [0, 2]].tolist() == [0.2, 0.0]
+    assert p.com[0, 1] != 0.0
+    assert p.gravity.tolist() == [0.0, 0.0, -1.6]
+    assert p.mass[0] != 1.0
+    torch.testing.assert_close(p.inertia[0, 1], p.mass[0] * 0.4**2 / 12, rtol=1e-12, atol=0)
+
+
+def test_many_sticks_at_once():
+    tree = stick_arm()
+    p = tree.parameters()
+    factors = torch.tensor([0.5, 2.0], dtype=F64)
+    many = tree.completed(
+        p._replace(sites=p.sites * factors[:, None, None, None], mass=p.mass * factors[:, None, None])
+    )
+    for k, factor in enumerate(factors.tolist()):
+        alone = stick_arm(length=0.4 * factor, mass=factor).parameters()
+        torch.testing.assert_close(many.position[k, 0], alone.position, rtol=0, atol=1e-15)
+        torch.testing.assert_close(many.inertia[k, 0, 0], alone.inertia[0], rtol=0, atol=1e-15)

@@ -180,3 +180,31 @@ def test_wrong_shapes_are_refused():
     q = torch.zeros(3, dtype=F64)
     with pytest.raises(ValueError, match=r"q of shape \(\.\.\., 4\)"):
         SpatialDynamics(tree).keypoints(q, tree.parameters())
+
+
+@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("method", ["site_velocities", "site_accelerations"])
+def test_motion_of_sites_first_thing_on_a_fresh_instance(method, fast):
+    if fast:
+        pytest.importorskip("numba")
+    tree, order = random_tree(4, 3), 2 if method == "site_accelerations" else 1
+    dynamics, p, state = SpatialDynamics(tree, fast=fast), tree.parameters(), random_state(4, 9, batch=(5,))
+    with torch.no_grad():
+        found = getattr(dynamics, method)(*state[: order + 1], p)
+    slow, (q, qd, qdd), step = SpatialDynamics(tree), state, 1e-4
+    before, at, after = (slow.keypoints(q + t * qd + t * t / 2 * qdd, p) for t in (-step, 0, step))
+    expected = (after - before) / (2 * step) if order == 1 else (after - 2 * at + before) / step**2
+    close(found, expected, 1e-4)
+    # what was kept within a derivative serves outside it
+    close(dynamics.jacobian(q, p), slow.jacobian(q, p), 1e-12)
+
+
+def test_a_tangent_is_kept_without_gradients():
+    pytest.importorskip("numba")
+    tree = paper_arm()
+    dynamics, p, (q, qd, _) = SpatialDynamics(tree, fast=True), tree.parameters(), random_state(4, 9)
+    dynamics.keypoints(q, p)
+    with torch.no_grad():
+        pushed = torch.func.jvp(lambda q: dynamics.keypoints(q, p), (q,), (qd,))[1]
+    close(pushed, SpatialDynamics(tree).site_velocities(q, qd, p), 1e-12)
+    assert dynamics.compile_seconds  # numba did the first
