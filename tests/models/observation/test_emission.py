@@ -19,7 +19,7 @@ BODY = Body("arm", LINKS)
 
 def seen(tips, angles, **more):
     """What there is to see of these tips and angles."""
-    nothing = dict.fromkeys(("body", "dynamics", "acceleration", "turned", "ahead", "clock"))
+    nothing = dict.fromkeys(("body", "dynamics", "acceleration", "angles_after", "ahead", "clock"))
     return View(angles, torch.zeros_like(angles), tips, angles, **nothing, **more)
 
 
