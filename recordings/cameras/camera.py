@@ -18,6 +18,8 @@ from ..errors import InputError
 
 WORST_ROTATION = 1e-3
 """Largest entry of R Rᵀ − I that rounding in a file excuses."""
+LARGEST_SIZE = 10**6
+"""px, of a picture's side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Camera:
 
     Raises:
         InputError: shapes that do not fit, values that are not finite, a focal length that is not positive, skew, a
-            matrix that is no rotation.
+            matrix that is no rotation, a size beyond `LARGEST_SIZE`.
     """
 
     name: str
@@ -53,17 +55,17 @@ class Camera:
         self._check_matrix()
         self._check_rotation()
         if self.size is not None:
-            size = tuple(self._numbers("size", (2,)).astype(int).tolist())
-            if min(size) <= 0:
+            width, height = self._numbers("size", (2,)).tolist()
+            if not (1 <= width <= LARGEST_SIZE and 1 <= height <= LARGEST_SIZE):
                 raise InputError(
-                    f"camera {self.name!r}: expected size as width and height in px, got {list(self.size)}"
+                    f"camera {self.name!r}: expected size as width and height in px, got [{width:g}, {height:g}]"
                 )
-            object.__setattr__(self, "size", size)
+            object.__setattr__(self, "size", (int(width), int(height)))
 
     def _numbers(self, field: str, shape: tuple[int, ...] | None) -> np.ndarray:
         try:
             values = np.array(getattr(self, field), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"camera {self.name!r}: {field} must be numbers") from None
         if shape is not None and values.shape != shape:
             raise InputError(f"camera {self.name!r}: {field} must have shape {shape}, got {values.shape}")
@@ -91,11 +93,13 @@ class Camera:
             )
 
     def _check_rotation(self) -> None:
-        error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
-        if error > WORST_ROTATION or np.linalg.det(self.rotation) < 0:
+        with np.errstate(over="ignore", invalid="ignore"):  # of huge entries, which are none
+            error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
+            determinant = np.linalg.det(self.rotation)
+        if not error <= WORST_ROTATION or determinant < 0:
             raise InputError(
                 f"camera {self.name!r}: its rotation is none (off by {error:.2g}, determinant "
-                f"{np.linalg.det(self.rotation):.3g}): expected a rotation from the scene to the camera"
+                f"{determinant:.3g}): expected a rotation from the scene to the camera"
             )
 
     @property
