@@ -20,6 +20,10 @@ WORST_ROTATION = 1e-3
 """Largest entry of R Rᵀ − I that rounding in a file excuses."""
 LARGEST_SIZE = 10**6
 """px, of a picture's side."""
+LEAST_FOCAL = 1e-3
+"""px; less is zero but for rounding."""
+LARGEST = 1e9
+"""Of any number, a thousand kilometres in mm; powers of larger ones leave a float's range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,8 @@ class Camera:
         fisheye: which law of distortion.
 
     Raises:
-        InputError: shapes that do not fit, values that are not finite, a focal length that is not positive, skew, a
-            matrix that is no rotation, a size beyond `LARGEST_SIZE`.
+        InputError: shapes that do not fit, values that are not finite or beyond `LARGEST`, a focal length below
+            `LEAST_FOCAL`, skew, a matrix that is no rotation, a size beyond `LARGEST_SIZE`.
     """
 
     name: str
@@ -71,6 +75,8 @@ class Camera:
             raise InputError(f"camera {self.name!r}: {field} must have shape {shape}, got {values.shape}")
         if not np.isfinite(values).all():
             raise InputError(f"camera {self.name!r}: {field} has a value that is not finite")
+        if values.size and (largest := np.abs(values).max()) > LARGEST:
+            raise InputError(f"camera {self.name!r}: {field} has a value beyond 10⁹, {largest:.3g}: no camera's is")
         return values
 
     def _coefficients(self) -> np.ndarray:
@@ -85,7 +91,7 @@ class Camera:
 
     def _check_matrix(self) -> None:
         (fx, skew, _), (zero, fy, _), last = self.matrix
-        if not (fx > 0 and fy > 0):
+        if not (fx >= LEAST_FOCAL and fy >= LEAST_FOCAL):
             raise InputError(f"camera {self.name!r}: focal lengths must be positive, got {fx:g} and {fy:g} px")
         if skew or zero or list(last) != [0.0, 0.0, 1.0]:
             raise InputError(
@@ -93,13 +99,11 @@ class Camera:
             )
 
     def _check_rotation(self) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):  # of huge entries, which are none
-            error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
-            determinant = np.linalg.det(self.rotation)
-        if not error <= WORST_ROTATION or determinant < 0:
+        error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
+        if error > WORST_ROTATION or np.linalg.det(self.rotation) < 0:
             raise InputError(
                 f"camera {self.name!r}: its rotation is none (off by {error:.2g}, determinant "
-                f"{determinant:.3g}): expected a rotation from the scene to the camera"
+                f"{np.linalg.det(self.rotation):.3g}): expected a rotation from the scene to the camera"
             )
 
     @property

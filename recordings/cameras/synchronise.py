@@ -41,7 +41,8 @@ def find_offsets(
         progress: called as (done, total, what).
 
     Raises:
-        InputError: a reach that is not positive or longer than the film, nothing moves enough to tell, or the best offset is farther than `reach`; as `triangulate`.
+        InputError: a reach that is not positive or longer than the film, nothing moves enough to tell, or the best
+            offset is farther than `reach`; as `triangulate`.
     """
     first, *others = tracks
     window = tracks[first].frame_interval

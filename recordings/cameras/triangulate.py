@@ -63,7 +63,8 @@ def triangulate(
         scale: σ, px, positive and below `FAR`; by default it is estimated from all points.
 
     Raises:
-        InputError: a scale that is none, one camera alone, cameras that share their place, shapes that do not fit, or no point that two see.
+        InputError: a scale that is none, one camera alone, cameras that share their place, shapes that do not fit, or
+            no point that two see.
     """
     pixels, trust = _checked(calibration, pixels, confidence)
     if scale is not None and not 0 < scale < FAR:
