@@ -22,6 +22,8 @@ LARGEST_SIZE = 10**6
 """px, of a picture's side."""
 LEAST_FOCAL = 1e-3
 """px; less is zero but for rounding."""
+TINY = 1e-30
+"""A coefficient of distortion below it is 0: no picture shows it, and its inverse leaves a float's range."""
 LARGEST = 1e9
 """Of any number, a thousand kilometres in mm; powers of larger ones leave a float's range."""
 
@@ -81,6 +83,7 @@ class Camera:
 
     def _coefficients(self) -> np.ndarray:
         given = self._numbers("distortion", None).ravel()
+        given[np.abs(given) < TINY] = 0.0
         most = 4 if self.fisheye else 5
         if given[most:].any():
             law = "a fisheye lens has 4" if self.fisheye else "Brown's law has 5 (k1, k2, p1, p2, k3)"
