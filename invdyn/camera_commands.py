@@ -56,7 +56,7 @@ def calibrate(
 
 def triangulate(
     tracks: Annotated[
-        list[str], typer.Argument(help="Tracks in pixels, one file a camera: CAMERA=FILE, or files called as cameras.")
+        list[str], typer.Argument(help="Tracks in pixels, one file a camera: CAMERA=FILE, or arm_cam1.csv for cam1.")
     ],
     calibration: Annotated[
         list[Path],

@@ -217,9 +217,9 @@ def heading(idata: az.InferenceData) -> str:
 def legend_entries(idata: az.InferenceData) -> list[Artist]:
     """Only what the figure shows; colours belong to the panels, so bands and lines stand here in grey."""
     known = idata["constant_data"]
+    axes = list(zip("xyz", (BLUE, VERMILION, GREEN), strict=True))[: idata["posterior"]["position"].sizes["space"]]
     entries: list[Artist] = [
-        Line2D([], [], color=BLUE, linewidth=2, label="x"),
-        Line2D([], [], color=VERMILION, linewidth=2, label="y"),
+        *(Line2D([], [], color=color, linewidth=2, label=axis) for axis, color in axes),
         Line2D([], [], color=GREY, linestyle="none", marker=".", label="observed"),
         Line2D([], [], color=GREY, linewidth=1.2, label="posterior median"),
         Patch(color=GREY, alpha=0.55, linewidth=0, label="50 %"),

@@ -15,12 +15,12 @@ def secret_seed(given: str | None, file: Path | None, default: int) -> tuple[int
     Asked for at a terminal it does not show; otherwise it is the first line of standard input. Raises InputError for
     both ways at once and for what is no seed, OSError for a file that cannot be read.
     """
-    from invdyn.recordings import InputError
+    from invdyn.recordings import InputError, resolved
 
     if given is not None and file is not None:
         raise InputError("--seed and --seed-file: expected one of them, got both")
     if file is not None:
-        with open(file, encoding="utf-8", errors="replace") as lines:
+        with open(resolved(file), encoding="utf-8", errors="replace") as lines:
             return _seed(lines.read(1000), str(file)), True
     if given == "-":
         if sys.stdin.isatty():

@@ -8,6 +8,7 @@ import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
@@ -25,7 +26,8 @@ class Format:
 
     Attributes:
         title: for messages.
-        read: (path, frames a second or None, individual or None) → Recording, numbers as in the file.
+        read: (path, frames a second, individual or None) → Recording, numbers as in the file; the rate is None where
+            the file carries its times, and `load` has asked for it elsewhere.
         own_times: the file carries its times; otherwise the frame rate must be given.
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
         animals: the file can hold several animals.
@@ -33,7 +35,7 @@ class Format:
     """
 
     title: str
-    read: Callable[[Path, float | None, str | None], Recording] | None
+    read: Callable[[Path, Any, str | None], Recording] | None
     own_times: bool = False
     own_units: bool = False
     animals: bool = True
@@ -44,17 +46,13 @@ def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Re
     return lambda path, fps, individual: read_with_movement(path, software, fps, individual)
 
 
-def _read_deeplabcut(path: Path, fps: float | None, individual: str | None) -> Recording:
-    if fps is None:
-        raise InputError("a DeepLabCut file does not say its frame rate: pass --fps, frames a second")
+def _read_deeplabcut(path: Path, fps: float, individual: str | None) -> Recording:
     read = read_deeplabcut_h5 if path.suffix.lower() in (".h5", ".hdf5") else read_deeplabcut_csv
     return read(path, fps, individual)
 
 
-def _read_sleap(path: Path, fps: float | None, individual: str | None) -> Recording:
+def _read_sleap(path: Path, fps: float, individual: str | None) -> Recording:
     if path.suffix.lower() == ".csv":
-        if fps is None:
-            raise InputError("a SLEAP file does not say its frame rate: pass --fps, frames a second")
         return read_sleap_csv(path, fps, individual)
     return read_with_movement(path, "sleap", fps, individual)
 

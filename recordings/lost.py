@@ -56,10 +56,12 @@ def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
     same = (track[1:] == track[:-1]).all(axis=-1)  # NaN differs from itself
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     runs = [(start, stop + 1) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop + 1 - start >= STILL]
-    if not runs:
+    if not runs or np.isnan(confidence).all():
         return
     low = LOW * np.nanmedian(confidence)
-    doubted = [(start, stop) for start, stop in runs if np.nanmax(confidence[start:stop], initial=-np.inf) < low]
+    # A likelihood that is missing is not a low one.
+    known = [(start, stop) for start, stop in runs if not np.isnan(confidence[start:stop]).all()]
+    doubted = [(start, stop) for start, stop in known if np.nanmax(confidence[start:stop]) < low]
     if doubted:
         start, stop = max(doubted, key=lambda run: run[1] - run[0])
         rows = sum(stop - start for start, stop in doubted)

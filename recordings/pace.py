@@ -24,7 +24,7 @@ from .recording import Recording
 from .units import TIMES
 
 GRAVITY = 9.81  # m/s²
-QUICKEST = 1e-5  # s, ten times a fast camera's interval and a motor controller's
+QUICKEST = 1e-5  # s, a tenth of a fast camera's interval and of a motor controller's
 USUAL = 0.02  # s, between a film's 1/30 and a robot's log
 FASTEST = 20.0  # Froude number: four turns a second of a link of .3 m
 BASELINE = 0.1  # √(L/g), over which a speed is taken

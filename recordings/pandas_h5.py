@@ -42,6 +42,8 @@ def read_pandas_h5(path: str | Path, key: str) -> tuple[list[Label], np.ndarray,
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # a broken file fails anywhere inside HDF5
             raise InputError(f"{path}: not a whole table of pandas ({first_line(error)})") from None
+    if 8 * len(rows) * len(columns) > LARGEST:
+        raise InputError(f"{path}: its table, {len(rows)} × {len(columns)} numbers, is larger than 2 GiB")
     values = np.full((len(rows), len(columns)), np.nan)
     place = {label: i for i, label in enumerate(columns)}
     for labels, block in blocks:
@@ -72,8 +74,7 @@ def _labels(group: h5py.Group, axis: str) -> list[Label]:
 
 def _appendable(group: h5py.Group) -> tuple[list[Label], np.ndarray, list[tuple[list[Label], np.ndarray]]]:
     table = group["table"]
-    if table.size * table.dtype.itemsize > LARGEST:
-        raise InputError("its table is larger than 2 GiB")
+    _check_size(table)
     ((_, columns),) = _plain(group.attrs["non_index_axes"])
     rows = table[:]
     names = [name for name in rows.dtype.names if name.startswith("values_block_")]
@@ -90,15 +91,20 @@ def _tuples(labels: list) -> list[Label]:
 def _numbers(stored: h5py.Dataset) -> np.ndarray:
     if not np.issubdtype(stored.dtype, np.number) or stored.dtype.metadata:
         raise InputError(f"{stored.name} holds no numbers but text or pickled objects: labelled images are no film")
-    if stored.size * 8 > LARGEST:
-        raise InputError(f"{stored.name} is larger than 2 GiB")
+    _check_size(stored)
     return stored[()].astype(float)
 
 
 def _texts(stored: h5py.Dataset) -> list[str]:
     if stored.dtype.kind != "S":
         return [str(number) for number in _numbers(stored)]
+    _check_size(stored)
     return [text.decode() for text in stored[()]]
+
+
+def _check_size(stored: h5py.Dataset) -> None:
+    if stored.size * max(8, stored.dtype.itemsize) > LARGEST:  # numbers of any type become float64
+        raise InputError(f"{stored.name} is larger than 2 GiB")
 
 
 class _Plain(pickle.Unpickler):

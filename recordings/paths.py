@@ -1,7 +1,7 @@
 """Paths as a user gives them: what cannot be one is an error with the path in it, before anything is opened.
 
 A link that leads back to itself, a NUL in a name, a device without end, a pipe that nobody fills: the first two are no
-OSError to Python, the last two would be read for ever.
+OSError to every Python, the last two would be read for ever.
 """
 
 import errno
@@ -13,18 +13,23 @@ from pathlib import Path
 def resolved(path: str | Path) -> Path:
     """The absolute `path`, links followed and ~ expanded; it need not be there.
 
-    Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no UTF-8, and a name that
-    is too long.
+    Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no UTF-8, a name that is too
+    long, the home of a user whom nobody knows, and a folder that may not be entered.
     """
     try:
         str(path).encode()  # else no file could say in UTF-8 where it came from
         whole = Path(path).expanduser()
-        whole.exists()  # a name that is too long is an OSError here
+        os.stat(whole)
         return whole.resolve()
-    except (ValueError, RuntimeError) as error:
-        looping = isinstance(error, RuntimeError)
-        what = "its links lead round in a circle" if looping else "no path may hold such a character"
-        raise OSError(errno.ELOOP if looping else errno.EINVAL, what, str(path)) from None
+    except ValueError:
+        raise OSError(errno.EINVAL, "no path may hold such a character", str(path)) from None
+    except RuntimeError:  # of `expanduser`
+        raise OSError(errno.ENOENT, "no such user's home is known: write the path without ~", str(path)) from None
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ENOTDIR):
+            return whole.resolve()
+        what = "its links lead round in a circle" if error.errno == errno.ELOOP else error.strerror
+        raise OSError(error.errno, what, str(path)) from None
 
 
 def check_readable(path: str | Path) -> Path:

@@ -25,7 +25,7 @@ class Truth:
         joint_names: K names.
 
     Raises:
-        InputError: shapes that do not fit, times that are not finite and increasing, or values beyond 10⁷.
+        InputError: shapes that do not fit, times that are not finite and increasing, or infinite values.
     """
 
     time: np.ndarray
@@ -72,7 +72,10 @@ def write_truth(truth: Truth, path: str | Path) -> None:
 
 
 def read_truth(path: str | Path) -> Truth:
-    """Read the CSV above. Raises InputError if it is not such a table, OSError if it cannot be read."""
+    """Read the CSV above.
+
+    Raises InputError if it is not such a table or has values beyond 10⁷, OSError if it cannot be read.
+    """
     columns, where = read_table(path)
     with about(path):
         if "time" not in columns:

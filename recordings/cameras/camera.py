@@ -18,6 +18,14 @@ from ..errors import InputError
 
 WORST_ROTATION = 1e-3
 """Largest entry of R Rᵀ − I that rounding in a file excuses."""
+LARGEST_SIZE = 10**6
+"""px, of a picture's side."""
+LEAST_FOCAL = 1e-3
+"""px; less is zero but for rounding."""
+TINY = 1e-30
+"""A coefficient of distortion below it is 0: no picture shows it, and its inverse leaves a float's range."""
+LARGEST = 1e9
+"""Of any number, a thousand kilometres in mm; powers of larger ones leave a float's range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +42,8 @@ class Camera:
         fisheye: which law of distortion.
 
     Raises:
-        InputError: shapes that do not fit, values that are not finite, a focal length that is not positive, skew, a
-            matrix that is no rotation.
+        InputError: shapes that do not fit, values that are not finite or beyond `LARGEST`, a focal length below
+            `LEAST_FOCAL`, skew, a matrix that is no rotation, a size beyond `LARGEST_SIZE`.
     """
 
     name: str
@@ -53,26 +61,29 @@ class Camera:
         self._check_matrix()
         self._check_rotation()
         if self.size is not None:
-            size = tuple(self._numbers("size", (2,)).astype(int).tolist())
-            if min(size) <= 0:
+            width, height = self._numbers("size", (2,)).tolist()
+            if not (1 <= width <= LARGEST_SIZE and 1 <= height <= LARGEST_SIZE):
                 raise InputError(
-                    f"camera {self.name!r}: expected size as width and height in px, got {list(self.size)}"
+                    f"camera {self.name!r}: expected size as width and height in px, got [{width:g}, {height:g}]"
                 )
-            object.__setattr__(self, "size", size)
+            object.__setattr__(self, "size", (int(width), int(height)))
 
     def _numbers(self, field: str, shape: tuple[int, ...] | None) -> np.ndarray:
         try:
             values = np.array(getattr(self, field), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"camera {self.name!r}: {field} must be numbers") from None
         if shape is not None and values.shape != shape:
             raise InputError(f"camera {self.name!r}: {field} must have shape {shape}, got {values.shape}")
         if not np.isfinite(values).all():
             raise InputError(f"camera {self.name!r}: {field} has a value that is not finite")
+        if values.size and (largest := np.abs(values).max()) > LARGEST:
+            raise InputError(f"camera {self.name!r}: {field} has a value beyond 10⁹, {largest:.3g}: no camera's is")
         return values
 
     def _coefficients(self) -> np.ndarray:
         given = self._numbers("distortion", None).ravel()
+        given[np.abs(given) < TINY] = 0.0
         most = 4 if self.fisheye else 5
         if given[most:].any():
             law = "a fisheye lens has 4" if self.fisheye else "Brown's law has 5 (k1, k2, p1, p2, k3)"
@@ -83,7 +94,7 @@ class Camera:
 
     def _check_matrix(self) -> None:
         (fx, skew, _), (zero, fy, _), last = self.matrix
-        if not (fx > 0 and fy > 0):
+        if not (fx >= LEAST_FOCAL and fy >= LEAST_FOCAL):
             raise InputError(f"camera {self.name!r}: focal lengths must be positive, got {fx:g} and {fy:g} px")
         if skew or zero or list(last) != [0.0, 0.0, 1.0]:
             raise InputError(

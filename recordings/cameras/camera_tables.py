@@ -15,6 +15,7 @@
 Who wrote the file decides what a length is: see `aniposelib`, `pose2sim` and `toml_file`.
 """
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,15 @@ NEEDED = ("matrix", "distortions", "rotation", "translation")
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError for what is no TOML, OSError for a file that cannot be opened."""
+    content = path.read_bytes()
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: expected a calibration in TOML ({first_line(error)})") from None
+    except RecursionError:
+        raise InputError(f"{path}: expected a calibration, got TOML nested too deep for one") from None
+    except ValueError:  # Python turns no more than 4,300 digits into an integer
+        raise InputError(f"{path}: expected a calibration, got TOML with an integer too long to be read") from None
 
 
 def camera_tables(tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -53,11 +59,17 @@ def calibration_of(tables: dict[str, Any], metric: bool) -> Calibration:
     metadata = tables.get("metadata", {})
     error = metadata.get("error") if isinstance(metadata, dict) else None
     cameras = tuple(_camera(key, table) for key, table in found.items())
-    return Calibration(cameras, metric, float(error) if isinstance(error, int | float) else None)
+    try:
+        return Calibration(cameras, metric, float(error) if isinstance(error, int | float) else None)
+    except OverflowError:
+        raise InputError("[metadata] error must be in px, got an integer that no number holds") from None
 
 
 def _camera(key: str, table: dict[str, Any]) -> Camera:
-    name = str(table.get("name", key))
+    try:
+        name = str(table.get("name", key))
+    except ValueError:  # hexadecimal digits are read, but not written, in any number
+        raise InputError(f"camera {key!r}: expected a text for its name, got an integer too long to be one") from None
     if missing := [each for each in NEEDED if each not in table]:
         raise InputError(f"camera {name!r}: {missing[0]!r} is missing; expected {', '.join(NEEDED)}")
     return Camera(
@@ -75,7 +87,7 @@ def rotation_matrix(name: str, vector: Any) -> np.ndarray:
     """(3,) axis times angle, or a matrix (3, 3) as it is. Raises InputError for other shapes or what is no number."""
     try:
         values = np.array(vector, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"camera {name!r}: rotation must be numbers") from None
     if values.shape == (3, 3) or values.size != 3 or not np.isfinite(values).all():
         return values  # `Camera` says what is wrong with it, if anything is
@@ -108,6 +120,4 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
 def _text(value: str) -> str:
     """A TOML string: JSON's escapes are a part of TOML's."""
-    import json
-
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import InputError
+from ..paths import check_readable
 from ..units import METRES
 from .aniposelib import read_aniposelib
 from .camera import Calibration
@@ -23,11 +24,13 @@ def read_calibration(paths: str | Path | Sequence[str | Path], unit: str | None 
 
     Raises:
         InputError: a file of another kind, a unit that is not known, or one for a file that says its own.
-        OSError: a file that cannot be opened.
+        OSError: a file that cannot be opened, or is no ordinary one.
     """
     if unit is not None and unit not in METRES:
         raise InputError(f"unknown unit {unit!r} of a calibration: known are {', '.join(METRES)}")
     files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    for path in files:
+        check_readable(path)
     suffixes = {path.suffix.lower() for path in files}
     if suffixes <= {".yml", ".yaml", ".json"}:
         return read_opencv(files, unit)
@@ -56,8 +59,6 @@ def _kind(path: Path) -> str:
         return "pose2sim" if is_pose2sim(tables) else "aniposelib"
     if suffix in (".txt", ".qca", ".xml"):
         return "qualisys"
-    with open(path, "rb"):  # a folder or a missing file is told as such
-        pass
     raise InputError(
         f"{path}: cannot tell the kind of calibration from the suffix {path.suffix!r}; expected .toml (ours, "
         "aniposelib, Pose2Sim), .qca.txt (Qualisys), .yml or .json (OpenCV)"

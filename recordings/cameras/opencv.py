@@ -59,11 +59,19 @@ def _find(tree: dict[str, Any], keys: Sequence[str]) -> Any:
 def _size(tree: dict[str, Any]) -> tuple[int, int] | None:
     if "image_width" in tree and "image_height" in tree:
         return tree["image_width"], tree["image_height"]  # `Camera` checks them
-    size = _find(tree, ("image_size", "imageSize", "Image_Size"))
-    if size is None or np.size(size) != 2:
+    size = _flat(_find(tree, ("image_size", "imageSize", "Image_Size")))
+    if not isinstance(size, np.ndarray) or size.size != 2:
         return None
-    width, height = np.ravel(size)
+    width, height = size
     return width, height
+
+
+def _flat(value: Any) -> Any:
+    """All numbers in a row; what is nested unevenly stays as it is, and `Camera` says what is wrong with it."""
+    try:
+        return np.ravel(value)
+    except ValueError:
+        return value
 
 
 def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
@@ -81,11 +89,11 @@ def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
     return Camera(
         name=path.stem,
         matrix=matrix,
-        distortion=np.ravel(distortion),
+        distortion=distortion,
         rotation=rotation_matrix(path.stem, rotation),
-        translation=np.ravel(translation),
+        translation=_flat(translation),
         size=_size(tree),
-        fisheye=tree.get("fisheye_model", 0) == 1,
+        fisheye=np.array_equal(tree.get("fisheye_model", 0), 1),
     )
 
 
@@ -94,11 +102,11 @@ def _stereo(tree: dict[str, Any], files: Sequence[Path]) -> list[Camera]:
     rotation, translation = _find(tree, ROTATION), _find(tree, TRANSLATION)
     if rotation is None or translation is None:
         raise InputError(f"{where}: a stereo pair without R and T: give the file of the extrinsics, too")
-    poses = {1: (np.eye(3), np.zeros(3)), 2: (rotation_matrix("camera_2", rotation), np.ravel(translation))}
+    poses = {1: (np.eye(3), np.zeros(3)), 2: (rotation_matrix("camera_2", rotation), _flat(translation))}
     cameras = []
     for number, (matrices, distortions) in PAIR.items():
         matrix, distortion = _find(tree, matrices), _find(tree, distortions)
         if matrix is None or distortion is None:
             raise InputError(f"{where}: a stereo pair without {matrices[0]} and {distortions[0]}")
-        cameras.append(Camera(f"camera_{number}", matrix, np.ravel(distortion), *poses[number], size=_size(tree)))
+        cameras.append(Camera(f"camera_{number}", matrix, distortion, *poses[number], size=_size(tree)))
     return cameras

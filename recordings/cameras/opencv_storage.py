@@ -58,7 +58,7 @@ def _matrix(key: str, value: Any) -> Any:
     if isinstance(value, list):
         try:
             return np.array(value, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             return value
     return value
 

@@ -8,7 +8,8 @@ from typing import IO
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, first_line
+from ..paths import check_readable
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -19,7 +20,7 @@ def grey_pictures(path: str | Path, every: int = 1) -> Iterator[tuple[int, np.nd
     Raises:
         InputError: a folder without images, an image or film that cannot be decoded, pictures of different sizes, or
             the package that decodes films is missing.
-        OSError: a path that is not there.
+        OSError: a path that is not there, or no ordinary file.
     """
     path = Path(path)
     source = _images(path, every) if path.is_dir() else _film(path, every)
@@ -37,22 +38,23 @@ def grey_pictures(path: str | Path, every: int = 1) -> Iterator[tuple[int, np.nd
 
 
 def _images(folder: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGES)
     if not files:
         raise InputError(f"{folder}: no images in this folder; expected {', '.join(IMAGES)}")
     for number, file in list(enumerate(files))[::every]:
+        check_readable(file)
         try:
             with Image.open(file) as image:
-                yield number, np.asarray(image.convert("L"))
-        except UnidentifiedImageError:
-            raise InputError(f"{file}: not an image that can be read") from None
+                picture = np.asarray(image.convert("L"))
+        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+            raise InputError(f"{file}: not an image that can be read ({first_line(error)})") from None
+        yield number, picture
 
 
 def _film(path: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
-    with open(path, "rb"):  # a missing file is told as such
-        pass
+    check_readable(path)
     try:
         import imageio_ffmpeg
     except ImportError:

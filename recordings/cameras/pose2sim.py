@@ -1,13 +1,11 @@
 """Calibrations of Pose2Sim and Sports2D: `camera_tables` in metres, Brown's k1, k2, p1, p2 alone.
 
 Layout: Pose2Sim, calibration.py, `toml_write`. Its file is known by `fisheye` in every table, false throughout, and by
-[metadata] with `adjusted`; aniposelib writes `fisheye` for fisheye lenses only.
+four `distortions`; aniposelib writes `fisheye` for fisheye lenses only.
 """
 
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ..errors import about
 from .camera import Calibration
@@ -18,7 +16,8 @@ def is_pose2sim(tables: dict[str, Any]) -> bool:
     """Whether tables of cameras are in this program's layout."""
     found = camera_tables(tables).values()
     return bool(found) and all(
-        table.get("fisheye") is False and np.size(table.get("distortions", ())) == 4 for table in found
+        table.get("fisheye") is False and isinstance(given := table.get("distortions"), list) and len(given) == 4
+        for table in found
     )
 
 

@@ -4,7 +4,8 @@
 
 for the file's own R: its camera looks along −z with y up, ours along z with y down. Layout: Qualisys' own files;
 checked against a triangulation that comes with one. XML is read by the standard library, which fetches nothing from
-outside; a file that defines entities is refused, since those can be made to fill the memory.
+outside; a file with a document type, the place where entities are defined, is refused in whatever encoding, since
+entities can be made to fill the memory.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -19,6 +20,14 @@ SUBPIXELS = 64  # units a pixel, of focal length and centre
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
+class _Plain(ElementTree.TreeBuilder):
+    """Elements of a file without a document type."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """The parser's call where one begins."""
+        raise InputError("expected a plain calibration, got XML that defines entities: it is not Qualisys' own")
+
+
 def read_qualisys(path: str | Path) -> Calibration:
     """Read such a file; cameras that are switched off are left out.
 
@@ -26,16 +35,16 @@ def read_qualisys(path: str | Path) -> Calibration:
     be opened.
     """
     raw = Path(path).read_bytes()
-    with about(path):
-        if b"<!ENTITY" in raw or b"<!DOCTYPE" in raw:
-            raise InputError("expected a plain calibration, got XML that defines entities: it is not Qualisys' own")
+    with about(path), np.errstate(over="ignore", invalid="ignore"):  # `Camera` refuses what is not finite
         try:
-            root = ElementTree.fromstring(raw)
-        except ElementTree.ParseError as error:
+            root = ElementTree.fromstring(raw, ElementTree.XMLParser(target=_Plain()))
+        except InputError:
+            raise
+        except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two of an encoding
             raise InputError(f"expected a Qualisys calibration in XML ({first_line(error)})") from None
         found = [each for each in root.iterfind("cameras/camera") if each.get("active", "1") != "0"]
         if root.tag != "calibration" or not found:
-            raise InputError(f"expected a Qualisys calibration with cameras, got <{root.tag}> without")
+            raise InputError(f"expected a Qualisys calibration with cameras, got <{root.tag[:40]}> without")
         return Calibration(tuple(_camera(each) for each in found), metric=True)
 
 
@@ -43,9 +52,9 @@ def _camera(element: ElementTree.Element) -> Camera:
     name = element.get("serial", "")
     where = f"camera {name!r}"
     if (model := element.get("model", "none")).lower() not in ("none", ""):
-        raise InputError(f"{where}: its lens model is {model!r}; expected the standard one of Brown's law")
+        raise InputError(f"{where}: its lens model is {model[:40]!r}; expected the standard one of Brown's law")
     if (turned := element.get("viewrotation", "0")) != "0":
-        raise InputError(f"{where}: its view is turned by {turned}°: export the calibration with viewrotation 0")
+        raise InputError(f"{where}: its view is turned by {turned[:40]}°: export the calibration with viewrotation 0")
     pose, lens, edges = (_numbers(element, tag, where) for tag in ("transform", "intrinsic", "fov_video"))
 
     def values(table: dict[str, float], *keys: str) -> np.ndarray:
@@ -69,7 +78,7 @@ def _camera(element: ElementTree.Element) -> Camera:
         distortion=np.array([k1, k2, p1, p2, k3]),
         rotation=rotation,
         translation=-rotation @ values(pose, "x", "y", "z") / 1000,
-        size=(int(right - left) + 1, int(bottom - top) + 1),
+        size=(right - left + 1, bottom - top + 1),
     )
 
 

@@ -45,14 +45,14 @@ class Length:
     def parse(cls, text: str) -> "Length":
         """Read "shoulder:elbow=0.28". Raises InputError for anything else."""
         ends, equals, number = text.partition("=")
-        first, colon, second = ends.partition(":")
+        first, colon, second = (word.strip() for word in ends.partition(":"))
         try:
             metres = float(number)
         except ValueError:
             metres = np.nan
         if not (equals and colon and first and second and first != second and np.isfinite(metres) and metres > 0):
             raise InputError(f"a length is FROM:TO=METRES, such as shoulder:elbow=0.28, got {text!r}")
-        return cls(first.strip(), second.strip(), metres)
+        return cls(first, second, metres)
 
 
 @dataclass(frozen=True)

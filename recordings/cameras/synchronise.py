@@ -37,15 +37,18 @@ def find_offsets(
     Args:
         tracks: camera → its tracks, pixels.
         calibration: the cameras.
-        reach: s, how far off a clock may be.
+        reach: s, how far off a clock may be; at most as long as the first film.
         progress: called as (done, total, what).
 
     Raises:
-        InputError: nothing moves enough to tell, or the best offset is farther than `reach`; as `triangulate`.
+        InputError: a reach that is not positive or longer than the film, nothing moves enough to tell, or the best
+            offset is farther than `reach`; as `triangulate`.
     """
     first, *others = tracks
     window = tracks[first].frame_interval
     at = tracks[first].time
+    if not 0 < reach <= at[-1] - at[0]:
+        raise InputError(f"a clock may be off by up to the film's length, {at[-1] - at[0]:.3g} s, got {reach:g} s")
     at = at[:: -(-len(at) // MOST_FRAMES)]
     step = 2 * window
     grid = step * np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1)

@@ -13,7 +13,9 @@ def read_calibration_toml(path: str | Path) -> Calibration:
     """Read a file that `write_calibration` wrote. Raises InputError for another, OSError if it cannot be opened."""
     tables = read_toml(Path(path))
     with about(path):
-        unit = tables.get("metadata", {}).get("unit")
-        if unit not in UNITS:
-            raise InputError(f"[metadata] unit must be 'm' or 'unknown', got {unit!r}")
+        metadata = tables.get("metadata")
+        unit = metadata.get("unit") if isinstance(metadata, dict) else None
+        if not isinstance(unit, str) or unit not in UNITS:
+            got = repr(unit[:40]) if isinstance(unit, str) else "no text"
+            raise InputError(f"[metadata] unit must be 'm' or 'unknown', got {got}")
         return calibration_of(tables, metric=UNITS[unit])

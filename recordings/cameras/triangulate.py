@@ -60,12 +60,15 @@ def triangulate(
         calibration: C cameras, two or more, that do not all stand in one place.
         pixels: (N, C, 2), y down the picture, NaN where a camera does not see the point.
         confidence: (N, C) of the tracker, in [0, 1]; default 1.
-        scale: σ, px; by default it is estimated from all points.
+        scale: σ, px, positive and below `FAR`; by default it is estimated from all points.
 
     Raises:
-        InputError: one camera alone, cameras that share their place, shapes that do not fit, or no point that two see.
+        InputError: a scale that is none, one camera alone, cameras that share their place, shapes that do not fit, or
+            no point that two see.
     """
     pixels, trust = _checked(calibration, pixels, confidence)
+    if scale is not None and not 0 < scale < FAR:
+        raise InputError(f"the scale of a pixel's error must be positive and below {FAR:g} px, got {scale:g}")
     aim = np.stack([rays(camera, pixels[:, c]) for c, camera in enumerate(calibration)], axis=1)
     trust = np.where(np.isfinite(aim).all(-1), trust, 0.0)
     several = (trust > 0).sum(1) >= 2

@@ -5,6 +5,7 @@ by how much a camera's stamps run ahead of the first one's at the same moment, s
 linearly and never across a gap.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,7 +54,9 @@ class Views:
 
 
 def match_names(files: list[str], names: tuple[str, ...]) -> dict[str, Path]:
-    """Which camera each file is of: CAMERA=FILE, or a file called as a camera.
+    """Which camera each file is of: CAMERA=FILE, or a file whose name has one camera's as a whole word.
+
+    arm_cam1.csv is of cam1, arm_cam12.csv is not: letters and digits go on with a word, anything else ends it.
 
     Raises InputError for a name that no camera has, a file that says nothing, or a camera with two files.
     """
@@ -62,7 +65,7 @@ def match_names(files: list[str], names: tuple[str, ...]) -> dict[str, Path]:
         name, equals, path = given.partition("=")
         if not equals or name not in names:
             stem = Path(given).stem
-            fitting = [each for each in names if stem == each] or [each for each in names if each in stem]
+            fitting = [each for each in names if stem == each] or [each for each in names if _is_word(each, stem)]
             if equals and not Path(given).exists():
                 raise InputError(f"no camera {name!r} in the calibration: it has {', '.join(names)}")
             if len(fitting) != 1:
@@ -74,6 +77,10 @@ def match_names(files: list[str], names: tuple[str, ...]) -> dict[str, Path]:
             raise InputError(f"camera {name!r} has two files, {found[name]} and {path}: expected one a camera")
         found[name] = Path(path)
     return found
+
+
+def _is_word(name: str, text: str) -> bool:
+    return re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", text) is not None
 
 
 def read_tracks(

@@ -26,6 +26,7 @@ MOST = 40
 """Of each kind so many are tried each time, drawn once and for all; `pytest -m slow` tries all."""
 COSTLY = {"least and most": 4, "number in a track": 8}
 COSTLY |= dict.fromkeys(("posterior", "number in a recording", "name in a body", "count in an option"), 12)
+COSTLY |= dict.fromkeys(("calibration", "path of a calibration", "option of cameras"), 15)
 """Kinds of which many inputs are fine, so that inference runs or a figure is drawn."""
 SOME = {kind: random.Random(0).sample(cases, min(len(cases), COSTLY.get(kind, MOST))) for kind, cases in CASES.items()}
 

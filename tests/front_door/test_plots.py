@@ -104,6 +104,20 @@ def test_only_what_is_known_is_shown(make_posterior):
     np.testing.assert_array_equal(panel(figure, "elbow torque").get_lines()[1].get_ydata(), np.ones(60))
 
 
+@pytest.mark.parametrize("number", [2, 3])
+def test_the_legend_names_as_many_axes_as_there_are(make_posterior, number):
+    idata = make_posterior(2)
+    if number == 3:
+        groups = {
+            name: idata[name].pad(space=(0, 1), constant_values=0.5)
+            for name in idata.groups()
+            if "space" in idata[name].dims
+        }
+        for name, group in groups.items():
+            idata[name] = group
+    assert texts(plot_posterior(idata))[: number + 1] == [*"xyz"[:number], "observed"]
+
+
 def test_encoders_alone_are_enough(make_posterior):
     idata = make_posterior(2, angles=True)
     idata.observed_data = idata.observed_data.drop_vars("position")

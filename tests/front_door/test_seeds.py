@@ -26,6 +26,11 @@ def test_what_is_no_seed_is_not_repeated(text, tmp_path):
     assert not text or text not in str(refusal.value).replace(str(tmp_path), "")
 
 
+def test_a_seed_file_of_no_path_is_told():
+    with pytest.raises(OSError, match="no path may hold"):
+        secret_seed(None, "a\0b", 7)
+
+
 def test_an_endless_seed_file_ends():
     with pytest.raises(InputError, match="expected a seed"):
         secret_seed(None, "/dev/zero", 7)

@@ -2,10 +2,10 @@
 
 from itertools import chain
 
-from . import bodies, options, paths, recordings, stores
+from . import bodies, calibrations, options, paths, recordings, stores
 from .case import Case, make_good
 
-PARTS = (recordings, bodies, options, paths, stores)
+PARTS = (recordings, bodies, options, paths, stores, calibrations)
 
 __all__ = ["Case", "all_cases", "make_good"]
 

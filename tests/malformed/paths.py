@@ -72,10 +72,6 @@ def in_latin(folder: Path) -> None:
         os.rename(folder / name, os.fsencode(folder) + b"/\xe9" + name.encode())
 
 
-def nothing(folder: Path) -> None:
-    """Leave the folder as it is."""
-
-
 READ = [
     ("rec", ".csv", lambda name: (INFER[0], name, *INFER[2:])),
     ("rec", ".h5", lambda name: ("infer", name, *INFER[2:], "--units", "px", "--fps", "30")),
@@ -110,7 +106,7 @@ def cases() -> Iterator[Case]:
         name = f"new_{stem}{suffix}"
         for what, touch in {
             "a loop": loop(name),
-            "nothing there": nothing,
+            "nothing there": None,
             "a folder": directory(name),
             "zeros without end": device(name, "/dev/zero"),
             "a pipe": pipe(name),

@@ -159,7 +159,7 @@ def posteriors() -> Iterator[Case]:
             yield Case("posterior", call, touch=changed(change), what=what)
     for what in ("no observed_data/position", "posterior/position is NaN", "no constant_data", "joint '$\\\\frac'"):
         yield Case("posterior", FILM, touch=changed(changes[what]), what=f"film: {what}")
-        yield Case("posterior", STO, touch=changed(changes[what]), what=f"film: {what}")
+        yield Case("posterior", STO, touch=changed(changes[what]), what=f"sto: {what}")
     for number in range(100):
         yield Case("posterior", PLOT, touch=flipped("posterior.nc", number / 100), what=f"a byte flipped at {number} %")
     for number in range(0, 100, 10):

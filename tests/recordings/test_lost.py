@@ -52,10 +52,15 @@ def test_the_corner_of_an_image_is_missing_and_told():
     np.testing.assert_array_equal(without_lost(relative, pixels=True).keypoints, points)
 
 
-@pytest.mark.parametrize(("low", "rows", "told"), [(0.1, 5, True), (0.95, 5, False), (0.1, 2, False)])
+@pytest.mark.parametrize(
+    ("low", "rows", "told"),
+    [(0.1, 5, True), (0.95, 5, False), (0.1, 2, False), (np.nan, 5, False), (np.nan, 20, False)],
+)
 def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
     confidence = sure()
     confidence[20 : 20 + rows, 1] = low
+    if rows == 20:
+        confidence[:, 1] = low  # in every frame
     recording = tracks(confidence)
     points = recording.keypoints.copy()
     points[20 : 20 + rows, 1] = [140.0, 150.0]

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from invdyn.recordings import atomic_path, check_readable, resolved
+from invdyn.recordings import check_readable, check_writable, resolved
 
 
 @pytest.fixture
@@ -50,10 +50,39 @@ def test_what_cannot_be_read_is_named(here, name, code):
     assert caught.value.filename in (str(here / name), here / name)
 
 
-@pytest.mark.parametrize("name", ["loop", "loop/x", "a\0b", "x" * 5000, "pipe", "zeros", "folder"])
-def test_what_cannot_be_written_is_named(here, name):
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("loop", errno.ELOOP),
+        ("loop/x", errno.ELOOP),
+        ("a\0b", errno.EINVAL),
+        ("\udce9", errno.EINVAL),
+        ("x" * 5000, errno.ENAMETOOLONG),
+        ("zeros", errno.EINVAL),
+        ("pipe", errno.EINVAL),
+        ("folder", errno.EISDIR),
+        ("none/x", errno.ENOENT),
+        ("file/x", errno.ENOTDIR),
+    ],
+)
+def test_what_cannot_be_written_is_named(here, name, code):
     before = sorted(os.listdir(here))
-    with pytest.raises(OSError) as caught, atomic_path(here / name):  # noqa: PT011
-        pass
-    assert str(here) in str(caught.value.filename)
+    with pytest.raises(OSError) as caught:  # noqa: PT011  the number says which
+        check_writable(here / name)
+    assert caught.value.errno == code
+    assert caught.value.filename == str(here / name)
     assert sorted(os.listdir(here)) == before
+
+
+def test_a_home_that_is_not_known_is_no_loop():
+    with pytest.raises(FileNotFoundError, match="home is known") as caught:
+        resolved("~no such user/x")
+    assert caught.value.filename == "~no such user/x"
+
+
+def test_a_loop_is_told_where_resolving_lets_it_pass(here, monkeypatch):
+    """As Python 3.13 and later do."""
+    monkeypatch.setattr(type(here), "resolve", lambda self, strict=False: self)
+    with pytest.raises(OSError, match="round in a circle") as caught:
+        resolved(here / "loop")
+    assert caught.value.errno == errno.ELOOP

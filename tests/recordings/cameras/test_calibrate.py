@@ -1,5 +1,8 @@
 """Lenses and poses from pictures of boards that known cameras took: rays through known lenses onto a drawn board."""
 
+import io
+import os
+import zlib
 from functools import cache
 
 import numpy as np
@@ -97,6 +100,40 @@ def write_film(path, frames):
     for frame in frames:
         writer.send(np.ascontiguousarray(frame))
     writer.close()
+
+
+def damaged_images():
+    """A picture that is cut, one whose second chunk is broken, one that says it has 10¹⁰ px, a text."""
+    from PIL import Image
+
+    stored = io.BytesIO()
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (40, 40), dtype=np.uint8)).save(stored, "png")
+    whole = stored.getvalue()
+    huge = b"IHDR" + (10**5).to_bytes(4) * 2 + whole[24:29]
+    huge += zlib.crc32(huge).to_bytes(4)
+    yield whole[:900]
+    yield whole[:41] + b"\xff" * 60 + whole[101:]
+    yield whole[:37] + b"\0\0\0" + whole[40:]
+    yield whole[:12] + huge + whole[33:]
+    yield b"text"
+
+
+def test_damaged_pictures_are_told_with_their_file(tmp_path):
+    for number, content in enumerate(damaged_images()):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "1.png").write_bytes(content)
+        with pytest.raises(InputError, match=r"1\.png: not an image that can be read \(") as caught:
+            list(grey_pictures(folder))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_film_or_picture_that_is_a_pipe_is_not_read(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for path, source in (("film.mp4", "film.mp4"), ("folder/1.png", "folder")):
+        os.mkfifo(tmp_path / path)
+        with pytest.raises(OSError, match="a device or a pipe"):
+            list(grey_pictures(tmp_path / source))
 
 
 def test_films_of_two_cameras_give_lenses_and_poses(tmp_path):

@@ -1,6 +1,7 @@
 """Calibrations of five programs: small files of the same kind, files by the programs themselves, and what is none."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -190,6 +191,9 @@ def test_several_files_of_opencv_need_poses(tmp_path):
     np.testing.assert_allclose(read.cameras[1].translation, [0.01, 0.02, 0.03])
 
 
+HUGE = "9" * 400
+DEEP = "a = " + "[" * 5000 + "]" * 5000
+POSE2SIM = ANIPOSE.replace("rotation =", "fisheye = false\nrotation =")
 BAD = {
     "no TOML": ("c.toml", "[cam", "expected a calibration in TOML"),
     "no camera": ("c.toml", "[arm]\nlength = 1\n", "no camera in it"),
@@ -197,6 +201,40 @@ BAD = {
     "a name twice": ("c.toml", ANIPOSE.replace("right", "left"), "two cameras are called 'left'"),
     "another unit": ("c.toml", ANIPOSE + 'unit = "inch"\n', "unit must be"),
     "rational lens": ("c.toml", ANIPOSE.replace("0.0, 0.0, 0.0, 0.0,]", "0, 0, 0, 0, 1, 2, 3]"), "Brown's law has 5"),
+    "deep TOML": ("c.toml", DEEP, "nested too deep"),
+    "5000 digits": ("c.toml", f"a = {HUGE * 13}", "integer too long"),
+    "an error of 400 digits": ("c.toml", ANIPOSE.replace("0.31", HUGE), "error must be in px"),
+    "a focal length of 400 digits": ("c.toml", ANIPOSE.replace("800.0", HUGE), "matrix must be numbers"),
+    "a rotation of 400 digits": ("c.toml", ANIPOSE.replace("1.5707963267948966", HUGE), "rotation must be numbers"),
+    "a name of 5000 digits": ("c.toml", ANIPOSE.replace('"left"', f"0x{HUGE * 13}"), "too long to be one"),
+    "a size without end": ("c.toml", ANIPOSE.replace("640,", "inf,"), "size has a value that is not finite"),
+    "a huge size": ("c.toml", ANIPOSE.replace("640,", "1e7,"), "expected size as width and height"),
+    "units in a list": ("c.toml", ANIPOSE + 'unit = ["m"]\n', "unit must be"),
+    "ragged distortions": ("c.toml", POSE2SIM.replace("[ -0.1, 0.0,", "[ [-0.1], 0.0,"), "distortion must be numbers"),
+    "ragged distortions in JSON": (
+        "c.json",
+        '{"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "D": [[1], 2]}',
+        "distortion must",
+    ),
+    "ragged T in JSON": (
+        "c.json",
+        '{"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "D": [0], "R": [0, 0, 0], "T": [[1], 2]}',
+        "translation must be numbers",
+    ),
+    "400 digits in JSON": ("c.json", f'{{"K": [{HUGE}], "D": [0]}}', "matrix must be numbers"),
+    "a rotation of huge numbers": (
+        "c.qca.txt",
+        QUALISYS.replace('r11="1"', 'r11="1e200"'),
+        "rotation has a value beyond",
+    ),
+    "an edge that is none": ("c.qca.txt", QUALISYS.replace('bottom="1079"', 'bottom="nan"'), "size has a value that"),
+    "an edge without end": ("c.qca.txt", QUALISYS.replace('left="10"', 'left="inf"'), "not finite"),
+    "another encoding": (
+        "c.qca.txt",
+        QUALISYS.replace("'1.0'", "'1.0' encoding='big5'"),
+        "Qualisys calibration in XML",
+    ),
+    "no encoding": ("c.qca.txt", QUALISYS.replace("'1.0'", "'1.0' encoding='foo'"), "expected a Qualisys"),
     "no XML": ("c.qca.txt", "camera one", "expected a Qualisys calibration in XML"),
     "an entity": ("c.qca.txt", '<!DOCTYPE a [<!ENTITY b "c">]><calibration/>', "defines entities"),
     "other XML": ("c.xml", "<opencv_storage/>", "got <opencv_storage>"),
@@ -220,6 +258,23 @@ def test_bad_files_are_told_in_one_line(tmp_path, name, text, named):
     with pytest.raises(InputError, match=named) as caught:
         read_calibration(tmp_path / name)
     assert "\n" not in str(caught.value)
+
+
+def test_entities_are_refused_in_any_encoding(tmp_path):
+    text = "<?xml version='1.0' encoding='utf-16'?><!DOCTYPE a [<!ENTITY b \"one\">]>"
+    text += QUALISYS.split("?>")[1].replace('"one"', '"&b;"')
+    (tmp_path / "c.qca.txt").write_bytes(text.encode("utf-16"))
+    with pytest.raises(InputError, match="defines entities"):
+        read_calibration(tmp_path / "c.qca.txt")
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".qca.txt", ".yml", ".json", ".mat"])
+def test_what_is_no_ordinary_file_is_not_read(tmp_path, suffix):
+    os.mkfifo(tmp_path / f"pipe{suffix}")
+    (tmp_path / f"zeros{suffix}").symlink_to("/dev/zero")
+    for name, what in {"pipe": "a device or a pipe", "zeros": "a device or a pipe", "a\0b": "no path may hold"}.items():
+        with pytest.raises(OSError, match=what):
+            read_calibration(tmp_path / f"{name}{suffix}")
 
 
 @pytest.mark.parametrize(("name", "text"), [("c.toml", ANIPOSE), ("c.qca.txt", QUALISYS), ("c.yml", YAML)])

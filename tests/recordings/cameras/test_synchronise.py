@@ -49,3 +49,6 @@ def test_what_cannot_be_found_is_told():
     late["cam2"] = Recording(late["cam2"].time + 0.1, late["cam2"].keypoints, NAMES)
     with pytest.raises(InputError, match=r"'cam2' seems to be off by more than 0\.07 s"):
         find_offsets(late, calibration, 0.07)
+    for reach in (np.nan, np.inf, 1e9, 0.66, 0.0):  # of a film of 39 intervals, .65 s
+        with pytest.raises(InputError, match=r"up to the film's length, 0\.65 s"):
+            find_offsets(tracks(calibration), calibration, reach)

@@ -109,11 +109,17 @@ def test_lines_of_sight_that_are_nearly_one_give_no_depth():
     assert np.isnan(triangulate(calibration, pixels, scale=1.0).points).all()
 
 
-@pytest.mark.parametrize("count", [1, 0])
-def test_cameras_in_one_place_are_refused(count):
+def test_cameras_in_one_place_are_refused():
     calibration = Calibration((looking("one", (3, 0, 1.0)), looking("two", (3, 0, 1.0), focal=900.0)), metric=True)
     with pytest.raises(InputError, match="stand in one place"):
         triangulate(calibration, pixels_of(calibration))
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf, 1e9])
+def test_a_scale_must_be_one(scale):
+    calibration = ring(2)
+    with pytest.raises(InputError, match="scale of a pixel's error must be positive"):
+        triangulate(calibration, pixels_of(calibration), scale=scale)
 
 
 def test_nothing_in_common_is_refused():
