@@ -37,7 +37,9 @@ TUTORIALS := $(patsubst notebooks/%.py,docs/tutorials/%.ipynb,$(wildcard noteboo
 notebooks: $(TUTORIALS)
 
 docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
-	OMP_NUM_THREADS=1 $(BIN)/jupytext --to ipynb --execute --output $@ $<
+	$(BIN)/jupytext --quiet --to ipynb --output $@.tmp.ipynb $<
+	OMP_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
+	mv $@.tmp.ipynb $@
 
 docs: notebooks
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
