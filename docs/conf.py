@@ -39,7 +39,7 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 suppress_warnings = [
     "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too
-    "autosummary",
+    "ref.python",  # a short name that several classes have, as `q`: the nearest is linked
 ]
 
 
