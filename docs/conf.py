@@ -11,6 +11,7 @@ from pathlib import Path
 
 from docutils.nodes import Element, SkipNode
 from latex2mathml.converter import convert
+from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
@@ -78,5 +79,6 @@ def _write_pages(app: Sphinx) -> None:
 def setup(app: Sphinx) -> None:
     """Register the formulas' renderer and the pages that are written from the code."""
     app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
+    app.add_lexer("csv", TextLexer)
     app.connect("builder-inited", _write_pages, priority=100)
     app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon
