@@ -16,7 +16,7 @@ KEPT = ("clock_rate", "base_motion", "viscous_friction")
 
 def diagnosed(damping, **options):
     left_out = [name for name in EFFECTS if name not in KEPT]
-    return diagnose(robot_log(1.0, damping), ARM, without=left_out, **options)
+    return diagnose(robot_log(1.0, (0.0, damping)), ARM, without=left_out, **options)
 
 
 def test_another_engines_integration_is_no_gap():
