@@ -5,6 +5,7 @@ import pytest
 import torch
 from pendulum import causes
 from robot_log import ARM, robot_log
+from scipy.signal import lfilter
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.matters import matters, tolerated
@@ -64,4 +65,17 @@ def test_the_tolerance_of_an_engine_is_its_error_of_the_first_order():
     (limit,) = tolerated(here, path, 0.0)
     inertia = 1.0 * 0.3**2 / 3  # of the pendulum's rod about its pivot
     error = inertia * 0.001 * amplitude * omega**3 / np.sqrt(2)
-    assert limit == pytest.approx(error, rel=0.1)  # differences err by a third of (ωh)²
+    assert limit == pytest.approx(error, rel=0.1)  # a cubic through 2b seconds takes some (ωb)²/13 of it
+
+
+def test_a_gap_does_not_raise_the_tolerance_that_it_is_held_against():
+    """A path is as rough as the torque that is missing; the motion's own third derivative is not."""
+    here, none, _ = causes()
+    step = float(here.model.dt[1:].median())
+    inertia, missing = 1.0 * 0.3**2 / 3, 0.5  # kg·m², and N·m, as an Ornstein–Uhlenbeck torque of 20/s
+    kept = np.exp(-20.0 * step)
+    shocks = np.random.default_rng(0).normal(0, missing * np.sqrt(1 - kept**2), len(none.path))
+    torque = lfilter([1], [1, -kept], shocks)
+    path = torch.zeros_like(none.path)
+    path[:, -1] = torch.from_numpy(np.cumsum(torque / inertia) * step)
+    assert tolerated(here, path, 0.0) < 0.025 * missing  # from row to row it is twice that
