@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 from pendulum import causes
-from robot_log import ARM, robot_log
+from robot_log import ARM, STEP, robot_log
 from scipy.signal import lfilter
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.matters import matters, tolerated
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.report.sentences import kind, verdict
 from invdyn.models.effects import EFFECTS
 
@@ -70,12 +71,11 @@ def test_the_tolerance_of_an_engine_is_its_error_of_the_first_order():
 
 def test_a_gap_does_not_raise_the_tolerance_that_it_is_held_against():
     """A path is as rough as the torque that is missing; the motion's own third derivative is not."""
-    here, none, _ = causes()
-    step = float(here.model.dt[1:].median())
-    inertia, missing = 1.0 * 0.3**2 / 3, 0.5  # kg·m², and N·m, as an Ornstein–Uhlenbeck torque of 20/s
-    kept = np.exp(-20.0 * step)
-    shocks = np.random.default_rng(0).normal(0, missing * np.sqrt(1 - kept**2), len(none.path))
-    torque = lfilter([1], [1, -kept], shocks)
-    path = torch.zeros_like(none.path)
-    path[:, -1] = torch.from_numpy(np.cumsum(torque / inertia) * step)
-    assert tolerated(here, path, 0.0) < 0.025 * missing  # from row to row it is twice that
+    here = diagnosis_problem(robot_log(2.0, camera=False), ARM)
+    rows, kept = len(here.observations), np.exp(-20.0 * STEP)
+    shocks = np.random.default_rng(0).normal(0, np.sqrt(1 - kept**2), (rows, 2))
+    missing = lfilter([1], [1, -kept], shocks, axis=0)  # 1 N·m, as an Ornstein–Uhlenbeck torque of 20/s
+    inertia = here.model.dynamics.typical_inertia(here.model.scale.body).numpy()
+    path = torch.zeros(rows, here.model.state_dim, dtype=torch.float64)
+    path[:, -2:] = torch.from_numpy((missing / inertia).cumsum(0) * STEP)
+    assert (tolerated(here, path, 0.0) < 0.03).all()  # from row to row it is three times that
