@@ -49,8 +49,9 @@ def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = TOLERANCE)
 
 def _jerk(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """The second derivative (…, K) rad/s³ of a velocity (T, K), on an even grid of its own."""
-    duration = time[-1] - time[0]
-    even, step = np.linspace(*time[[0, -1]], max(round((POINTS - 1) * duration / SMOOTH) + 1, POINTS), retstep=True)
+    first, last = float(time[0]), float(time[-1])
+    count = max(round((POINTS - 1) * (last - first) / SMOOTH) + 1, POINTS)
+    even, step = np.linspace(first, last, count, retstep=True)
     columns = [np.interp(even, time, column) for column in velocity.T]
     return savgol_filter(np.stack(columns, -1), POINTS, 3, deriv=2, delta=step, axis=0)
 
