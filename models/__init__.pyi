@@ -21,6 +21,8 @@ from .observation.encoders import Encoders as Encoders
 from .observation.keypoints import Keypoints as Keypoints
 from .observation.observation import FAMILIES as FAMILIES
 from .observation.observation import Observation as Observation
+from .observation.pinhole import PinholeCameras as PinholeCameras
+from .observation.pixels import Pixels as Pixels
 from .observation.sensor import NoisySensor as NoisySensor
 from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel
