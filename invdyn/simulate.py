@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck
+from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck, Tree
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
@@ -22,6 +22,22 @@ PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: expl
         "noise.angle": 0.01,
         "noise.velocity": 0.01,
         "emission.keypoint_scale": math.sqrt(0.05),
+    },
+}
+
+PAPER_IN_SPACE: dict[str, Any] = {  # the same of its arm in space, as its code has them (test/run-3d-arm.ipynb)
+    "torque": OrnsteinUhlenbeck("printed", decay=2.0),
+    "integrator": "euler",
+    "settings": {
+        "torque.scale": 2.0,
+        "torque.decay": 2.0,
+        "noise.angle": 4e-5,
+        "noise.velocity": 4e-5,
+        "initial.angle": 0.0,
+        "initial.angle_scale": math.sqrt(0.001),
+        "initial.velocity": 0.0,
+        "initial.velocity_scale": math.sqrt(0.001),
+        "emission.keypoint_scale": math.sqrt(0.01),
     },
 }
 
@@ -122,13 +138,14 @@ def random_arm(
     return model(plan.torque).replace(**{"torque.scale": torch.zeros_like(scale)})
 
 
-def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
-    """The planar arm that Biderman et al. (2020) simulate, all of it at `PAPER`'s settings."""
+def paper_arm(body: Body | Tree, num_frames: int = 200) -> ArmModel:
+    """The arm that Biderman et al. (2020) simulate, in the plane at `PAPER`'s settings or in space at the others."""
+    paper, step = (PAPER, 0.03) if body.space == 2 else (PAPER_IN_SPACE, 0.01)
     return ArmModel(
         body,
-        0.03 * np.arange(num_frames),
+        step * np.arange(num_frames),
         Observation(Keypoints(body.keypoint_names)),
-        torque=PAPER["torque"],
-        integrator=PAPER["integrator"],
-        parameters=PAPER["settings"],
+        torque=paper["torque"],
+        integrator=paper["integrator"],
+        parameters=paper["settings"],
     )
