@@ -13,9 +13,11 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from invdyn.models.observation.pinhole import PinholeCameras, project
-from invdyn.models.observation.pixels import pixel_log_likelihood
-from invdyn.recordings.cameras import projection
+from invdyn.inference.posterior.cameras import pinhole
+from invdyn.models import Observation, Pixels
+from invdyn.models.observation.pinhole import project
+from invdyn.models.observation.view import View
+from invdyn.recordings.cameras import Calibration, projection
 from invdyn.recordings.cameras.camera import Camera
 
 SECONDS = 0.5
@@ -33,18 +35,6 @@ def cameras_around(count: int) -> list[Camera]:
         lens = [-0.12, 0.05, 0.001, -0.0006, 0.0]
         cameras.append(Camera(f"camera {number}", matrix, lens, rotation, 3 * rotation @ ahead, (1280, 960)))
     return cameras
-
-
-def tensors(cameras: list[Camera], dtype: torch.dtype) -> PinholeCameras:
-    columns = [
-        [camera.focal for camera in cameras],
-        [camera.center for camera in cameras],
-        [camera.distortion for camera in cameras],
-        [camera.rotation for camera in cameras],
-        [camera.translation for camera in cameras],
-        [projection.Lens.of(camera).limit for camera in cameras],
-    ]
-    return PinholeCameras(*(torch.tensor(np.stack(column), dtype=dtype) for column in columns))
 
 
 def seconds(run: Callable[[], object]) -> float:

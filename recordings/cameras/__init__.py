@@ -5,6 +5,7 @@ from .bundle import Adjusted, bundle_adjust
 from .calibrate import calibrate
 from .camera import Calibration, Camera
 from .camera_tables import write_calibration
+from .filmed import Filmed, filmed, load_filmed
 from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
@@ -18,6 +19,7 @@ __all__ = [
     "Board",
     "Calibration",
     "Camera",
+    "Filmed",
     "Length",
     "Scene",
     "Triangulated",
@@ -25,7 +27,9 @@ __all__ = [
     "at_one_time",
     "bundle_adjust",
     "calibrate",
+    "filmed",
     "find_offsets",
+    "load_filmed",
     "match_names",
     "project",
     "rays",
