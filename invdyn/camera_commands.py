@@ -105,7 +105,9 @@ def triangulate(
     )
     from invdyn.recordings.cameras.reprojection import csv_text, table
 
-    offsets = dict(map(_offset, offset or ()))
+    from .filmed import camera_offset
+
+    offsets = dict(map(camera_offset, offset or ()))
     if offsets and find is not None:
         raise InputError("--offset states what --find-offsets looks for: choose one")
     lengths = [_length(text, body) for text in length or ()]
@@ -176,19 +178,3 @@ def _length(text: str, body: str | None) -> Any:
             raise InputError(f"--length {text}: the body has no link {name!r}, but {', '.join(links)}")
         text = f"{links[name].joint}:{links[name].tip}{equals}{number}"
     return Length.parse(text)
-
-
-def _offset(text: str) -> tuple[str, float]:
-    """Read "cam2=0.02". Raises InputError for anything else."""
-    import math
-
-    from invdyn.recordings import InputError
-
-    name, _, number = text.partition("=")
-    try:
-        seconds = float(number)
-    except ValueError:
-        seconds = math.nan
-    if not (name and math.isfinite(seconds)):
-        raise InputError(f"an offset is CAMERA=SECONDS, such as cam2=0.02, got {text!r}")
-    return name, seconds

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from invdyn.models import PinholeCameras, Pixels
-from invdyn.models.observation.pixels import LEAST, MOST_NOISE
 from invdyn.models.observation.pinhole import project
+from invdyn.models.observation.pixels import LEAST, MOST_NOISE
 from invdyn.recordings.cameras import Calibration, Filmed
 from invdyn.recordings.cameras.projection import Lens
 
@@ -21,18 +21,20 @@ LEARNED = ("offset", "pose")
 def pinhole(calibration: Calibration) -> PinholeCameras:
     """The cameras of a calibration, in float64."""
     cameras = list(calibration)
-    bent = [np.pad(camera.distortion, (0, 5 - len(camera.distortion))) for camera in cameras]
-    columns = [
-        [camera.focal for camera in cameras],
-        [camera.center for camera in cameras],
-        bent,
-        [camera.rotation for camera in cameras],
-        [camera.translation for camera in cameras],
-        [Lens.of(camera).limit for camera in cameras],
-    ]
+
+    def tensor(rows: list) -> torch.Tensor:
+        return torch.tensor(np.stack(rows), dtype=torch.float64)
+
     fisheye = torch.tensor([camera.fisheye for camera in cameras])
-    tensors = (torch.tensor(np.stack(column), dtype=torch.float64) for column in columns)
-    return PinholeCameras(*tensors, fisheye if bool(fisheye.any()) else None)
+    return PinholeCameras(
+        focal=tensor([camera.focal for camera in cameras]),
+        center=tensor([camera.center for camera in cameras]),
+        distortion=tensor([np.pad(camera.distortion, (0, 5 - len(camera.distortion))) for camera in cameras]),
+        rotation=tensor([camera.rotation for camera in cameras]),
+        translation=tensor([camera.translation for camera in cameras]),
+        limit=tensor([np.asarray(Lens.of(camera).limit) for camera in cameras]),
+        fisheye=fisheye if bool(fisheye.any()) else None,
+    )
 
 
 def pixels_of(recording: Filmed, sites: list[tuple[int, int]], learn: tuple[str, ...] = ()) -> Pixels:

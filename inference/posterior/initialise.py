@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
@@ -31,7 +32,6 @@ from invdyn.models import (
 )
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
-from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
@@ -225,8 +225,8 @@ def _start_values(
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
         if (pixels := observation.pixels) is not None:
-            sites = dynamics.keypoints(torch.as_tensor(middle), numbers)[:, [int(site) for site in pixels.sites]]
-            values |= started(pixels, rows[:, observation.part(pixels)], sites.numpy())
+            seen = dynamics.keypoints(torch.as_tensor(middle), numbers)[:, list(pixels.sites)]
+            values |= started(pixels, rows[:, observation.part(pixels)], seen.numpy())
         if (keypoints := observation.keypoints) is not None:
             # What rigid links cannot explain is observation noise to begin with.
             sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()

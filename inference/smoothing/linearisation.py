@@ -159,7 +159,9 @@ def _differences(
     others = [k for k in range(len(nudges)) if k not in set(lone)]
     steps = torch.diag(nudges)[others]
     if lone:
-        steps = torch.cat([steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(lone), nudges[lone][None])])
+        steps = torch.cat(
+            [steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(lone), nudges[lone][None])]
+        )
     steps = steps.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
     values = function(x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])]))
     change = (values[: len(steps)] - values[len(steps) :]) / (1 + central)

@@ -13,7 +13,7 @@ which is what lowers the variance of log Ẑ in noisy settings.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -76,10 +76,11 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     others = [k for k in range(path.shape[-1]) if k not in set(lone)]
     # What lone states add is linear: over them there is nothing to fit, and nothing of them in the rest.
     root = _root(covariance[..., others, :][..., others] if lone else covariance)
+    transition = model.transition
     predicted, F, V = _regress(
-        lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], root[..., :-1, :, :], others, lone, lone
+        lambda x: gaussian_mean(transition(x, rows[1:])), path[..., :-1, :], root[..., :-1, :, :], lone, lone
     )
-    h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root, others, lone, shown)
+    h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root, lone, shown)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, rows)
@@ -104,14 +105,14 @@ def _regress(
     function: Callable[[Tensor], Tensor],
     mean: Tensor,
     root: Tensor,
-    others: list[int],
-    lone: list[int],
-    shown: list[int],
+    lone: Sequence[int] = (),
+    shown: Sequence[int] = (),
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D).
 
-    ``root`` is of the ``others`` than the ``lone`` arguments, each of which changes an entry of its own, ``shown``.
+    ``root`` is of all arguments but the ``lone`` ones, each of which changes an entry of its own, ``shown``.
     """
+    others = [k for k in range(mean.shape[-1]) if k not in set(lone)]
     dim = len(others)
     columns = root.mT.movedim(-2, 0) * dim**0.5  # (D, …, D)
     if lone:
@@ -127,10 +128,10 @@ def _regress(
         return average, slope, error
     unit = mean.new_zeros(mean.shape[-1]).index_fill(0, torch.tensor(lone), 1.0)
     with torch.no_grad():
-        change = (function(mean + unit) - function(mean - unit))[..., shown] / 2
+        change = (function(mean + unit) - function(mean - unit))[..., list(shown)] / 2
     whole = slope.new_zeros(*slope.shape[:-1], mean.shape[-1])
     whole[..., others] = slope
-    whole[..., shown, lone] = change
+    whole[..., list(shown), list(lone)] = change
     return average, whole, error
 
 

@@ -183,7 +183,7 @@ class ArmModel(StateSpaceModel):
         return self.mechanics.body_parameters()
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z and any hidden ones (..., Z + H + M), angles (..., K), velocities (..., K)."""
+        """State (..., D) → torque state z and hidden ones (..., Z + H + M), angles (..., K), velocities (..., K)."""
         return self.layout.split(state)
 
     def net_torque(self, path: Tensor) -> Tensor:

@@ -140,13 +140,12 @@ class Observation:
         pixels = self.pixels
         if pixels is None:
             return self, rows
-        sites = tuple(int(site) for site in pixels.sites)
-        points = rows.new_full((len(rows), len(sites), 3), torch.nan)
+        points = rows.new_full((len(rows), len(pixels.sites), 3), torch.nan)
         if pixels.located is not None:
             points = pixels.located.to(rows)
         others = [each for each in self.sensors if each is not pixels]
         parts = [points.flatten(-2), *(rows[..., self.part(each)] for each in others)]
-        keypoints = Keypoints(sites, names=pixels.names, coordinates=3)
+        keypoints = Keypoints(pixels.sites, names=pixels.names, coordinates=3)
         return Observation(keypoints, *others, family=self.family), torch.cat(parts, -1)
 
     def with_points(self, rows: Tensor, points: Tensor) -> Tensor:
@@ -192,7 +191,6 @@ class Observation:
         if self.family == "student_t":
             return _UncheckedStudentT(parameters["emission.df"], loc, scale).to_event(1)
         return Normal(loc, scale, validate_args=False).to_event(1)
-
 
     # -- states of the sensors themselves --------------------------------------------------------
     def _for(self, sensor: Sensor, view: View) -> View:

@@ -36,6 +36,12 @@ class PinholeCameras(NamedTuple):
     limit: Tensor
     fisheye: Tensor | None = None
 
+    def to(self, device: torch.device | str, dtype: torch.dtype) -> "PinholeCameras":
+        """The same there, in another precision."""
+        fisheye = None if self.fisheye is None else self.fisheye.to(device)
+        focal, center, distortion, rotation, translation, limit = (each.to(device, dtype) for each in self[:6])
+        return PinholeCameras(focal, center, distortion, rotation, translation, limit, fisheye)
+
 
 def moved(cameras: PinholeCameras, turn: Tensor, shift: Tensor) -> PinholeCameras:
     """Cameras with poses off by rotation vectors ``turn`` (…, C, 3) rad and ``shift`` (…, C, 3) m in their frames.

@@ -61,7 +61,7 @@ class Pixels(NoisySensor):
     cameras: PinholeCameras
     camera_names: tuple[str, ...]
     size: Tensor
-    sites: tuple[int | str, ...]
+    sites: tuple[Any, ...]
     confidence: Any = None
     located: Tensor | None = None
     timed: bool = False
@@ -93,7 +93,7 @@ class Pixels(NoisySensor):
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""
-        cameras = PinholeCameras(*(None if each is None else each.to(device) for each in self.cameras))
+        cameras = self.cameras.to(device, self.cameras.focal.dtype)
         confidence = None if self.confidence is None else self.confidence.to(device)
         return replace(self, cameras=cameras, size=self.size.to(device), confidence=confidence)
 
@@ -154,9 +154,7 @@ class Pixels(NoisySensor):
     def projected(self, view: View, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Pixels (..., C, P, 2) of the sites without error, and whether cameras see them, (..., C, P)."""
         points = self._of_sites(view.points)
-        cameras = PinholeCameras(
-            *(each if each is None or not each.is_floating_point() else each.to(points) for each in self.cameras)
-        )
+        cameras = self.cameras.to(points.device, points.dtype)
         if self.posed:
             cameras = moved(cameras, parameters["camera.turn"], parameters["camera.shift"])
         if self.timed:

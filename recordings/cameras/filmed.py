@@ -92,9 +92,7 @@ def load_filmed(
     """
     cameras = read_calibration(list(calibration), None)
     named = match_names(list(files), cameras.names)
-    views = at_one_time(
-        read_tracks(named, cameras, fps=fps, format=format, individual=individual), cameras, offsets
-    )
+    views = at_one_time(read_tracks(named, cameras, fps=fps, format=format, individual=individual), cameras, offsets)
     known = [name for name in keypoints if name in views.keypoint_names]
     if not known:
         asked = keypoints[0]
@@ -107,4 +105,3 @@ def load_filmed(
         if not seen:
             raise InputError(f"keypoint {name!r} is missing in every frame of every camera")
     return filmed(views, name=next(iter(named.values())).stem)
-
