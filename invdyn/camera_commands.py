@@ -116,8 +116,8 @@ def triangulate(
     check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
     with ProgressBar() as progress:
         films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
-        if find is not None:
-            offsets = find_offsets(films, cameras, find, progress)
+        clocks = {} if find is None else find_offsets(films, cameras, find, progress)
+        offsets |= {name: clock.seconds for name, clock in clocks.items() if clock.sure}
         views = at_one_time(films, cameras, offsets)
         progress(0, 1, "triangulate")
         scene = reconstruct(
@@ -152,7 +152,14 @@ def triangulate(
     known = _share_known(recording.keypoints)
     typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
     for name, seconds in offsets.items():
-        typer.echo(f"times of {name} run ahead by {seconds:+.4f} s")
+        spread = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
+        typer.echo(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
+    for name, clock in clocks.items():
+        if not clock.sure:
+            typer.echo(
+                f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, not "
+                "surely a clock, as a tracker's lasting errors look alike; --offset states a known one"
+            )
     if scene.factor != 1:
         typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
     typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))

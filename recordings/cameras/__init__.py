@@ -10,7 +10,7 @@ from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
-from .synchronise import find_offsets
+from .synchronise import Clock, find_offsets
 from .triangulate import Triangulated, triangulate
 from .views import Views, at_one_time, match_names, read_tracks
 
@@ -19,6 +19,7 @@ __all__ = [
     "Board",
     "Calibration",
     "Camera",
+    "Clock",
     "Filmed",
     "Length",
     "Scene",
