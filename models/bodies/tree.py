@@ -8,7 +8,8 @@ A link may have a `length` m instead: it is a stick along its x axis, whose `tip
 links on it are placed at its tip, its com is in its middle and its inertia that of a thin rod.
 
 The base is what the first joint makes of it: fixed where the link's joint is any on the world, free by a joint of type
-free, moved by one that is `driven`. Files: `tree_toml.py`; tables of Denavit and Hartenberg: `dh.py`.
+free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `body_urdf.py`; tables of Denavit and
+Hartenberg: `dh.py`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,9 +25,10 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies import body_mjcf, body_tree, body_urdf, tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
+from invdyn.models.bodies.parts import Robot
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
 from invdyn.models.bodies.scalars import (
@@ -375,10 +377,31 @@ class Tree(BodyBase):
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
         """The tree of a TOML file's tables; see `from_toml`."""
-        tables = {"name": Path(path).stem, **tree_toml.of(tables, path)}
+        return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path) -> Self:
+        """Read any tree of joints from MuJoCo's format (extra `robots`); see `body_mjcf` and `body_tree`.
+
+        Warns of what the file has and rigid links lack. Raises `BodyError`, which names the file, or `OSError`.
+        """
+        return cls.from_robot(body_mjcf.read(path), path)
+
+    @classmethod
+    def from_urdf(cls, path: str | Path) -> Self:
+        """Read any tree of joints from URDF; warns and raises as `from_mjcf`."""
+        return cls.from_robot(body_urdf.read(path), path)
+
+    @classmethod
+    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
+        """The tree of a file's parts; see `from_mjcf`."""
+        return cls._of(body_tree.tables(robot, str(path)), path)
+
+    @classmethod
+    def _of(cls, tables: dict, path: str | Path) -> Self:
         try:
-            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables.pop("links")]
-            return cls(links=links, **tables)
+            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
+            return cls(**tables | {"links": links})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
 
