@@ -1,7 +1,6 @@
 """From rigid parts in space (`parts.py`) to the tables of a planar chain.
 
-With the hinges' common axis n, what moves together is
-one link, of
+With the hinges' common axis n, what moves together is one link, of
 
     length    from its hinge to the next one, in the plane across n; the last one's to its tip
     mass      Σ m,        com = that of all its parts, along the line from hinge to tip
@@ -50,7 +49,7 @@ def _tables(robot: Robot, where: str) -> dict:
     anchors = [plane @ hinge.anchor for hinge in hinges]
     tip_name, tip = _tip(groups[-1], plane, where)
     ends = [*anchors[1:], tip]
-    tips = [*(hinge.name for hinge in hinges[1:]), tip_name]
+    tips = [*(_shown(group, hinge, plane) for group, hinge in zip(groups, hinges[1:], strict=False)), tip_name]
     links, notes = [], []
     for group, hinge, shown, start, end in zip(groups, hinges, tips, anchors, ends, strict=True):
         name = group[0].name
@@ -136,6 +135,14 @@ def _inertial(
             "give it an inertial element"
         )
     return mass, plane @ com, float(normal @ inertia @ normal)
+
+
+def _shown(group: Sequence[Part], hinge: PartJoint, plane: np.ndarray) -> str:
+    """What the next hinge's place is called: as a marked point of the link there, or as the hinge."""
+    there = plane @ hinge.anchor
+    reach = np.linalg.norm(there - plane @ group[0].joints[0].anchor)
+    names = [name for part in group for name, at in part.marks if np.linalg.norm(plane @ at - there) <= ASIDE * reach]
+    return hinge.name if not names or hinge.name in names else names[0]
 
 
 def _tip(group: Sequence[Part], plane: np.ndarray, where: str) -> tuple[str, np.ndarray]:

@@ -30,8 +30,9 @@ def named(mujoco: Any, model: Any, joints: Sequence[str]) -> list[str]:
         having: set[int] = set()
         for attribute in attributes:
             values = np.asarray(getattr(model, attribute, ()))
-            rows = np.flatnonzero(values.reshape(len(values), -1).any(1)) if values.size else []
-            having |= {int(model.dof_jntid[row]) if attribute.startswith("dof") else int(row) for row in rows}
+            if values.size:
+                rows = np.flatnonzero(values.reshape(len(values), -1).any(1))
+                having |= set((model.dof_jntid[rows] if attribute.startswith("dof") else rows).tolist())
         found += listed(words, [name for j, name in enumerate(joints) if j in having])
     found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
     found += _fluid(model.opt)

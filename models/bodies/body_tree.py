@@ -79,13 +79,10 @@ def _placed(joint: PartJoint, own: Frame, above: Frame) -> dict:
 def _inertial(group: Sequence[Part], frame: Frame, where: str) -> dict:
     turn, origin = frame
     mass, com, inertia = lumped(group)
-    given = {
-        "mass": mass,
-        "com": _dusted(reach := turn.T @ (com - origin)),
-        "inertia": _dusted(six(turn.T @ inertia @ turn), mass * float(reach @ reach)),
-    }
-    check_finite([mass, *given["com"], *given["inertia"]], where)
-    return given
+    reach = turn.T @ (com - origin)
+    moments = _dusted(six(turn.T @ inertia @ turn), mass * float(reach @ reach))
+    check_finite([mass, *reach, *moments], where)
+    return {"mass": mass, "com": _dusted(reach), "inertia": moments}
 
 
 def _sites(group: Sequence[Part], frame: Frame, named: bool) -> dict:

@@ -16,7 +16,7 @@ from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
 from invdyn.models.bodies.whole_file import read_whole
 
 
-def load(path: str | Path) -> Body | Tree:
+def load_body(path: str | Path) -> Body | Tree:
     """Read a body file: TOML, MJCF or URDF; raises as `Body.load` and `Tree.from_mjcf` do.
 
     A TOML says dimensions = 3 for a `Tree`. Of a robot a chain of hinges about one of the axes x, y and z is a `Body`,

@@ -154,7 +154,7 @@ class Tree(BodyBase):
         object.__setattr__(self, "links", _ordered(self.links, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
-        for link, turning in zip(self.links, self._turning(), strict=True):
+        for link, turning in zip(self.links, self.turning(), strict=True):
             moments = self._inertia(link, nominal(link.mass), None if link.length is None else nominal(link.length))
             check_inertia(tensor(np.array([nominal(x) for x in moments])), turning, f"{where}: link '{link.name}'")
 
@@ -353,7 +353,7 @@ class Tree(BodyBase):
     def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
         return {}
 
-    def _turning(self) -> list[np.ndarray]:
+    def turning(self) -> list[np.ndarray]:
         """For each link, directions in its own frame that its angular velocity may have, (n, 3).
 
         Each turn further out is set to an angle that is nothing special, so that no two axes are parallel by chance.
