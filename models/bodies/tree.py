@@ -303,6 +303,38 @@ class Tree(BodyBase):
             found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
 
+    def described(self, numbers: TreeParameters) -> dict[str, tuple[list[str], Tensor]]:
+        """Its numbers with their dims; `base`, where that stands still; and `skeleton`, −1 for the base."""
+        dims = {"mass": ["link"], "com": ["link", "space"], "inertia": ["link", "moment"], "gravity": ["space"]}
+        dims |= {"sites": ["keypoint", "space"], "joint_position": ["link", "space"]}
+        dims |= {"joint_rotation": ["link", "space", "axis"]}
+        own = {name if name in dims else f"joint_{name}": value for name, value in numbers._asdict().items()}
+        found = {name: (dims[name], value.detach()) for name, value in own.items()}
+        if self._stands:
+            found["base"] = ["space"], numbers.position[..., 0, :].detach()
+        edges = self.skeleton
+        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the first joint is at a place that does not move."""
+        root = self.links[0].joint
+        return not root.driven and all(motion.turns for motion in root.motions())
+
+    @property
+    def skeleton(self) -> list[tuple[int, int]]:
+        """Pairs of sites that a line joins in a picture, −1 the base: each with that, further in, next to its joint."""
+        p, names = self.parameters(), self.keypoint_names
+        hubs: list[int | None] = []
+        edges = []
+        for place, (link, parent) in enumerate(zip(self.links, self.parents, strict=True)):
+            hub = (-1 if self._stands else None) if parent < 0 else hubs[parent]
+            if parent >= 0 and (near := [names.index(name) for name in self.links[parent].points]):
+                hub = min(near, key=lambda site, at=place: float((p.sites[site] - p.position[at]).norm()))
+            hubs.append(hub)
+            edges += [(hub, names.index(name)) for name in link.points if hub is not None]
+        return edges
+
     def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
         """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
         for place, link in enumerate(self.links):
