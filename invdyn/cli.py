@@ -61,6 +61,9 @@ def simulate(
     duration: Annotated[float, typer.Option(min=0, help="s.")] = 6.0,
     fps: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 30.0,
     noise: Annotated[float, typer.Option(min=1e-9, help="Standard deviation of a keypoint, m.")] = 0.005,
+    encoders: Annotated[
+        float | None, typer.Option(min=1e-9, help="Record encoders too, with this standard deviation, rad.")
+    ] = None,
     torque_scale: Annotated[
         float | None,
         typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body."),
@@ -80,6 +83,7 @@ def simulate(
         duration=duration,
         fps=fps,
         noise=noise,
+        encoder_noise=encoders,
         torque_scale=torque_scale,
         commanded=commanded,
         seed=seed,

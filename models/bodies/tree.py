@@ -303,7 +303,7 @@ class Tree(BodyBase):
             found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
 
-    def described(self, numbers: TreeParameters) -> dict[str, tuple[list[str], Tensor]]:
+    def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
         """Its numbers with their dims; `base`, where that stands still; and `skeleton`, −1 for the base."""
         dims = {"mass": ["link"], "com": ["link", "space"], "inertia": ["link", "moment"], "gravity": ["space"]}
         dims |= {"sites": ["keypoint", "space"], "joint_position": ["link", "space"]}
@@ -330,7 +330,7 @@ class Tree(BodyBase):
         for place, (link, parent) in enumerate(zip(self.links, self.parents, strict=True)):
             hub = (-1 if self._stands else None) if parent < 0 else hubs[parent]
             if parent >= 0 and (near := [names.index(name) for name in self.links[parent].points]):
-                hub = min(near, key=lambda site, at=place: float((p.sites[site] - p.position[at]).norm()))
+                hub = near[int((p.sites[near] - p.position[place]).norm(dim=-1).argmin())]
             hubs.append(hub)
             edges += [(hub, names.index(name)) for name in link.points if hub is not None]
         return edges
