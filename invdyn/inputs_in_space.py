@@ -45,9 +45,7 @@ def load_in_space(
             f"body '{body.name}' moves in space: leave --plane out, which is for one that moves in a plane"
         )
     if body_lengths:
-        raise InputError(
-            "--body-lengths is for a chain in the plane: give a recording in space its --units"
-        )
+        raise InputError("--body-lengths is for a chain in the plane: give a recording in space its --units")
     if not body.keypoint_names:
         raise InputError(f"body '{body.name}' names no point: give its last link a tip, or a site, for what is drawn")
     recording = load(name, joints=body.joint_names, base=base, **options)

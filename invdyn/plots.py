@@ -97,7 +97,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
             place = axes.get_subplotspec()
-            if place is not None and place.rowspan.stop >= rows:
+            lowest = len(keypoints) if place is not None and place.colspan.stop == 1 else rows
+            if place is not None and place.rowspan.stop >= lowest:
                 axes.set_xlabel("time (s)")
             else:
                 axes.tick_params(labelbottom=False)
