@@ -11,13 +11,13 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.task import prepare
-from invdyn.models import Body, TorqueProcess
+from invdyn.models import ArticulatedBody, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 
 def infer(
     recording: Recording,
-    body: Body,
+    body: ArticulatedBody,
     *,
     method: str = "smc",
     num_filters: int = 64,
@@ -42,7 +42,7 @@ def infer(
     """Infer the torques that moved a recorded body.
 
     Args:
-        recording: planar keypoints, encoders, or both.
+        recording: keypoints, encoders, or both.
         body: in the recording's length unit; its priors and uncertainties are integrated out, its
             learned scalars learned ("differentiate" takes nominal values).
         method: a key of ``METHODS``.

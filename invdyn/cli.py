@@ -283,6 +283,7 @@ def demo(
 ) -> None:
     """Simulate an arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
+    from invdyn.models import Body
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
@@ -299,6 +300,7 @@ def demo(
     outputs.check()
     check_outputs([arm_file, recording_file, truth_file])
     arm = load_body("paper_planar_arm")
+    assert isinstance(arm, Body)  # as its file says
     recording, truth = record(paper_arm(arm), seed, "planar arm")
     arm.to_toml(arm_file)
     write_keypoint_csv(recording, recording_file)

@@ -187,3 +187,11 @@ def test_a_film_has_two_views_along_the_bodys_own_lines(posterior):
     seen = (np.abs(frames[0].astype(int) - blue).max(-1) < 30)[: height // 2]
     assert seen[:, : width // 2].sum() > 50
     assert seen[:, width // 2 :].sum() > 50
+
+
+def test_a_diagnosis_says_that_it_is_for_the_plane(robot, run):
+    write_keypoint_csv(filmed(robot, ["tool", "camera"]), "rec.csv")
+    outcome = run("diagnose", "rec.csv", "--body", "robot.toml", "--out", "out")
+    assert outcome.exit_code == 2
+    (line,) = outcome.stderr.splitlines()
+    assert line.startswith("error: robot.toml: a diagnosis takes a chain of hinges in the plane so far")
