@@ -61,6 +61,9 @@ def simulate(
     duration: Annotated[float, typer.Option(min=0, help="s.")] = 6.0,
     fps: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 30.0,
     noise: Annotated[float, typer.Option(min=1e-9, help="Standard deviation of a keypoint, m.")] = 0.005,
+    encoders: Annotated[
+        float | None, typer.Option(min=1e-9, help="Record encoders too, with this standard deviation, rad.")
+    ] = None,
     torque_scale: Annotated[
         float | None,
         typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body."),
@@ -80,6 +83,7 @@ def simulate(
         duration=duration,
         fps=fps,
         noise=noise,
+        encoder_noise=encoders,
         torque_scale=torque_scale,
         commanded=commanded,
         seed=seed,
@@ -279,6 +283,7 @@ def demo(
 ) -> None:
     """Simulate an arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
+    from invdyn.models import Body
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
@@ -295,6 +300,7 @@ def demo(
     outputs.check()
     check_outputs([arm_file, recording_file, truth_file])
     arm = load_body("paper_planar_arm")
+    assert isinstance(arm, Body)  # as its file says
     recording, truth = record(paper_arm(arm), seed, "planar arm")
     arm.to_toml(arm_file)
     write_keypoint_csv(recording, recording_file)

@@ -276,9 +276,17 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
+        from invdyn.models import Tree
+        from invdyn.recordings import InputError
+
         from .inputs import load_body
 
         body = load_body(self.body)
+        if isinstance(body, Tree):
+            raise InputError(
+                f"{self.body}: a diagnosis takes a chain of hinges in the plane so far, and this body moves in space; "
+                "infer and compare take it"
+            )
 
         def read(name: str, frames: str = ":") -> Any:
             recording = self.read(name, body, as_filmed=True, frames=frames)

@@ -5,7 +5,9 @@ from .bodies.body import BodyParameters as BodyParameters
 from .bodies.body import Learned as Learned
 from .bodies.body import Link as Link
 from .bodies.dh import from_dh as from_dh
+from .bodies.in_space import load_body as load_body
 from .bodies.joints import Joint as Joint
+from .bodies.mjcf_writer import write_mjcf as write_mjcf
 from .bodies.protocol import ArticulatedBody as ArticulatedBody
 from .bodies.protocol import BodyBase as BodyBase
 from .bodies.tree import SpatialLink as SpatialLink

@@ -1,34 +1,39 @@
-"""What a compiled MuJoCo model has and a rigid planar chain lacks, each with the names of the parts that have it.
+"""What a compiled MuJoCo model has and rigid links lack, each with the names of the parts that have it.
 
 A recording of that simulation differs from the body by these, so whoever diagnoses it wants them named. An actuator's
 force is gain(…)·act + bias(…), act = control through its own dynamics, clipped, times the gear, through a joint, tendon
 or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from invdyn.models.bodies.body_chain import listed
+from invdyn.models.bodies.parts import listed
 
 AT_JOINTS = {
-    "dof_damping": "damping",
-    "dof_frictionloss": "dry friction",
-    "dof_armature": "armature",
-    "jnt_stiffness": "a spring",
-    "jnt_limited": "limits",
-    "jnt_actfrclimited": "limits of the actuators' torque",
+    "damping": ("dof_damping", "dof_dampingpoly"),
+    "dry friction": ("dof_frictionloss",),
+    "armature": ("dof_armature",),
+    "a spring": ("jnt_stiffness", "jnt_stiffnesspoly"),
+    "limits": ("jnt_limited",),
+    "limits of the actuators' torque": ("jnt_actfrclimited",),
 }
+"""Words, and the model's arrays, of which older MuJoCos lack some: a row a joint, or a degree of freedom."""
 
 
-def named(mujoco: Any, model: Any, joints: dict[str, int]) -> list[str]:
-    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and its joints by name."""
+def named(mujoco: Any, model: Any, joints: Sequence[str]) -> list[str]:
+    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and the names of its joints."""
     found = []
-    for attribute, words in AT_JOINTS.items():
-        values = getattr(model, attribute)
-        # of a chain of hinges, joint j has the degree of freedom j; newer MuJoCos have several coefficients each
-        found += listed(words, [name for name, j in joints.items() if np.any(values[j])])
+    for words, attributes in AT_JOINTS.items():
+        having: set[int] = set()
+        for attribute in attributes:
+            values = np.asarray(getattr(model, attribute, ()))
+            if values.size:
+                rows = np.flatnonzero(values.reshape(len(values), -1).any(1))
+                having |= set((model.dof_jntid[rows] if attribute.startswith("dof") else rows).tolist())
+        found += listed(words, [name for j, name in enumerate(joints) if j in having])
     found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
     found += _fluid(model.opt)
     found += _actuators(mujoco, model)

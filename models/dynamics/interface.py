@@ -113,7 +113,7 @@ class Dynamics(ABC):
     def reach(self, p: Any) -> Tensor:
         """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m.
 
-        Or the largest of :meth:`levers`, where that is more.
+        Or the largest of :meth:`levers`, where that is more. Without sites it is 1 m.
         """
         points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
         points = torch.cat([points, torch.zeros_like(points[:1])])
@@ -122,9 +122,12 @@ class Dynamics(ABC):
     def levers(self, p: Any) -> Tensor:
         """How far (K,) some site moves when a joint turns by a radian, m: what an error of a point is divided by.
 
-        The largest one's stands for a joint that moves no site at zero coordinates.
+        The largest one's stands for a joint that moves no site at zero coordinates; without sites it is 1 m.
         """
-        moved = self.jacobian(p.gravity.new_zeros(self.num_joints), p).norm(dim=-2).amax(0)
+        jacobian = self.jacobian(p.gravity.new_zeros(self.num_joints), p)
+        if not len(jacobian):
+            return p.gravity.new_ones(self.num_joints)
+        moved = jacobian.norm(dim=-2).amax(0)
         return torch.where(moved > 0, moved, moved.max())
 
     def _check(self, **joint: Tensor) -> None:
