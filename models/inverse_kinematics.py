@@ -63,17 +63,23 @@ def pose_candidates(
     noise = np.concatenate([np.full(0 if keypoints is None else np.prod(keypoints.shape), off), sd if encoders else []])
     # Columns that no encoder's noise, nor a keypoint's, can be below: a perfect simulation still has slopes.
     noise = np.maximum(noise, 1e-6)
-    return tracked(time, rows, seen, noise, np.asarray(agility), first_pose(body, rows, seen, noise))
+    encoded = rows[:, len(noise) - len(sd) :] if encoders else np.full((len(rows), len(sd)), np.nan)
+    return tracked(time, rows, seen, noise, np.asarray(agility), first_pose(body, rows, seen, noise, encoded))
 
 
-def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray) -> np.ndarray:
-    """Coordinates (K,) of the row that shows most, of its aliases the plainest one."""
-    row = rows[np.isfinite(rows).sum(1).argmax()]
+def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray, encoded: np.ndarray) -> np.ndarray:
+    """Coordinates (K,) of the row that shows most, of its aliases the plainest one.
+
+    ``encoded`` (T, K) are coordinates as encoders read them, NaN where there is none; what they read has no aliases.
+    """
+    most = np.isfinite(rows).sum(1).argmax()
+    row, read = rows[most], encoded[most]
     turns = np.array([motion.turns for _, motion in body.motions()])
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(turns))) * turns
     starts[0] = 0.0
+    starts = np.where(np.isfinite(read), read, starts)
     poses, cost = _solved(row, seen, noise, starts)
-    poses = np.where(turns, (poses + np.pi) % (2 * np.pi) - np.pi, poses)
+    poses = np.where(turns & np.isnan(read), (poses + np.pi) % (2 * np.pi) - np.pi, poses)
     alike = poses[cost <= 1.1 * cost.min() + 5.0]
     return min(alike, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
 

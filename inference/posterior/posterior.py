@@ -2,7 +2,7 @@
 
 Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothed trajectory of it):
 
-    posterior             torque [chain, draw, time, joint] N·m, angle rad, velocity rad/s,
+    posterior             torque [chain, draw, time, joint] N·m (not of a kinematic model), angle rad, velocity rad/s,
                           position [chain, draw, time, keypoint, space] of the tips;
                           residual_torque if commanded
     posterior_predictive  position and angle with observation noise
@@ -38,6 +38,7 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.layout import check_layout, check_size
+from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import about, first_line
@@ -80,8 +81,9 @@ def to_inference_data(
         outer, each = outer_weights(result.log_evidence), result.log_evidence
     units = _units(recording.length_unit)
     _, angle, velocity = model.split(paths)
-    posterior = {
-        "torque": (["chain", "draw", "time", "joint"], model.net_torque(paths)),
+    moved = isinstance(model, ArmModel)
+    torque = {"torque": (["chain", "draw", "time", "joint"], model.net_torque(paths))} if moved else {}
+    posterior = torque | {
         "angle": (["chain", "draw", "time", "joint"], angle),
         "velocity": (["chain", "draw", "time", "joint"], velocity),
         "position": (
@@ -89,7 +91,7 @@ def to_inference_data(
             model.dynamics.keypoints(angle, model.body_parameters()),
         ),
     }
-    if model.command is not None:
+    if moved and model.command is not None:
         residual = paths[..., : body.num_joints]
         posterior["residual_torque"] = (["chain", "draw", "time", "joint"], residual)
     rows = torch.arange(model.num_steps)
@@ -164,7 +166,7 @@ def _units(length: str) -> dict[str, str]:
 def _constants(problem: Problem) -> dict:
     model, truth = problem.model, problem.truth
     constants = dict(model.body.described(model.body_parameters()))
-    if model.command is not None:
+    if isinstance(model, ArmModel) and model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
     if truth is not None:
         order = [truth.joint_names.index(name) for name in model.body.joint_names]
@@ -180,6 +182,7 @@ def _attributes(problem: Problem, outer: OuterWeights, method: str, seed: int, s
         "recording": problem.recording.name,
         "body": problem.model.body.name,
         "length_unit": problem.recording.length_unit,
+        "model": "dynamic" if isinstance(problem.model, ArmModel) else "kinematic",
         **_outer_attributes(outer),
         "settings": json.dumps(settings, sort_keys=True),
         "invdyn_version": version("invdyn"),
