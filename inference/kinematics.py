@@ -8,7 +8,7 @@ linearised model ("laplace", in one pass).
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import arviz as az
 import numpy as np
@@ -18,7 +18,8 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.models import ArticulatedBody, Body, KinematicModel
+from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel, Tree
+from invdyn.models.articulated.defaults import Value
 from invdyn.recordings import InputError, Recording, Truth
 
 SAMPLERS = ("smc", "laplace")
@@ -35,7 +36,7 @@ def infer_kinematics(
     num_particles: int = 100,
     num_draws: int = 4,
     seed: int = 0,
-    settings: Mapping[str, object] | None = None,
+    settings: Mapping[str, Value] | None = None,
     family: str = "gaussian",
     learn_lengths: bool = False,
     truth: Truth | None = None,
@@ -91,35 +92,34 @@ def infer_kinematics(
     }
     if lengths := _lengths(fitted.model, fitted.log_sd, learned):
         record["length"] = lengths
-    idata = METHODS[method](
-        replace(problem, model=fitted.model),
+    return METHODS[method](
+        replace(problem, model=cast(ArmModel, fitted.model)),  # these methods ask for no more than both have
         options=options,
         start=fitted.path,
         seed=seed,
         settings=record,
         progress=progress,
     )
-    return idata
 
 
 def learned_lengths(idata: az.InferenceData) -> dict[str, tuple[float, float]]:
     """Length and its posterior sd (Laplace) of each link whose length was learned, in the recording's unit."""
-    return {link: tuple(pair) for link, pair in json.loads(idata.attrs["settings"]).get("length", {}).items()}
+    return {link: (length, sd) for link, length, sd in json.loads(idata.attrs["settings"]).get("length", [])}
 
 
 def _lengths(
     model: KinematicModel, log_sd: Mapping[str, np.ndarray], learned: Mapping[str, tuple[int, ...]]
-) -> dict[str, list[float]]:
-    """By link: length and its sd, of a chain's links and of a tree's sticks, whose tips' x they are."""
-    found = {}
-    for name in ("length", "sites"):
-        for entry, relative in zip(learned.get(name, ()), log_sd.get(f"body.{name}", ()), strict=False):
-            value = model.parameters[f"body.{name}"].reshape(-1)[entry].item()
-            if name == "length":
-                link = model.body.link_names[entry]
-            else:
-                tip = model.body.keypoint_names[entry // 3]
-                link = next((each.name for each in model.body.links if each.tip == tip and entry % 3 == 0), None)
-            if link is not None:
-                found[link] = [value, value * float(relative)]
-    return found
+) -> list[tuple[str, float, float]]:
+    """Links with length and sd: a chain's, and a tree's sticks, of which it is the x of the tip."""
+    body, name = model.body, "sites" if isinstance(model.body, Tree) else "length"
+    ends = list(body.link_names)
+    if isinstance(body, Tree):
+        sticks = {link.tip: link.name for link in body.links if link.tip is not None}
+        ends = [sticks.get(site, "") if axis == "x" else "" for site in body.keypoint_names for axis in "xyz"]
+    values = model.parameters.get(f"body.{name}")
+    found = zip(learned.get(name, ()), log_sd.get(f"body.{name}", ()), strict=False)
+    return [
+        (ends[entry], length := float(values.reshape(-1)[entry]), length * float(relative))
+        for entry, relative in found
+        if values is not None and ends[entry]
+    ]
