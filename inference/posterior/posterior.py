@@ -158,7 +158,7 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= {"base": length, "gravity": f"{length}/s²", "log_evidence": "nat"}
+    units |= {"origin": length, "sites": length, "base": length, "gravity": f"{length}/s²", "log_evidence": "nat"}
     units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}
 

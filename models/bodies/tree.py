@@ -290,6 +290,19 @@ class Tree(BodyBase):
             }
         )
 
+    def described(self, numbers: TreeParameters) -> dict[str, tuple[list[str], Tensor]]:  # type: ignore[override]
+        """By link, site and axis; joints' positions as "origin"."""
+        dims = {
+            "mass": ["link"],
+            "com": ["link", "space"],
+            "inertia": ["link", "moment"],
+            "origin": ["link", "space"],
+            "rotation": ["link", "space", "space_2"],
+            "sites": ["keypoint", "space"],
+            "gravity": ["space"],
+        }
+        return {name: (dims[name], value) for name, (_, value) in super().described(numbers).items()}
+
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
         like: dict[str, Any] = {"dtype": numbers.mass.dtype, "device": numbers.mass.device}
