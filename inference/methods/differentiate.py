@@ -67,17 +67,17 @@ def joint_angles(
     return within_half_a_turn(np.diff(absolute, axis=1, prepend=0.0), wrapped), gap
 
 
-def tree_angles(model: ArmModel, observations: Tensor) -> tuple[np.ndarray, np.ndarray]:
+def tree_angles(model: ArmModel, body: Tree, observations: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates (T, K) of a tree by inverse kinematics row by row, and gaps (T, K), s, as `joint_angles` has them.
 
     A row that is not wholly seen is a gap of all joints. Raises InputError where none is.
     """
     time, numbers = model.time.numpy(), model.body_parameters()
     sd = joint_angle_sd(model, numbers)
-    near = joint_angle_candidates(model.body, time, observations, model.observation, numbers, sd)
+    near = joint_angle_candidates(body, time, observations, model.observation, numbers, sd)
     if near is None:
         raise InputError("neither a keypoint nor an encoder is ever seen: filter-and-differentiate needs them")
-    poses, whole = row_poses(model.body, observations, model.observation, numbers, sd, near[len(near) // 2])
+    poses, whole = row_poses(body, observations, model.observation, numbers, sd, near[len(near) // 2])
     seen = np.flatnonzero(whole)
     if not len(seen):
         raise InputError("no row is wholly seen, as filter-and-differentiate needs it: use another method")
@@ -179,7 +179,7 @@ def differentiate(
     if isinstance(model.body, Body):
         angle, gap = joint_angles(time, problem.observations, model.observation, body)
     elif isinstance(model.body, Tree):
-        angle, gap = tree_angles(model, problem.observations)
+        angle, gap = tree_angles(model, model.body, problem.observations)
     else:
         raise InputError(
             f"filter-and-differentiate reads angles of a chain in the plane or a tree in space, got body "

@@ -11,7 +11,9 @@ Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothe
                           [chain, time]; attributes: method, bound (1: log_evidence is a lower bound),
                           seconds (see :mod:`.registry`), and the method's own diagnostics
     observed_data         position [time, keypoint, space], angle [time, joint]
-    constant_data         the model's parameters, command, truth
+    constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
+                          tracked sites' Jacobian and unseen [time, joint], 1 where no keypoint tells a
+                          coordinate (:mod:`.visibility`), which the attribute "unseen" says in words
 
 Draws are equally weighted within a chain; chains weigh exp(log_weight). :func:`pooled` resamples
 them to equal weights: what tables and figures use.
@@ -38,6 +40,7 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.layout import check_layout, check_size
+from invdyn.inference.posterior.visibility import unseen_lines, visibility
 from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
@@ -133,17 +136,25 @@ def to_inference_data(
             out["time"].attrs["units"] = "s"
         return out
 
+    constants = _constants(problem)
+    notes: dict[str, Any] = {}
+    if body.space == 3:
+        smallest, unseen = visibility(model, problem.observations, angle.mean((0, 1)))
+        constants["smallest_singular_value"] = (["time"], smallest)
+        constants["unseen"] = (["time", "joint"], unseen.astype(np.int8))
+        if lines := unseen_lines(unseen, body.joint_names):
+            notes["unseen"] = "\n".join(lines)
     groups: dict[str, Any] = {
         "posterior": dataset(posterior),
         "posterior_predictive": dataset(predictive, seen),
         "sample_stats": dataset(stats),
         "observed_data": dataset(observed, seen),
-        "constant_data": dataset(_constants(problem)),
+        "constant_data": dataset(constants),
     }
     # netCDF knows no booleans.
     groups["sample_stats"].attrs.update({"method": method, "bound": int(bound), **(diagnostics or {})})
     idata = az.InferenceData(**groups)
-    idata.attrs.update(_attributes(problem, outer, method, seed, settings))
+    idata.attrs.update(_attributes(problem, outer, method, seed, settings) | notes)
     return idata
 
 
@@ -158,7 +169,14 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= {"origin": length, "sites": length, "base": length, "gravity": f"{length}/s²", "log_evidence": "nat"}
+    units |= {
+        "smallest_singular_value": f"{length}/rad",
+        "origin": length,
+        "sites": length,
+        "base": length,
+        "gravity": f"{length}/s²",
+        "log_evidence": "nat",
+    }
     units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}
 

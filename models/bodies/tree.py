@@ -27,7 +27,7 @@ from torch.distributions import constraints
 from invdyn.models.bodies import tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
 from invdyn.models.bodies.scalars import (
     SMALLEST,
@@ -290,7 +290,7 @@ class Tree(BodyBase):
             }
         )
 
-    def described(self, numbers: TreeParameters) -> dict[str, tuple[list[str], Tensor]]:  # type: ignore[override]
+    def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
         """By link, site and axis; joints' positions as "origin"."""
         dims = {
             "mass": ["link"],
@@ -301,7 +301,8 @@ class Tree(BodyBase):
             "sites": ["keypoint", "space"],
             "gravity": ["space"],
         }
-        return {name: (dims[name], value) for name, (_, value) in super().described(numbers).items()}
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
+        return {name: (dims[name], value) for name, value in own.items()}
 
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
