@@ -60,8 +60,7 @@ def summary_text(idata: az.InferenceData) -> str:
     lines = [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     length = idata["posterior"]["position"].attrs["units"]
     lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
-    if unseen := idata.attrs.get("unseen"):
-        lines.append(str(unseen))
+    lines += [str(idata.attrs[note]) for note in ("charts", "unseen") if note in idata.attrs]
     return "\n".join(lines)
 
 

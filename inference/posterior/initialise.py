@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.posterior.charts import chosen, warn_of_poles
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
@@ -58,12 +59,14 @@ class Problem:
         observations: (T, O) rows of the model's emission, NaN where missing.
         recording: where they come from.
         truth: torques to compare with, or None.
+        notes: what was decided on the way that a reader of the result must know.
     """
 
     model: ArmModel
     observations: Tensor
     recording: Recording
     truth: Truth | None = None
+    notes: tuple[str, ...] = ()
 
 
 def arm_problem(
@@ -129,6 +132,12 @@ def arm_problem(
     observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
         body = with_observed_lengths(recording, body)
+    notes: tuple[str, ...] = ()
+    if isinstance(body, Tree):
+        # Where somebody else speaks in its coordinates they stay as they are.
+        spoken = angles is not None or command is not None or truth is not None
+        spoken |= any(name.startswith("initial.") for name in parameters or {})
+        body, notes = _charted(body, recording.time, observations, observation, turning=not spoken)
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
@@ -137,7 +146,7 @@ def arm_problem(
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
-    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time))
+    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time), notes)
 
 
 def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> ArticulatedBody:
@@ -216,6 +225,35 @@ def _in_order(recording: Recording, body: ArticulatedBody, values: np.ndarray | 
     return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
 
+def _charted(
+    tree: Tree, time: np.ndarray, observations: Tensor, observation: Observation, turning: bool
+) -> tuple[Tree, tuple[str, ...]]:
+    """The tree in charts that suit the recording, if they may be chosen, and what to say of them."""
+    if all(len(link.joint.chart) < 2 for link in tree.links):
+        return tree, ()
+
+    def path(tree: Tree) -> np.ndarray | None:
+        numbers, sd = tree.parameters(), _angle_sd(tree, observations, observation)
+        candidates = joint_angle_candidates(tree, time, observations, observation, numbers, sd)
+        return None if candidates is None else candidates[len(candidates) // 2]
+
+    tree, said = chosen(tree, path) if turning else (tree, [])
+    if (own := path(tree)) is not None:
+        warn_of_poles(tree, own)
+    return tree, tuple(said)
+
+
+def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observation) -> np.ndarray:
+    """What one row tells of each angle, sd (K,) in rad, by the jitter of the columns."""
+    rows = observations.numpy()
+    if observation.encoders:
+        return np.maximum(jitter(rows[:, observation.part(observation.encoders)]), 1e-6)
+    if observation.keypoints is None:
+        return np.ones(body.num_joints)
+    noise = jitter(rows[:, observation.part(observation.keypoints)])
+    return np.clip(1.5 * noise.max() / dynamics_for(body).levers(body.parameters()).numpy(), 1e-6, 1.0)
+
+
 def _start_values(
     body: ArticulatedBody, time: np.ndarray, observations: Tensor, observation: Observation
 ) -> dict[str, object]:
@@ -226,13 +264,7 @@ def _start_values(
     values: dict[str, Any] = {}
     for sensor in observation.sensors:
         values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
-    if observation.encoders:
-        sd = values["emission.angle_scale"]
-    elif observation.keypoints:
-        noise = jitter(rows[:, observation.part(observation.keypoints)])
-        sd = np.clip(1.5 * noise.max() / dynamics.levers(numbers).numpy(), 1e-6, 1.0)
-    else:
-        sd = np.ones(body.num_joints)
+    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, observations, observation)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
     values["noise.velocity"] = 1e-3

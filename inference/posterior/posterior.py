@@ -13,7 +13,8 @@ Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothe
     observed_data         position [time, keypoint, space], angle [time, joint]
     constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
                           tracked sites' Jacobian and unseen [time, joint], 1 where no keypoint tells a
-                          coordinate (:mod:`.visibility`), which the attribute "unseen" says in words
+                          coordinate (:mod:`.visibility`), which the attribute "unseen" says in words; "charts" says
+                          which joints' frames were turned (:mod:`.charts`)
 
 Draws are equally weighted within a chain; chains weigh exp(log_weight). :func:`pooled` resamples
 them to equal weights: what tables and figures use.
@@ -137,7 +138,7 @@ def to_inference_data(
         return out
 
     constants = _constants(problem)
-    notes: dict[str, Any] = {}
+    notes: dict[str, Any] = {"charts": "\n".join(problem.notes)} if problem.notes else {}
     if body.space == 3:
         smallest, unseen = visibility(model, problem.observations, angle.mean((0, 1)))
         constants["smallest_singular_value"] = (["time"], smallest)
