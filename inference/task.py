@@ -19,7 +19,7 @@ from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody
+from invdyn.models import ArmModel, ArticulatedBody, Body
 from invdyn.recordings import InputError, Recording, Truth
 
 SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
@@ -47,7 +47,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]
     learned = dict(body.learned)
-    if learn_lengths:
+    if learn_lengths and isinstance(body, Body):  # a tree says itself which of its lengths are learned
         learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
     wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
     if (pixels := problem.model.observation.pixels) is not None:

@@ -102,6 +102,9 @@ def infer(
     given: Inference,
     out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
     method: Annotated[str, typer.Option(help="How; the answer to an unknown one lists them all.")] = "smc",
+    kinematic: Annotated[
+        bool, typer.Option("--kinematic", help="Motion and lengths alone: no forces, no masses; smc or laplace.")
+    ] = False,
     figure: FigureOut = None,
     film: FilmOut = None,
     sto: StoOut = None,
@@ -112,16 +115,22 @@ def infer(
 ) -> None:
     """Infer the torques that moved a recorded body."""
     from invdyn.inference import infer as run
+    from invdyn.inference import infer_kinematics
 
     from .outputs import Outputs
     from .summary import summary_text
 
     given.check(method)
+    if kinematic:
+        given.check_kinematic(sto=sto, checkpoint=checkpoint)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
     outputs.check(*given.files)
     arguments = given.load()
     with given.executor() as executor, ProgressBar() as progress:
-        idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
+        if kinematic:
+            idata = infer_kinematics(**given.kinematic(arguments), method=method, progress=progress)
+        else:
+            idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
         outputs.write(idata, progress)
     typer.echo(summary_text(idata))
     typer.echo(outputs.listing())

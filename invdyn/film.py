@@ -191,14 +191,15 @@ def still_parts(
         across, up = ("xyz"[place] for place in view)
         axes.set(xlabel=f"{across} ({unit})", ylabel=f"{up} ({unit})")
         arm_axes.append(axes)
-    bands, known = quantiles(idata, "torque"), idata["constant_data"]
+    shown = "torque" if "torque" in idata["posterior"] else "angle"  # a kinematic model knows no forces
+    bands, known = quantiles(idata, shown), idata["constant_data"]
     torque_axes = []
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
-        if "truth_torque" in known:
-            draw_truth(axes, time, known["truth_torque"].values[:, number])
-        axes.set_title(f"{joint} torque ({idata['posterior']['torque'].attrs['units']})", loc="left")
+        if f"truth_{shown}" in known:
+            draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
+        axes.set_title(f"{joint} {shown} ({idata['posterior'][shown].attrs['units']})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")
@@ -210,7 +211,7 @@ def still_parts(
         Line2D([], [], color=BLUE, marker="o", label="predicted"),
         Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
     ]
-    if "truth_torque" in known:
+    if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()

@@ -16,6 +16,8 @@ BodyFile = Annotated[
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
+FORCES = ("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task")
+"""Options that a kinematic model takes none of."""
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -131,6 +133,21 @@ class Inference(Recorded):
         for what, given, known in named:
             if given not in known:
                 raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
+
+    def check_kinematic(self, **others: Path | None) -> None:
+        """Raise InputError for options, of this group and `others`, that a motion without forces has no use for."""
+        from invdyn.recordings import InputError
+
+        own = {field.name: field.default for field in fields(self) if field.name in FORCES}
+        given = [name for name, default in own.items() if getattr(self, name) != default]
+        given += [name for name, value in others.items() if value is not None]
+        if given:
+            raise InputError(f"--{given[0].replace('_', '-')}: has no part in --kinematic; leave one of them out")
+
+    @staticmethod
+    def kinematic(arguments: dict[str, Any]) -> dict[str, Any]:
+        """Of what `load` returns that which `inference.infer_kinematics` takes."""
+        return {name: value for name, value in arguments.items() if name not in FORCES}
 
     @property
     def files(self) -> list[Path]:

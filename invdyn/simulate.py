@@ -18,6 +18,7 @@ from invdyn.models import (
     Tree,
     dynamics_for,
 )
+from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
@@ -54,10 +55,14 @@ PAPER_IN_SPACE: dict[str, Any] = {  # the same of its arm in space, as its code 
 
 
 def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Recording, Truth]:
-    """Draw one recording of `model`'s keypoints and encoders, and the states behind it; same seed, same recording."""
+    """Draw one recording of `model`'s keypoints and encoders, and the states behind it; same seed, same recording.
+
+    Raises Diverged where it runs away.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         states, observations = model.simulate()
+    check_finite(states)
     body, time = model.body, model.time.numpy()
     _, angle, velocity = (part.numpy() for part in model.split(states))
     command = None if model.command is None else model.command.numpy()

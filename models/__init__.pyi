@@ -18,6 +18,7 @@ from .dynamics.planar_recursive import RecursiveDynamics as RecursiveDynamics
 from .dynamics.planar_symbolic import SymbolicDynamics as SymbolicDynamics
 from .dynamics.registry import dynamics_for as dynamics_for
 from .dynamics.registry import planar_dynamics as planar_dynamics
+from .kinematic import KinematicModel as KinematicModel
 from .linear_gaussian import LinearGaussian as LinearGaussian
 from .observation.encoders import Encoders as Encoders
 from .observation.keypoints import Keypoints as Keypoints

@@ -13,6 +13,7 @@ Shapes: rows (T, O), K coordinates, C candidates (agilities a, rad/s/√s); stat
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,45 +36,83 @@ Seen = Callable[[np.ndarray], np.ndarray]
 """From coordinates (..., K) to rows (..., O)."""
 
 
+class Sighted:
+    """A tree before its sensors: what it shows in a pose, against rows.
+
+    Attributes:
+        rows: (T, O) of keypoints and encoders, NaN where missing.
+        noise: (O,) of each column.
+        encoded: (T, K) what encoders read of coordinates, NaN where there are none.
+    """
+
+    def __init__(self, body: Tree, observations: Tensor, observation: Observation, numbers: Any, sd: np.ndarray):
+        self.body, self.numbers, self.dynamics = body, numbers, dynamics_for(body)
+        self.keypoints, self.encoders = observation.keypoints, observation.encoders
+        every = observations.detach().cpu().double().numpy()
+        known = [each for each in (self.keypoints, self.encoders) if each is not None]
+        parts = [every[:, observation.part(each)] for each in known]
+        self.rows = np.concatenate([every[:, :0], *parts], 1)
+        off = float((sd * self.dynamics.levers(numbers).numpy()).max()) / 1.5
+        points = np.full(0 if self.keypoints is None else int(np.prod(self.keypoints.shape)), off)
+        # A perfect simulation has no noise, but its slopes have rounding.
+        self.noise = np.maximum(np.concatenate([points, sd if self.encoders else []]), 1e-6)
+        self.encoded = parts[-1] if self.encoders else np.full((len(every), len(sd)), np.nan)
+
+    def seen(self, q: np.ndarray) -> np.ndarray:
+        """Rows (..., O) of coordinates (..., K)."""
+        angles, parts = torch.as_tensor(q), []
+        if self.keypoints is not None:
+            parts.append(self.keypoints.tracked(self.dynamics.keypoints(angles, self.numbers)).flatten(-2))
+        return torch.cat([*parts, *([angles] if self.encoders else [])], -1).numpy()
+
+
 def pose_candidates(
     body: Tree,
     time: np.ndarray,
     observations: Tensor,
     observation: Observation,
-    numbers: object,
+    numbers: Any,
     sd: np.ndarray,
     agility: Sequence[float],
 ) -> np.ndarray | None:
     """Smoothed coordinates (C, T, K) of a tree; None where neither a keypoint nor an encoder is seen."""
-    rows = observations.detach().cpu().double().numpy()
-    dynamics = dynamics_for(body)
-    keypoints, encoders = observation.keypoints, observation.encoders
-    known = [each for each in (keypoints, encoders) if each is not None]
-    columns = np.concatenate([np.arange(rows.shape[1])[observation.part(each)] for each in known] or [np.zeros(0, int)])
-    rows = rows[:, columns]
-    if not np.isfinite(rows).any():
+    sighted = Sighted(body, observations, observation, numbers, sd)
+    if not np.isfinite(sighted.rows).any():
         return None
-
-    def seen(q: np.ndarray) -> np.ndarray:
-        angles = torch.as_tensor(q)
-        parts = [] if keypoints is None else [keypoints.tracked(dynamics.keypoints(angles, numbers)).flatten(-2)]
-        return torch.cat([*parts, *([angles] if encoders else [])], -1).numpy()
-
-    off = float((sd * dynamics.levers(numbers).numpy()).max()) / 1.5
-    noise = np.concatenate([np.full(0 if keypoints is None else np.prod(keypoints.shape), off), sd if encoders else []])
-    # Columns that no encoder's noise, nor a keypoint's, can be below: a perfect simulation still has slopes.
-    noise = np.maximum(noise, 1e-6)
-    return tracked(time, rows, seen, noise, np.asarray(agility), first_pose(body, rows, seen, noise))
+    pose = first_pose(body, sighted.rows, sighted.seen, sighted.noise, sighted.encoded)
+    return tracked(time, sighted.rows, sighted.seen, sighted.noise, np.asarray(agility), pose)
 
 
-def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray) -> np.ndarray:
-    """Coordinates (K,) of the row that shows most, of its aliases the plainest one."""
-    row = rows[np.isfinite(rows).sum(1).argmax()]
+def row_poses(
+    body: Tree,
+    observations: Tensor,
+    observation: Observation,
+    numbers: Any,
+    sd: np.ndarray,
+    near: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (T, K) that explain each row by itself, from those it is ``near`` (T, K); whether all of it is seen.
+
+    What a row does not tell stays where it was.
+    """
+    sighted = Sighted(body, observations, observation, numbers, sd)
+    poses, _ = _solved(sighted.rows, sighted.seen, sighted.noise, near, near)
+    return poses, np.isfinite(sighted.rows).all(1)
+
+
+def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray, encoded: np.ndarray) -> np.ndarray:
+    """Coordinates (K,) of the row that shows most, of its aliases the plainest one.
+
+    ``encoded`` (T, K) are coordinates as encoders read them, NaN where there is none; what they read has no aliases.
+    """
+    most = np.isfinite(rows).sum(1).argmax()
+    row, read = rows[most], encoded[most]
     turns = np.array([motion.turns for _, motion in body.motions()])
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(turns))) * turns
     starts[0] = 0.0
-    poses, cost = _solved(row, seen, noise, starts)
-    poses = np.where(turns, (poses + np.pi) % (2 * np.pi) - np.pi, poses)
+    starts = np.where(np.isfinite(read), read, starts)
+    poses, cost = _solved(row, seen, noise, starts, np.zeros(len(turns)))
+    poses = np.where(turns & np.isnan(read), (poses + np.pi) % (2 * np.pi) - np.pi, poses)
     alike = poses[cost <= 1.1 * cost.min() + 5.0]
     return min(alike, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
 
@@ -160,24 +199,30 @@ def _with_slopes(seen: Seen, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[..., 0, :], ((up - down) / (2 * NUDGE)).swapaxes(-1, -2)
 
 
-def _solved(row: np.ndarray, seen: Seen, noise: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (S, K) that explain a row (O,), by Levenberg and Marquardt from each start; and their costs (S,)."""
-    known = np.isfinite(row)
+def _solved(
+    rows: np.ndarray, seen: Seen, noise: np.ndarray, starts: np.ndarray, about: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (S, K) that explain a row (O,), or one (S, O) each, by Levenberg and Marquardt from starts; costs (S,).
+
+    What nobody sees is held to within ``FAR`` ``about`` a pose.
+    """
+    known = np.isfinite(rows)
     poses, damping = starts.copy(), np.full(len(starts), 1.0)
 
+    def off(here: np.ndarray) -> np.ndarray:
+        return np.where(known, (rows - here) / noise, 0.0)
+
     def cost(off: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return (off**2).sum(-1) + (q**2).sum(-1) / FAR**2
+        return (off**2).sum(-1) + ((q - about) ** 2).sum(-1) / FAR**2
 
     for _ in range(LADDER):
         here, slopes = _with_slopes(seen, poses)
-        off, J = ((row - here) / noise)[:, known], (slopes / noise[:, None])[:, known]
+        J = np.where(known[..., None], slopes / noise[:, None], 0.0)
         JJ = J.swapaxes(-1, -2) @ J + np.eye(poses.shape[1]) / FAR**2
         widened = JJ + damping[:, None, None] * np.eye(JJ.shape[-1]) * np.trace(JJ, axis1=-2, axis2=-1)[:, None, None]
-        pull = (J.swapaxes(-1, -2) @ off[..., None])[..., 0] - poses / FAR**2
+        pull = (J.swapaxes(-1, -2) @ off(here)[..., None])[..., 0] - (poses - about) / FAR**2
         moved = poses + np.linalg.solve(widened, pull[..., None])[..., 0]
-        now = cost(off, poses)
-        then = cost(((row - seen(moved)) / noise)[:, known], moved)
-        better = then < now
+        better = cost(off(seen(moved)), moved) < cost(off(here), poses)
         poses = np.where(better[:, None], moved, poses)
         damping = np.where(better, damping / 5, damping * 5).clip(1e-12, 1e6)
-    return poses, cost(((row - seen(poses)) / noise)[:, known], poses)
+    return poses, cost(off(seen(poses)), poses)

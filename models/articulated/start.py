@@ -17,14 +17,19 @@ from invdyn.models.observation.observation import Observation
 from invdyn.models.torques import TorqueProcess
 
 
-class Articulated(Protocol):
-    """What is asked of a model here; :class:`.arm.ArmModel` is one."""
+class Watched(Protocol):
+    """A body before its sensors."""
 
     body: ArticulatedBody
     dynamics: Dynamics
     observation: Observation
-    torque: TorqueProcess
     parameters: dict[str, Tensor]
+
+
+class Articulated(Watched, Protocol):
+    """What is asked of a model here; :class:`.arm.ArmModel` is one."""
+
+    torque: TorqueProcess
 
     @property
     def layout(self) -> StateLayout:
@@ -63,7 +68,7 @@ def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
     return torch.stack([_path_through(model, torch.as_tensor(angles), time, numbers) for angles in candidates])
 
 
-def joint_angle_sd(model: Articulated, numbers: Any) -> np.ndarray:
+def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:
     """Standard deviation (K,) with which one row tells each joint's, in the plane each link's, angle, rad."""
     if model.observation.encoders:
         sd = model.parameters["emission.angle_scale"]

@@ -29,7 +29,7 @@ from invdyn.models.bodies import body_mjcf, body_tree, body_urdf, tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.parts import Robot
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
 from invdyn.models.bodies.scalars import (
     SMALLEST,
@@ -291,6 +291,20 @@ class Tree(BodyBase):
                 for key, each in follows.items()
             }
         )
+
+    def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
+        """By link, site and axis; joints' positions as "origin"."""
+        dims = {
+            "mass": ["link"],
+            "com": ["link", "space"],
+            "inertia": ["link", "moment"],
+            "origin": ["link", "space"],
+            "rotation": ["link", "space", "space_2"],
+            "sites": ["keypoint", "space"],
+            "gravity": ["space"],
+        }
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
+        return {name: (dims[name], value) for name, value in own.items()}
 
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
