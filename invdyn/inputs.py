@@ -117,6 +117,18 @@ def load_recording(
         return bridged(recording.select(start, stop), sum(lengths), first)
 
 
+def load_log(name: str, body: Body, units: str | None = None, frames: str = ":") -> Recording:
+    """A robot's log as it stands, for a check: numbers are taken to be SI, whatever their size, unless ``units`` say.
+
+    Raises as readers do.
+    """
+    said = parse_units(units)
+    own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
+    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=FLAT)
+    start, stop = frame_range(frames)
+    return recording.select(start, stop)
+
+
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     """Only the keypoints of those numbers."""
     places, confidence = list(order), recording.confidence

@@ -17,13 +17,15 @@ Of the last link's marked points the one farthest from its hinge is the tip; els
 it; else the far end of a shape. What a file has and a rigid body lacks is named in a warning: a diagnosis may find it.
 """
 
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.scalars import BodyError
 
 PLANES = {"x": ("y", "z"), "y": ("x", "z"), "z": ("x", "y")}
@@ -59,17 +61,25 @@ class Part:
     ends: Sequence[np.ndarray] = ()
 
 
-def tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str) -> dict:
+def tables(
+    parts: Sequence[Part],
+    gravity: np.ndarray,
+    left_out: Sequence[str],
+    where: str,
+    joints: Mapping[str, JointParts] | None = None,
+) -> dict:
     """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of parts and the gravity (3,), m/s².
 
-    Warns (UserWarning) of `left_out`, of centres of mass aside, and of hinges that turn clockwise. Raises `BodyError`,
+    `joints` maps hinges to what they have besides, in the file's own angles. Warns (UserWarning) of `left_out`, of centres of mass aside, and of hinges that turn clockwise. Raises `BodyError`,
     which begins with `where`, for what is no planar chain of hinges, and for a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
-        return _tables(parts, gravity, left_out, where)
+        return _tables(parts, gravity, left_out, where, joints or {})
 
 
-def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str) -> dict:
+def _tables(
+    parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str, joints: Mapping[str, JointParts]
+) -> dict:
     groups = _groups(parts, where)
     hinges = [hinge for group in groups if (hinge := group[0].hinge) is not None]
     axis, signs = _axis(hinges, where)
@@ -79,8 +89,8 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
     tip_name, tip = _tip(groups[-1], plane, where)
     ends = [*anchors[1:], tip]
     tips = [*(hinge.name for hinge in hinges[1:]), tip_name]
-    links, notes = [], []
-    for group, hinge, shown, start, end in zip(groups, hinges, tips, anchors, ends, strict=True):
+    links, notes, before = [], [], 0.0
+    for group, hinge, sign, shown, start, end in zip(groups, hinges, signs, tips, anchors, ends, strict=True):
         name = group[0].name
         length = float(np.linalg.norm(end - start))
         if not length > 0:
@@ -95,6 +105,11 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
         if not np.isfinite(list(given.values())).all():
             raise BodyError(f"{where}: link '{name}': its length or inertia is no finite number; are the units SI?")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
+        heading = math.atan2(along[1], along[0])
+        if hinge.name in joints:
+            zero = math.remainder(heading - before, math.tau)
+            links[-1]["parts"] = joints[hinge.name].turned(float(sign * normal[axis]), zero)
+        before = heading
     if found := [*notes, *left_out]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
     if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:

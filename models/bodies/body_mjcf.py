@@ -1,8 +1,9 @@
 """Bodies out of MJCF: a planar chain of hinges, read by MuJoCo's own compiler, then :mod:`.body_chain`.
 
 Everything is taken from the compiled model in its reference pose (qpos0), in world coordinates, so that no default, no
-frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`). What
-the model has and a rigid body lacks is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
+frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`).
+Friction, springs and motors of its joints are read as they stand (:mod:`.joint_parts_mjcf`). What the model has besides
+is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
 import warnings
@@ -14,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from invdyn.models.bodies import body_mjcf_left_out, body_xml
+from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
 from invdyn.models.bodies.body_chain import Hinge, Part, listed, tables
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.scalars import BodyError
@@ -47,10 +48,11 @@ def of(root: Element, where: str) -> dict:
     for site, body in enumerate(model.site_bodyid):
         sites.setdefault(int(body), []).append(site)
     parts = [_part(mujoco, model, data, b, hinges.get(b), sites.get(b, ())) for b in range(1, model.nbody)]
-    left_out = body_mjcf_left_out.named(mujoco, model, {h.name: j for j, h in enumerate(hinges.values())})
+    joints, played = joint_parts_mjcf.read(mujoco, model)
+    left_out = body_mjcf_left_out.named(mujoco, model, {h.name: j for j, h in enumerate(hinges.values())}, played)
     left_out += [entry for words, names in dropped.items() for entry in listed(words, names)]
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    return tables(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, where)
+    return tables(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, where, joints)
 
 
 def _engine(where: str) -> Any:

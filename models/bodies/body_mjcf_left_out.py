@@ -5,7 +5,7 @@ force is gain(…)·act + bias(…), act = control through its own dynamics, cli
 or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,25 +13,25 @@ import numpy as np
 from invdyn.models.bodies.body_chain import listed
 
 AT_JOINTS = {
-    "dof_damping": "damping",
-    "dof_frictionloss": "dry friction",
-    "dof_armature": "armature",
-    "jnt_stiffness": "a spring",
+    "dof_dampingpoly": "damping that is no straight line",
+    "jnt_stiffnesspoly": "a spring that is no straight line",
     "jnt_limited": "limits",
-    "jnt_actfrclimited": "limits of the actuators' torque",
 }
 
 
-def named(mujoco: Any, model: Any, joints: dict[str, int]) -> list[str]:
-    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and its joints by name."""
+def named(mujoco: Any, model: Any, joints: dict[str, int], played: Collection[int] = ()) -> list[str]:
+    """Entries such as "limits (elbow)" for a ``mujoco.MjModel`` and its joints by name.
+
+    ``played`` are the numbers of actuators that the body has.
+    """
     found = []
     for attribute, words in AT_JOINTS.items():
-        values = getattr(model, attribute)
+        values = getattr(model, attribute, np.zeros(len(joints)))  # older MuJoCos have no polynomials
         # of a chain of hinges, joint j has the degree of freedom j; newer MuJoCos have several coefficients each
         found += listed(words, [name for name, j in joints.items() if np.any(values[j])])
     found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
     found += _fluid(model.opt)
-    found += _actuators(mujoco, model)
+    found += _actuators(mujoco, model, played)
     found += listed("tendons", _of(model.tendon, range(model.ntendon)))
     found += listed("equality constraints", [_equality(mujoco, model, e) for e in range(model.neq)])
     return found + listed("contacts", _touching(mujoco, model))
@@ -50,7 +50,9 @@ def _fluid(option: Any) -> list[str]:
     return found
 
 
-def _actuators(mujoco: Any, model: Any) -> list[str]:
+def _actuators(mujoco: Any, model: Any, played: Collection[int]) -> list[str]:
+    open_ones = ~np.isin(np.arange(model.nu), list(played))
+    targets = model.actuator_biasprm[:, 1:3].any(1)
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
     affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -73,8 +75,11 @@ def _actuators(mujoco: Any, model: Any) -> list[str]:
     return [
         entry
         for words, having in kinds.items()
-        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu])))
-    ]
+        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu] & open_ones)))
+    ] + listed(
+        "limits of servos' targets",
+        _of(model.actuator, np.flatnonzero((model.actuator_ctrllimited != 0) & targets & ~open_ones)),
+    )
 
 
 def _equality(mujoco: Any, model: Any, e: int) -> str:

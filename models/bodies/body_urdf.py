@@ -7,6 +7,7 @@ A mass comes from `<inertial>` alone: shapes say how a link looks and what it to
 frame, lumped with what it is fixed to. Gravity is 9.81 m/s² downwards along z, which URDF leaves open.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.body_chain import Hinge, Part, listed, tables
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.whole_file import read_whole
 
@@ -53,7 +55,7 @@ def of(robot: Element, where: str) -> dict:
             own = _moved(frame, joint, where)
             todo.append((child, len(parts) - 1, _hinge(joint, own, where), own))
     moving = [joint for joint in joints.values() if joint.get("type") != "fixed"]
-    return tables(parts, GRAVITY, _left_out(robot, moving, where), where)
+    return tables(parts, GRAVITY, _left_out(robot, moving, where), where, _parts(moving, where))
 
 
 def _named(robot: Element, tag: str, where: str) -> dict[str, Element]:
@@ -167,6 +169,26 @@ def _ends(link: Element, frame: Frame, where: str) -> list[np.ndarray]:
     return found
 
 
+def _parts(moving: Sequence[Element], where: str) -> dict[str, JointParts]:
+    """Damping and friction of `<dynamics>`, and the limit of `<limit effort>`, of each joint that has any."""
+    found = {}
+    for joint in moving:
+        name = joint.get("name", "")
+        told = f"{where}: joint '{name}'"
+        damping, friction = (
+            float(_numbers(joint.find("dynamics"), key, "0", told)[0]) for key in ("damping", "friction")
+        )
+        effort = float(_numbers(joint.find("limit"), "effort", "0", told)[0])
+        motor = Motor(low=-effort, high=effort) if effort > 0 else None
+        try:
+            parts = JointParts(damping, friction, motor=motor)
+        except BodyError as error:
+            raise BodyError(f"{told}: {error}") from error
+        if parts != NOTHING:
+            found[name] = parts
+    return found
+
+
 def _left_out(robot: Element, moving: list[Element], where: str) -> list[str]:
     """What the file says and a rigid body lacks."""
 
@@ -185,10 +207,7 @@ def _left_out(robot: Element, moving: list[Element], where: str) -> list[str]:
     ]
     strange = sorted({each.tag for each in robot if each.tag not in KNOWN})
     return [
-        *listed("damping", having("dynamics", "damping")),
-        *listed("dry friction", having("dynamics", "friction")),
         *listed("limits", having("limit", "lower", "upper")),
-        *listed("limits of torque", having("limit", "effort")),
         *listed("limits of speed", having("limit", "velocity")),
         *listed("mimic, a joint that follows another", followers),
         *listed("safety controllers", having("safety_controller")),

@@ -2,10 +2,10 @@
 
 from typing import ClassVar
 
-from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.change import change
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.effects.scale import Scale
@@ -25,7 +25,8 @@ class CoulombFriction(RegularisedFriction):
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction torque τ_c, N·m."""
-        return (Parameter("torque", "N·m", HalfNormal(0.2 * scale.torque[self.place[0]])),)
+        j = self.place[0]
+        return (change("torque", "N·m", 0.2 * scale.torque[j], scale.filed("friction", j)),)
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """τ_c."""
