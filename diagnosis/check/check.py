@@ -13,9 +13,9 @@ import numpy as np
 
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
 from invdyn.diagnosis.check.visible import Visible, visible
+from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain, smoothings
-from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import Body
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording, check_plausible
@@ -173,7 +173,7 @@ def _motion(recording: Recording, body: Body, wrong: Sequence[Wrong]) -> Motion 
             f"got none of {missing!r}: rename the columns, or map them (--map)"
         )
     encoders = recording.angles is not None
-    angle = recording.angles[:, order] if recording.angles is not None else _seen(recording, body)
+    angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
     motions = smoothings(recording.time, angle, recording.torques[:, order])
     if not motions:
         return None
@@ -185,15 +185,6 @@ def _motion(recording: Recording, body: Body, wrong: Sequence[Wrong]) -> Motion 
         return min(explain(dynamics, body, each).misfit for each in tried)
 
     return min(motions, key=best)
-
-
-def _seen(recording: Recording, body: Body) -> np.ndarray:
-    """Angles (T, K) that keypoints show, NaN where they do not."""
-    bound = arm_problem(replace(recording, torques=None, joint_names=()), body, substeps=1)
-    paths = bound.model.initial_paths(bound.observations)
-    _, angle, _ = bound.model.split(paths[len(paths) // 2])
-    angle[bound.observations.isnan().all(-1)] = float("nan")
-    return angle.numpy()
 
 
 def _in_words(found: Found, joints: Sequence[str]) -> Wrong:

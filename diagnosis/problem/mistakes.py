@@ -3,7 +3,8 @@
 Each mistake is a change of the log that would put it right. It is believed where the torques are far from what the
 motion asks for (:mod:`.torque_regression`), and near it once it is put right:
 
-    τ' = s τ  under  θ' = s θ − c,   s = ±1;     t' = t/1000;     θ' = θ π/180;     columns exchanged;     τ' = N τ;     τ' = τ − b
+    τ' = s τ  under  θ' = s θ − c,   s = ±1;     t' = t/1000;     θ' = θ π/180;     columns exchanged;
+    τ' = N τ;     τ' = τ − b
 
 Several at once are found one after the other, those first that put most right.
 

@@ -58,7 +58,7 @@ class FiledFriction(Filed):
     steady = True
 
     def friction(self, p: Values, now: Situation) -> Tensor:
-        """f."""
+        """F."""
         return now.q.new_full((1,), self.parts.friction)
 
 

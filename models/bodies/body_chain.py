@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts
 from invdyn.models.bodies.scalars import BodyError
 
 PLANES = {"x": ("y", "z"), "y": ("x", "z"), "z": ("x", "y")}
@@ -70,8 +70,9 @@ def tables(
 ) -> dict:
     """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of parts and the gravity (3,), m/s².
 
-    `joints` maps hinges to what they have besides, in the file's own angles. Warns (UserWarning) of `left_out`, of centres of mass aside, and of hinges that turn clockwise. Raises `BodyError`,
-    which begins with `where`, for what is no planar chain of hinges, and for a link without length or mass.
+    `joints` maps hinges to what they have besides, in the file's own angles. Warns (UserWarning) of `left_out`, of
+    centres of mass aside, and of hinges that turn clockwise. Raises `BodyError`, which begins with `where`, for what is
+    no planar chain of hinges, and for a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
         return _tables(parts, gravity, left_out, where, joints or {})
@@ -106,9 +107,10 @@ def _tables(
             raise BodyError(f"{where}: link '{name}': its length or inertia is no finite number; are the units SI?")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
         heading = math.atan2(along[1], along[0])
-        if hinge.name in joints:
-            zero = math.remainder(heading - before, math.tau)
-            links[-1]["parts"] = joints[hinge.name].turned(float(sign * normal[axis]), zero)
+        zero = math.remainder(heading - before, math.tau)
+        parts_here = joints.get(hinge.name, NOTHING).turned(float(sign * normal[axis]), zero)
+        if parts_here != NOTHING:
+            links[-1]["parts"] = parts_here
         before = heading
     if found := [*notes, *left_out]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)

@@ -27,8 +27,8 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
-from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies import joint_parts_toml
+from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
 from invdyn.models.bodies.whole_file import read_whole, write_whole
 

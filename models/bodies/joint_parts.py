@@ -58,7 +58,8 @@ class Motor:
 class JointParts:
     """`damping` b N·m·s/rad, `friction` f N·m, `armature` I_a kg·m², `stiffness` k N·m/rad with its `rest` θ₀ rad.
 
-    Raises `BodyError` for what is no finite number, and all but the rest that are negative.
+    `sign` and `zero` say how the robot's own file counts the joint: θ = zero + sign · q.
+    Raises `BodyError` for what is no finite number, friction and the like that are negative, and another sign than ±1.
     """
 
     damping: float = 0.0
@@ -67,18 +68,22 @@ class JointParts:
     stiffness: float = 0.0
     rest: float = 0.0
     motor: Motor | None = None
+    sign: float = 1.0
+    zero: float = 0.0
 
     def __post_init__(self) -> None:
-        for key in NUMBERS:
+        for key in (*NUMBERS, "sign", "zero"):
             value = number(getattr(self, key), f"a joint's {key}")
-            if value < 0 and key != "rest":
+            if value < 0 and key in NUMBERS and key != "rest":
                 raise BodyError(f"expected a joint's {key} of 0 or more, got {value:g}")
             object.__setattr__(self, key, value)
+        if abs(self.sign) != 1:
+            raise BodyError(f"expected a joint's sign as 1 or -1, got {self.sign:g}")
 
     def turned(self, sign: float, zero: float) -> "JointParts":
-        """The parts of a joint whose angle θ = zero + sign · q."""
+        """The parts, said in the file's own angle q, of a joint whose angle θ = zero + sign · q."""
         motor = None if self.motor is None else self.motor.turned(sign, zero)
-        return replace(self, rest=zero + sign * self.rest if self.stiffness else 0.0, motor=motor)
+        return replace(self, rest=zero + sign * self.rest if self.stiffness else 0.0, motor=motor, sign=sign, zero=zero)
 
     @property
     def servo(self) -> Motor | None:

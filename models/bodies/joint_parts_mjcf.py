@@ -13,7 +13,7 @@ from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 
 
 def read(mujoco: Any, model: Any) -> tuple[dict[str, JointParts], set[int]]:
-    """Parts of each hinge by its name, in the file's own angles; and the numbers of the actuators that are among them."""
+    """Parts of each hinge by its name, in the file's own angles; and the numbers of the actuators that they have."""
     found: dict[str, JointParts] = {}
     played: set[int] = set()
     for j in range(model.njnt):

@@ -9,7 +9,8 @@ from dataclasses import fields
 from invdyn.models.bodies.joint_parts import NOTHING, NUMBERS, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError, check_keys
 
-KEYS = (*NUMBERS, "motor")
+SAID = (*NUMBERS, "sign", "zero")
+KEYS = (*SAID, "motor")
 
 
 def taken(link: dict, where: str) -> JointParts | None:
@@ -36,7 +37,7 @@ def told(parts: JointParts | None) -> dict:
     """The keys of a link that say the same; those that stand as they would without are left out."""
     if parts is None:
         return {}
-    found = {key: getattr(parts, key) for key in NUMBERS if getattr(parts, key) != getattr(NOTHING, key)}
+    found = {key: getattr(parts, key) for key in SAID if getattr(parts, key) != getattr(NOTHING, key)}
     if parts.motor is not None:
         plain = Motor()
         said = {each.name: getattr(parts.motor, each.name) for each in fields(Motor)}

@@ -1,5 +1,8 @@
 """The inertia of a geared motor's rotor, felt at its joint: I_a θ̈."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
@@ -18,6 +21,7 @@ class Armature(Effect):
     phrase = "rotor inertia"
     meaning = "inertia of the motor that resists the joint's acceleration"
     shown_by = "fast motion about a posture that needs no holding torque"
+    filed: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Inertia I_a as seen behind the gear, kg·m²."""

@@ -143,6 +143,10 @@ class Effect(ABC):
     """Effects, by name, that are a special case of it at the same place: with these of its parameters, by name, at the
     values of theirs. A search follows them from there."""
 
+    filed: ClassVar[Mapping[str, str]] = {}
+    """Parameters, by name, that add to a number which a body's file may give its joint, by the name of that
+    (:class:`..bodies.joint_parts.JointParts`)."""
+
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""
     soft: bool = False

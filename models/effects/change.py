@@ -1,8 +1,7 @@
 """Parameters that add to what the simulation's own file has: a change, which may take away as much as is there."""
 
-from collections.abc import Sequence
-
 import math
+from collections.abc import Sequence
 
 from pyro.distributions import HalfNormal, Normal
 

@@ -1,5 +1,6 @@
 """Dry friction of a joint: −τ_c sgn θ̇."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from torch import Tensor
@@ -20,6 +21,7 @@ class CoulombFriction(RegularisedFriction):
     phrase = "Coulomb friction"
     meaning = "a torque of one size against the motion, whatever the speed"
     shown_by = "slow reversals at several amplitudes"
+    filed: ClassVar[Mapping[str, str]] = {"torque": "friction"}
 
     steady: ClassVar[bool] = True
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import Normal
 from torch import Tensor
@@ -26,6 +27,7 @@ class JointStiffness(Effect):
     phrase = "joint stiffness"
     meaning = "a spring that pulls the joint to a rest angle"
     shown_by = "holding still in several postures"
+    filed: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and torque at angle zero T₀, N·m, for rest angles anywhere on a circle."""

@@ -1,5 +1,8 @@
 """Viscous friction of a joint: −b θ̇."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
@@ -20,6 +23,7 @@ class ViscousFriction(Effect):
     phrase = "viscous friction"
     meaning = "a torque against the motion that grows with speed"
     shown_by = "the same motion at several amplitudes"
+    filed: ClassVar[Mapping[str, str]] = {"damping": "damping"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""

@@ -22,7 +22,7 @@ def exchanged(values: np.ndarray) -> np.ndarray:
 MISTAKES = {
     "torque sign": (lambda log: replace(log, torques=log.torques * [1, -1]), ("elbow",), -1),
     "direction": (lambda log: replace(log, angles=log.angles * [1, -1], torques=log.torques * [1, -1]), ("elbow",), -1),
-    "zero": (lambda log: replace(log, angles=log.angles + [0.6, 0]), ("shoulder",), 0.6),
+    "zero": (lambda log: replace(log, angles=np.add(log.angles, [0.6, 0])), ("shoulder",), 0.6),
     "degrees": (lambda log: replace(log, angles=np.degrees(log.angles)), (), np.pi / 180),
     "time": (lambda log: replace(log, time=1e3 * log.time), (), 1e-3),
     "exchanged": (
@@ -31,7 +31,7 @@ MISTAKES = {
         0,
     ),
     "scale": (lambda log: replace(log, torques=log.torques / [50, 1]), ("shoulder",), 50),
-    "offset": (lambda log: replace(log, torques=log.torques + [0, 0.6]), ("elbow",), 0.6),
+    "offset": (lambda log: replace(log, torques=np.add(log.torques, [0, 0.6])), ("elbow",), 0.6),
 }
 
 
