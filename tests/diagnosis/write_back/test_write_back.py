@@ -72,7 +72,7 @@ def test_all_else_stays_as_it_was_written(file):
 
 
 def test_motors_and_links(file):
-    old, new, text, unsaid = changed(
+    _old, new, _text, unsaid = changed(
         file,
         finding("actuator_gain", {"joint": "elbow"}, gain=-0.2),
         finding("actuator_saturation", {"joint": "shoulder"}, limit=3.0),
@@ -100,7 +100,7 @@ def test_a_payload_is_at_the_tip(file):
 
 
 def test_what_a_file_cannot_say_is_named(file):
-    old, new, text, unsaid = changed(
+    _old, _new, text, unsaid = changed(
         file, finding("backlash", {"joint": "elbow"}, gap=0.1), finding("camera_roll", {}, "observation", angle=0.1)
     )
     assert set(unsaid) == {"backlash.elbow", "camera_roll"}
