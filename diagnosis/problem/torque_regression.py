@@ -39,7 +39,7 @@ QUIET = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion and the torques given along it, each (R, K); `step` s between rows as smoothed."""
+    """A motion and the torques given along it, each (R, K)."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -48,8 +48,8 @@ class Motion:
 
     def picked(self, angles: list[int], torques: list[int]) -> "Motion":
         """The motion with its columns in other orders."""
-        moved = (each[:, angles] for each in (self.q, self.qd, self.qdd))
-        return Motion(*moved, self.torque[:, torques])
+        q, qd, qdd = (each[:, angles] for each in (self.q, self.qd, self.qdd))
+        return Motion(q, qd, qdd, self.torque[:, torques])
 
     def scaled(self, angle: Any = 1.0, torque: Any = 1.0, time: float = 1.0) -> "Motion":
         """Angles, torques (numbers or (K,)) and times multiplied."""
@@ -98,8 +98,8 @@ def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: in
     given = (area[1] - area[0]) / width[:, None]
     inner = slice(window // 2, len(even) - window // 2)
     stride = slice(None, None, max(1, len(even) // MOST_ROWS))
-    motion = [savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3)]
-    return Motion(*motion, savgol_filter(given, window, 3, axis=0)[inner][stride])
+    q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
+    return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride])
 
 
 def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
@@ -121,8 +121,8 @@ def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray
 
 def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
     """Torques that a body of these ``numbers`` asks for, (..., R, K)."""
-    given = (torch.as_tensor(each) for each in (motion.q, motion.qd, motion.qdd))
-    return np.asarray(dynamics.inverse(*given, numbers).numpy())
+    q, qd, qdd = (torch.as_tensor(each) for each in (motion.q, motion.qd, motion.qdd))
+    return np.asarray(dynamics.inverse(q, qd, qdd, numbers).numpy())
 
 
 def as_large(dynamics: Dynamics, body: Any, motion: Motion) -> Motion:

@@ -143,9 +143,9 @@ class Writer:
             return 'its compiler takes all inertias from geoms (inertiafromgeom="true")'
         to = {change.quantity: change for change in changes}
         along = self._in_body(number, k, 1.0) - self._in_body(number, k, 0.0)
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, self.model.body_iquat[number])
-        turn = turn.reshape(3, 3)
+        flat = np.zeros(9)
+        mujoco.mju_quat2Mat(flat, self.model.body_iquat[number])
+        turn = flat.reshape(3, 3)
         tensor = turn @ np.diag(self.model.body_inertia[number]) @ turn.T
         factor = to["inertia"].after / to["inertia"].before if to["inertia"].before else 1.0
         # all moments by one factor: what was a possible body stays one

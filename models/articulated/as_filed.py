@@ -85,7 +85,7 @@ class FiledServo(Filed):
         assert motor is not None
         own = -motor.stiffness * now.q[..., j : j + 1] - motor.damping * now.qd[..., j : j + 1]
         if motor.limited:
-            told = now.told[..., j : j + 1]
+            told = (now.motor if now.told is None else now.told)[..., j : j + 1]
             own = (told + own).clamp(motor.low, motor.high) - told
         return now.at(j, own)
 
