@@ -76,7 +76,7 @@ def _names(info: Path) -> dict[str, Sequence[str]]:
         features = json.loads(info.read_text(encoding="utf-8")).get("features", {})
     except (OSError, ValueError, AttributeError):
         return {}
-    found = {}
+    found: dict[str, Sequence[str]] = {}
     for feature, told in features.items() if isinstance(features, dict) else ():
         names = told.get("names") if isinstance(told, dict) else None
         if isinstance(names, dict):  # {"motors": […]}

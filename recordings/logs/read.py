@@ -13,7 +13,7 @@ from .mapping import LogMap, Source
 from .mcap_file import read_mcap
 from .ros_bag import read_bag
 from .table import read_csv
-from .tracks import Episode
+from .tracks import Episode, Track
 
 LOG_FORMATS: dict[str, Callable[[Path, str | None], list[Episode]]] = {
     "csv": read_csv,
@@ -74,12 +74,12 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap | None, 
     if strange := [joint for joint in mapping.joints if joint not in joints]:
         raise InputError(f"the mapping has joint {strange[0]!r}, the robot has {', '.join(joints)}")
 
-    def tracks(kind: str) -> list:
+    def tracks(kind: str) -> list[Track | None]:
         sources: list[Source | None] = [getattr(mapping.joints.get(joint), kind, None) for joint in joints]
         return [None if source is None else source.of(episode, kind) for source in sources]
 
     angles, torques, targets = tracks("angle"), tracks("torque"), tracks("target")
-    if not any(angles):
+    if all(each is None for each in angles):
         raise InputError("expected angles of the joints, the mapping names none")
     rows = np.unique(np.concatenate([each.time for each in (*angles, *torques, *targets) if each is not None]))
     rows = rows[np.append(True, np.diff(rows) > TOGETHER)]
@@ -89,7 +89,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap | None, 
     rows = rows[rows >= begin - TOGETHER]
     nothing = np.full(len(rows), np.nan)
 
-    def columns(found: list, held: bool) -> np.ndarray:
+    def columns(found: list[Track | None], held: bool) -> np.ndarray:
         made = [nothing if t is None else t.held(rows + TOGETHER) if held else _near(t, rows) for t in found]
         return np.stack(made, -1)
 
@@ -105,7 +105,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap | None, 
     return Logged(recording, columns(targets, True))
 
 
-def _near(each, rows: np.ndarray) -> np.ndarray:
+def _near(each: Track, rows: np.ndarray) -> np.ndarray:
     """The values of a track in the rows that are its own."""
     place = np.searchsorted(each.time, rows - TOGETHER).clip(0, len(each.time) - 1)
     return np.where(np.abs(each.time[place] - rows) <= TOGETHER, each.values[place], np.nan)
