@@ -174,7 +174,7 @@ def _motion(recording: Recording, body: Body, wrong: Sequence[Wrong]) -> Motion 
         )
     encoders = recording.angles is not None
     angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    motions = smoothings(recording.time, angle, recording.torques[:, order])
+    motions = smoothings(body, recording.time, angle, recording.torques[:, order])
     if not motions:
         return None
     dynamics = dynamics_for(body)

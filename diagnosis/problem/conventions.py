@@ -76,7 +76,7 @@ def _check_keypoints(name: str, model: ArmModel, body: Body, points: np.ndarray,
 def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray) -> None:
     """Torques against what the motion (T, K) asks for under each of the mistakes that no effect looks like."""
     body, dynamics = model.body, model.dynamics
-    motions = smoothings(model.time.numpy(), angle, command)
+    motions = smoothings(body, model.time.numpy(), angle, command)
     if not motions:
         return
     motion = min(motions, key=lambda each: explain(dynamics, body, each).misfit)

@@ -21,6 +21,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from invdyn.models import Body
+from invdyn.models.articulated.as_filed import answered
 from invdyn.models.dynamics.interface import Dynamics
 
 WINDOWS = (7, 13, 25, 49, 97)
@@ -71,10 +72,30 @@ class Explained:
     values: np.ndarray
 
 
-def smoothings(time: np.ndarray, angle: np.ndarray, torque: np.ndarray) -> list[Motion]:
-    """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s."""
+def smoothings(body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray) -> list[Motion]:
+    """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s.
+
+    A servo's torque is what it makes of its target, angle and velocity.
+    """
     made = (smoothed(time, angle, torque, window) for window in WINDOWS)
-    return [motion for motion in made if motion is not None]
+    return [_by_servos(body, motion) for motion in made if motion is not None]
+
+
+def _by_servos(body: Any, motion: Motion) -> Motion:
+    command, q, qd = (torch.as_tensor(each) for each in (motion.torque, motion.q, motion.qd))
+    return replace(motion, torque=np.asarray(answered(body, command, q, qd).numpy()))
+
+
+def passive(body: Any, motion: Motion) -> np.ndarray:
+    """What the joints of the file take besides, (R, K): its friction, rotors and springs."""
+    taken = np.zeros_like(motion.q)
+    speed = np.maximum(np.sqrt((motion.qd**2).mean(0)), 1e-12)
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None:
+            q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
+            dry = parts.friction * np.tanh(qd / (SLOW * speed[k]))
+            taken[:, k] = parts.damping * qd + dry + parts.armature * qdd + parts.stiffness * (q - parts.rest)
+    return taken
 
 
 def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: int) -> Motion | None:
@@ -152,7 +173,7 @@ def nominal_link_numbers(body: Any) -> np.ndarray:
 
 def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
     """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
-    asked = inverse(dynamics, body.parameters(), motion)
+    asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
     size = np.sqrt((motion.torque**2).mean(0))
     unit = np.maximum(np.maximum(size, QUIET * size.max()), 1e-12)
     own = nominal_link_numbers(body)

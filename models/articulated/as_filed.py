@@ -108,6 +108,16 @@ def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
     return tuple(found)
 
 
+def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor) -> Tensor:
+    """Torques (..., K) of all motors under a model's ``command`` in states q, q̇, (..., K); servos answer to them."""
+    columns = list(command.unbind(-1))
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None and (servo := parts.servo) is not None:
+            whole = columns[k] - servo.stiffness * q[..., k] - servo.damping * qd[..., k]
+            columns[k] = whole.clamp(servo.low, servo.high)
+    return torch.stack(columns, -1)
+
+
 def servo_torque(motor: Motor, target: np.ndarray) -> np.ndarray:
     """K c + u₀, N·m, of targets c in rad or rad/s: what a servo's command is to a model."""
     return motor.gain * target + motor.bias

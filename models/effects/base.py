@@ -100,6 +100,8 @@ class Effect(ABC):
     """Whether it is of a chain in the plane: it speaks of x and y, or of a link's length."""
     needs_command: ClassVar[bool] = False
     """Whether it changes a commanded torque, and nothing without one."""
+    of_targets: ClassVar[bool] = False
+    """Of one that needs a command, whether it happens to a servo's target as to a torque, such as a delay."""
     order: ClassVar[int] = 0
     """Hooks are called in this order. Of the motors, as in MuJoCo: dead zone −4, lag −3, saturation −2, gain −1, and a
     delay, which may come at any place, 0; of what is seen: markers 0, timing 1, geometry of the camera 2."""
