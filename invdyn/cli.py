@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | infer | compare | diagnose | blind | plot | demo`.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`.
 
 Each command checks, then works, then writes.
 """
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from . import camera_commands
+from . import camera_commands, robot_commands
 from .console import Commands, ProgressBar, check_outputs
 from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 
 camera_commands.register(app)
+robot_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
@@ -179,20 +180,32 @@ def compare(
 def diagnose(
     given: Diagnosed,
     out: Annotated[Path, typer.Option(help="Folder for report, JSON and posterior; made when missing.")],
+    write_back: Annotated[
+        Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
+    ] = None,
 ) -> None:
     """Find where simulation and recording part, which effect causes it, and how far the gap closes."""
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, verdict
+    from invdyn.diagnosis.write_back.write_back import check_write_back
+    from invdyn.diagnosis.write_back.write_back import write_back as corrected
 
     from .outputs import DiagnosisOutputs
 
     given.check()
     outputs = DiagnosisOutputs(out)
     outputs.check(*given.files)
+    if write_back is not None:
+        check_outputs([write_back], given.files)
+        check_write_back(given.body, write_back)
     arguments = given.load()
     with ProgressBar() as progress:
         diagnosis = run(**arguments, progress=progress)
+    if write_back is not None:
+        held_out, recordings = arguments["held_out"], arguments["recording"]
+        shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
+        diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
     out.mkdir(parents=True, exist_ok=True)
     save(diagnosis, out, workers=arguments["workers"])
     typer.echo(verdict(diagnosis))

@@ -245,6 +245,13 @@ class Diagnosed(Recorded):
     tolerance: Annotated[
         float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
     ] = 0.005
+    mapping: Annotated[
+        str | None,
+        typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
+    ] = None
+    episodes: Annotated[
+        str, typer.Option(help="Of a log of several: which to diagnose together, such as 0,1; default: the first.")
+    ] = "0"
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -285,6 +292,16 @@ class Diagnosed(Recorded):
         return [Path(name) for name in (self.recording, *self.others, self.body, self.held_out) if name is not None]
 
     @property
+    def numbers(self) -> list[int]:
+        """Numbers of `episodes`. Raises InputError for what is none."""
+        from invdyn.recordings import InputError
+
+        try:
+            return [int(number) for number in self.episodes.split(",")]
+        except ValueError:
+            raise InputError(f"--episodes is a list of numbers, such as 0,1, got {self.episodes!r}") from None
+
+    @property
     def others(self) -> tuple[str, ...]:
         """Names of `also`."""
         return tuple(name.strip() for name in (self.also or "").split(",") if name.strip())
@@ -296,7 +313,7 @@ class Diagnosed(Recorded):
         from invdyn.models import Tree
         from invdyn.recordings import InputError
 
-        from .inputs import load_body
+        from .inputs import is_log, load_body, load_log, load_logs
 
         body = load_body(self.body)
         if isinstance(body, Tree):
@@ -306,15 +323,22 @@ class Diagnosed(Recorded):
             )
 
         def read(name: str, frames: str = ":") -> Any:
-            recording = self.read(name, body, as_filmed=True, frames=frames)
+            if self.mapping is not None or is_log(name):
+                recording = load_log(name, body, None, frames, self.mapping)
+            else:
+                recording = self.read(name, body, as_filmed=True, frames=frames)
             if self.hide_torque and recording.torques is not None:
                 joints = recording.joint_names if recording.angles is not None else ()
                 recording = replace(recording, torques=None, joint_names=joints)
             return recording
 
         recording = read(self.recording, self.frames)
+        more = [*map(read, self.others)]
+        if self.mapping is not None or is_log(self.recording):
+            recording, *rest = load_logs(self.recording, body, self.mapping, self.numbers, self.frames)
+            more = [*rest, *more]
         return {
-            "recording": [recording, *map(read, self.others)] if self.others else recording,
+            "recording": [recording, *more] if more else recording,
             "body": body,
             "held_out": None if self.held_out is None else read(self.held_out),
             "passive": self.passive,

@@ -31,6 +31,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.models.articulated.as_filed import filed
 from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
 from invdyn.models.articulated.sight import Sight
@@ -94,10 +95,10 @@ class ArmModel(StateSpaceModel):
         self.body, self.dynamics = body, dynamics_for(body)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
-        self.effects = Composition()
+        self.effects = Composition((), filed(body))
         self.integrator, self.substeps = integrator, substeps
-        self.abrupt = 1
         self.timeline = Timeline.of(time)
+        self.abrupt = self._abrupt(self.effects)
         self.num_steps = len(self.timeline.time)
         self.drive = Drive.held(command, (self.num_steps, body.num_joints))
         self.experience = Experience()
@@ -168,7 +169,8 @@ class ArmModel(StateSpaceModel):
         """What is large and small for this body, which effects' priors follow."""
         command = None if self.command is None else self.command.cpu()
         seen = self.experience
-        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
+        parts = getattr(self.body, "joint_parts", ())
+        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range, parts)
 
     @property
     def unconstrained(self) -> frozenset[str]:
@@ -216,6 +218,10 @@ class ArmModel(StateSpaceModel):
         """Sd (..., K), N·m, of what late motors still do in the step into row ``t``; see :meth:`.Transition.late`."""
         return self.chain.late(t)
 
+    def _abrupt(self, effects: Composition) -> int:
+        """Sub-steps of a row that forces which jump take; 1 where none does."""
+        return math.ceil(self.timeline.dt.median().item() / effects.longest) if effects.abrupt else 1
+
     # -- the same body under other circumstances -------------------------------------------------
     def _with(self, **parts: Any) -> Self:
         """The model with other parts, and what follows from them made anew."""
@@ -260,12 +266,12 @@ class ArmModel(StateSpaceModel):
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
         check_tracked(bound, self.observation.tracked_names)
-        every = Composition((*self.effects, *bound))
+        every = Composition((*self.effects, *bound), self.effects.filed)
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         starts |= hidden_scales(bound, self.scale, self.dtype, self.device)
         other = self._with(
             effects=every,
-            abrupt=math.ceil(self.dt.median().item() / every.longest) if every.abrupt else self.abrupt,
+            abrupt=self._abrupt(every) if every.abrupt else self.abrupt,
             parameters={**self.parameters, **starts},
             priors={**self.priors, **priors},
         )

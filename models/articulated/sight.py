@@ -97,8 +97,8 @@ class Sight:
         """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
         unseen, q, qd = self.layout.split(state)
         z, hidden, _ = self.layout.parted(unseen)
-        torque = z[..., : self.layout.joints]
-        torque = torque if command is None else torque + command
+        unknown = z[..., : self.layout.joints]
+        torque = unknown if command is None else unknown + command
         interval, clock = self.timeline.interval(t, self.motors.dtype), self.timeline.clock(t, self.motors.dtype)
-        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts)
+        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts, unknown)
         return self.mechanics.under(drive, hidden, q, qd)

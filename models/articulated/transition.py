@@ -88,12 +88,12 @@ class Transition:
 
     def _driven(self, z: Tensor, z_next: Tensor, t: Row) -> RowDrive:
         joints, dtype = self.layout.joints, self.motors.dtype
-        start, change = z[..., :joints], (z_next - z)[..., :joints]
+        start, change = unknown, drift = z[..., :joints], (z_next - z)[..., :joints]
         if self.motors.commanded:
             mean, slope = (row.to(z) for row in self.motors.made.row(t))
             start, change = start + mean - slope / 2, change + slope
         times = self.timeline.clock(t - 1, dtype), self.timeline.interval(t, dtype), self._lasts(t)
-        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts)
+        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts, unknown, drift)
 
     def _begun(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
         p = self.mechanics.parameters
