@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | infer | compare | diagnose | blind | plot | demo`.
+"""The command line: `invdyn simulate | infer | compare | diagnose | blind | plot | demo`; cameras and films beside it.
 
 Each command checks, then works, then writes.
 """
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from . import camera_commands
+from . import camera_commands, film_commands
 from .console import Commands, ProgressBar, check_outputs
 from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 
 camera_commands.register(app)
+film_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
