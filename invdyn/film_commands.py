@@ -16,7 +16,7 @@ Kept = Annotated[
 NetworkFile = Annotated[Path | None, typer.Option(help="Network of `invdyn train`: .safetensors.")]
 ArmSide = Annotated[str | None, typer.Option(help="Without a network: which arm of a person, left or right.")]
 PersonSeen = Annotated[
-    str | None, typer.Option(help="Which one, of several people: left, right, largest, or u,v of a point on them, px.")
+    str | None, typer.Option(help="Which one, of several people: left, right, largest, or a box u,v,width,height, px.")
 ]
 
 

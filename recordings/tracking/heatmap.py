@@ -75,8 +75,9 @@ class HeatmapTracker:
             "widths": self.widths,
         }
         tensors = {name: value.contiguous() for name, value in self.network.state_dict().items()}
+        content = import_safetensors().save(tensors, {"invdyn": json.dumps(described)})
         with atomic_path(path) as temporary:
-            import_safetensors().save_file(tensors, temporary, {"invdyn": json.dumps(described)})
+            temporary.write_bytes(content)
 
     @staticmethod
     def load(path: str | Path) -> "HeatmapTracker":
