@@ -11,6 +11,7 @@ import typer
 
 from . import camera_commands, film_commands
 from .console import Commands, ProgressBar, check_outputs
+from .film_commands import ArmSide, NetworkFile, PersonSeen
 from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
@@ -106,22 +107,34 @@ def infer(
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
     ] = None,
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the posterior.")
+    ] = None,
 ) -> None:
-    """Infer the torques that moved a recorded body."""
+    """Infer the torques that moved a recorded body; a film is tracked first, with --network or --arm."""
     from invdyn.inference import infer as run
 
+    from .filmed import Filmed
     from .outputs import Outputs
     from .summary import summary_text
 
     given.check(method)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
-    outputs.check(*given.files)
+    filmed = Filmed.of(given, network, arm, person, tracks or out.with_suffix(".tracks.csv"))
+    outputs.check(*given.files, *([] if filmed is None else filmed.files))
+    if filmed is not None:
+        check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])
+        with ProgressBar() as progress:
+            given = filmed.track(checkpoint, progress)
     arguments = given.load()
     with given.executor() as executor, ProgressBar() as progress:
         idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
-        outputs.write(idata, progress)
+        outputs.write(idata, progress, None if filmed is None else filmed.overlay)
     typer.echo(summary_text(idata))
-    typer.echo(outputs.listing())
+    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """The commands from films to tracks: `invdyn label`, `invdyn train` and `invdyn track`."""
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,8 +23,79 @@ PersonSeen = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
+    app.command()(label)
     app.command()(train)
     app.command()(track)
+
+
+def label(
+    film: FilmFile,
+    out: Annotated[Path, typer.Option(help="The labels: .csv; if they are there, they are gone on with.")],
+    keypoints: Annotated[
+        str | None,
+        typer.Option(help="Names, such as shoulder,elbow,wrist; default: those of the labels that are there."),
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, max=1000, help="Pictures to label now.")] = 20,
+    posterior: Annotated[
+        Path | None,
+        typer.Option(help="Of `invdyn infer` from this film: label what surprises it most, not what differs most."),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+) -> None:
+    """Label joints in the pictures of a film that are worth it, in a page of your browser."""
+    import webbrowser
+
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.choose import different
+    from invdyn.recordings.tracking.film import Film, read_pictures
+    from invdyn.recordings.tracking.labels import read_labels
+
+    from .label_server import LabelServer
+
+    check_outputs([out], [film, *([] if posterior is None else [posterior])])
+    before = read_labels(out) if out.exists() else None
+    names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
+    names = names or (() if before is None else before.names)
+    if not names or len(set(names)) < len(names):
+        raise InputError("which joints are to be labelled? --keypoints shoulder,elbow,wrist, each name once")
+    if before is not None and set(names) != set(before.names):
+        raise InputError(
+            f"{out}: labels of {', '.join(before.names)} are there: go on with these, or name another file"
+        )
+    source = Film(film)
+    labelled = set() if before is None else set(before.frames.tolist())
+    with ProgressBar() as progress:
+        if posterior is None:
+            numbers = different(source, count, labelled, progress)
+        else:
+            numbers = _surprising(source, posterior, count, labelled)
+    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before)
+    with server:
+        typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
+        if browser:
+            webbrowser.open(server.address)
+        with suppress(KeyboardInterrupt):  # each label is written when it is set
+            server.serve_forever()
+    typer.echo(f"{len(server.labels)} labelled pictures" + (f"\nlabels     {out}" if out.exists() else ""))
+
+
+def _surprising(film: Any, posterior: Path, count: int, labelled: set[int]) -> list[int]:
+    """Pictures in which what was tracked surprised the model most. Raises InputError where there are none."""
+    import numpy as np
+
+    from invdyn.inference import load_posterior
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.choose import surprising
+
+    from .surprise import surprise
+
+    idata = load_posterior(posterior)
+    times = np.array([picture.time for picture in film.pictures((2, 2))])
+    numbers = np.abs(idata["posterior"]["time"].values[:, None] - times).argmin(1)
+    chosen = surprising(surprise(idata), numbers, count, labelled)
+    if not chosen:
+        raise InputError(f"{posterior}: every picture that it knows of is labelled")
+    return chosen
 
 
 def train(
@@ -113,10 +185,14 @@ def tracks_of(
     person: str | None,
     checkpoint: Path | None,
     progress: Any,
+    wanted: tuple[str, ...] | None = None,
 ) -> tuple[tuple[str, ...], Any]:
     """Track a film into the file `out`; names of the keypoints, and (T, P, 3).
 
-    Raises InputError unless there is one of network and arm, and as film and tracker do.
+    `wanted` are a base, which need not be tracked, and keypoints, which must be: no others are written.
+
+    Raises InputError unless there is one of network and arm, for a keypoint that is not tracked, and as film and
+    tracker do.
     """
     from invdyn.recordings import InputError
     from invdyn.recordings.tracking.film import Film
@@ -137,6 +213,13 @@ def tracks_of(
         from invdyn.recordings.tracking.blazepose import person_tracker
 
         tracker = person_tracker(str(arm), person, progress)
+    names = tracker.keypoint_names
+    if wanted is not None:
+        if missing := [name for name in wanted[1:] if name not in names]:
+            raise InputError(
+                f"the body's keypoint {missing[0]!r} is not tracked; tracked are {', '.join(names)}: rename one of them"
+            )
+        names = tuple(name for name in wanted if name in names)
     keeper = None
     if checkpoint is not None:
         from invdyn.inference.execution.checkpoint import Checkpoint
@@ -147,5 +230,6 @@ def tracks_of(
             run["network"] = hashlib.sha256(network.read_bytes()).hexdigest()
         keeper = Checkpoint(checkpoint, run, "track")
     times, tracks = track_film(film, tracker, progress, keeper)
-    write_tracks(tracker.keypoint_names, times, tracks, out)
-    return tracker.keypoint_names, tracks
+    tracks = tracks[:, [tracker.keypoint_names.index(name) for name in names]]
+    write_tracks(names, times, tracks, out)
+    return names, tracks

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
-from filmed import NAMES, swinging
+from filmed import NAMES, joints, picture, swinging
+from PIL import Image
 
-from invdyn.recordings import load
+from invdyn.inference import load_posterior, pooled
+from invdyn.overlay import Overlay
+from invdyn.recordings import Recording, load
+from invdyn.recordings.tracking.film import Film
 from invdyn.recordings.tracking.labels import Labels, write_labels
 
 TRAIN = ("train", "f.mov", "--labels", "l.csv", "--out", "n.safetensors", "--size", "40", "--steps", "90")
@@ -117,3 +121,75 @@ def test_the_checkpoint_of_another_run(folder, run):
     outcome = run(*call, "--seed", "3")
     assert outcome.exit_code == 2
     assert outcome.stderr.startswith("error: kept: the checkpoint of another run: seed 0 there, 3 here")
+
+
+BODY = """name = "stick"
+gravity = [0.0, -9.81]
+base = [0.2, -0.12]
+[[links]]
+name = "upper"
+joint = "shoulder"
+tip = "elbow"
+length = 0.10
+mass = 0.1
+[[links]]
+name = "lower"
+joint = "elbow"
+tip = "wrist"
+length = 0.09
+mass = 0.1
+"""
+INFER = ("infer", "f.mov", "--body", "arm.toml", "--network", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
+
+
+def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
+    (folder / "arm.toml").write_text(BODY)
+    outcome = run(*INFER, "--method", "laplace", "--film", "arm.gif", "--filters", "2", "--particles", "8")
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stdout.splitlines()[-1] == "tracks     arm.tracks.csv"
+    idata = load_posterior("arm.nc")
+    found = pooled(idata)["angle"].mean("sample").values
+    truth = joints(shared[1])[0] - [np.pi / 2, 0]
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.05  # rad: half a pixel of ten
+    with Image.open("arm.gif") as film:
+        assert film.n_frames > 20
+
+
+def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
+    """Whatever the scale and the base: what was observed is drawn where it was tracked."""
+    idata = make_posterior(2, 80, frame_interval=1 / 30)
+    observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
+    origin = 15 + np.cumsum(np.full((80, 2), 0.1), 0)
+    pixels = origin[:, None] + 7.0 * observed * [1, -1] + [2.0, 1.0]
+    tracks = Recording(shared[1], np.concatenate([origin[:, None], pixels], 1), ("base", "elbow", "wrist"))
+    overlay = Overlay(Film("f.mov"), tracks, "base", idata)
+    assert overlay.scale == pytest.approx(7.0)
+    np.testing.assert_allclose(overlay.pixels(observed), pixels, atol=1e-6)
+    (first, later) = overlay.pictures(np.array([3, 60]))
+    np.testing.assert_array_equal(first, picture(shared[2][3]))
+    np.testing.assert_array_equal(later, picture(shared[2][60]))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (words(INFER, network=None), "f.mov: who is to be tracked?"),
+        (words(INFER, scale=None), "f.mov: a film has pixels, the body has metres: pass --scale"),
+        ([*INFER, "--fps", "30"], "f.mov: a film has pixels and its own times: leave --fps out"),
+        ([*INFER, "--units", "px"], "f.mov: a film has pixels and its own times: leave --units out"),
+        (["infer", "l.csv", *INFER[2:]], "l.csv: --network tracks a film, and this is none"),
+        (words(INFER, body="other.toml"), "the body's keypoint 'hand' is not tracked; tracked are elbow, wrist"),
+        (words(INFER, network="arm.toml"), "arm.toml: not a network of `invdyn train`"),
+        ([*INFER, "--tracks", "l.csv/t.csv"], "l.csv/t.csv: cannot write"),
+        ([*INFER, "--tracks", "n.safetensors"], "n.safetensors: this output would overwrite an input"),
+        ([*INFER, "--tracks", "arm.nc"], "arm.nc: two outputs have this name"),
+    ],
+)
+def test_bad_films_are_one_line(folder, run, contents, call, message):
+    (folder / "arm.toml").write_text(BODY)
+    (folder / "other.toml").write_text(BODY.replace("wrist", "hand"))
+    before = contents(folder)
+    outcome = run(*call)
+    assert outcome.exit_code == 2, outcome.output
+    assert outcome.stderr.startswith(f"error: {message}")
+    assert contents(folder) == before
