@@ -105,7 +105,7 @@ def train(
         typer.Option(help="Its labels, of `invdyn label`, DeepLabCut or SLEAP; once for each film, in their order."),
     ],
     out: Annotated[Path, typer.Option(help="The network: .safetensors.")],
-    steps: Annotated[int, typer.Option(min=1, help="Steps of training, of eight pictures each.")] = 800,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of training, of eight pictures each.")] = 500,
     size: Annotated[int, typer.Option(help="Longer side of the pictures that the network sees, px.")] = 288,
     seed: Seed = 0,
     individual: Annotated[str | None, typer.Option(help="Which animal, in labels of several.")] = None,

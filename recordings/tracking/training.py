@@ -95,7 +95,7 @@ def examples(films: Sequence[Film], labels: Sequence[Labels], size: int = 288) -
 def train(
     given: Examples,
     *,
-    steps: int = 800,
+    steps: int = 500,
     seed: int = 0,
     widths: Sequence[int] = WIDTHS,
     progress: Progress | None = None,
