@@ -50,7 +50,7 @@ def published() -> tuple[list[dict[str, str]], Labels, np.ndarray]:
 
 
 def metres(rows: list[dict[str, str]], points: np.ndarray) -> Recording:
-    """All of the film in metres, as `public_recordings.read_dfki_film` makes them of pixels; times of the robot's log."""
+    """All of the film in metres, as `public_recordings.read_dfki_film` makes them; times of the robot's log."""
     camera = json.loads((DATA / "dfki_double_pendulum/video/calibration.json").read_text(encoding="utf-8"))
     level = (points - camera["pivot_px"]) / camera["px_per_m"] * [1.0, -1.0]
     c, s = np.cos(camera["rotation_rad"]), np.sin(camera["rotation_rad"])
