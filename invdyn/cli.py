@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras and films beside.
 
 Each command checks, then works, then writes.
 """
@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from . import camera_commands, robot_commands
+from . import camera_commands, film_commands, robot_commands
 from .console import Commands, ProgressBar, check_outputs
+from .film_commands import ArmSide, NetworkFile, PersonSeen
 from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
@@ -29,6 +30,7 @@ app = typer.Typer(
 
 camera_commands.register(app)
 robot_commands.register(app)
+film_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
@@ -113,28 +115,40 @@ def infer(
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
     ] = None,
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the posterior.")
+    ] = None,
 ) -> None:
-    """Infer the torques that moved a recorded body."""
+    """Infer the torques that moved a recorded body; a film is tracked first, with --network or --arm."""
     from invdyn.inference import infer as run
     from invdyn.inference import infer_kinematics
 
     from .outputs import Outputs
     from .summary import summary_text
+    from .tracked_film import TrackedFilm
 
     given.check(method)
     if kinematic:
         given.check_kinematic(sto=sto, checkpoint=checkpoint)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
-    outputs.check(*given.files)
+    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.with_suffix(".tracks.csv"))
+    outputs.check(*given.files, *([] if filmed is None else filmed.files))
+    if filmed is not None:
+        check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])
+        with ProgressBar() as progress:
+            given = filmed.track(checkpoint, progress)
     arguments = given.load()
     with given.executor() as executor, ProgressBar() as progress:
         if kinematic:
             idata = infer_kinematics(**given.kinematic(arguments), method=method, progress=progress)
         else:
             idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
-        outputs.write(idata, progress)
+        outputs.write(idata, progress, None if filmed is None else filmed.overlay)
     typer.echo(summary_text(idata))
-    typer.echo(outputs.listing())
+    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 @app.command()
