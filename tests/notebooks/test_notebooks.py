@@ -110,7 +110,7 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert "joint: shoulder 0.0" in friction
     pair = {name: float(p) for p, name in first.findall(twins)}
     assert min(pair["gravity_tilt"], pair["camera_roll"]) > 0.2
-    assert "plumb line" in twins
+    assert "encoders" in twins
     assert "regime: unknown_torque" in twins  # printed before "gap: "
     assert "viscous_friction.elbow" in unknown.split("could not have been seen: ")[1].splitlines()[0]
     assert float(re.search(r"d' +(\S+)  soft_tissue.wrist", unknown)[1]) > 10
