@@ -395,8 +395,8 @@ print("The bootstrap filter gets worse: the clearer the picture, the fewer blind
 print("The controlled filter aims at the picture, so clarity does not harm it.")
 
 # %% [markdown]
-# **2. Unbiased, but too low.** The mean of $\hat Z$ is $p(y)$. Yet most bootstrap runs above lie below it. How can both be
-# true?
+# **2. Unbiased, but too low.** The mean of $\hat Z$ is $p(y)$. Yet most bootstrap runs above lie below it.
+# How can both be true?
 
 # %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
 below = (blind.log_evidence < outer_guided.log_evidence).double().mean()

@@ -289,7 +289,8 @@ print(f"truth: {BELT}; share of the gap closed: {explained.shrinkage.gap_closed:
 # %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
 p, s = np.array([0.7, 0.3]), np.array([0.9, 0.2])
 print("P(cause) = p s:", dict(zip(("viscous friction", "payload"), (p * s).round(2).tolist(), strict=True)))
-print("in part, p (1 − s):", (p * (1 - s)).round(2).tolist(), f"and their sum, outside the catalogue: {p @ (1 - s):.2f}")
+print("in part, p (1 − s):", (p * (1 - s)).round(2).tolist())
+print(f"outside the catalogue, the sum of these: {p @ (1 - s):.2f}")
 
 # %% [markdown]
 # **2. A plumb line.** A plumb line hangs in the picture. Does it tell tilted gravity from a rolled camera? Do encoders?
@@ -308,6 +309,6 @@ print(f"Under a rolled camera the first joint's encoder and the picture differ b
 # of the first diagnosis.
 
 # %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
-print(f"The damping is known to ± {estimate.sd:.4f} N·m·s/rad, so {DAMPING} stands out by {DAMPING / estimate.sd:.0f} sd.")
+print(f"The damping is known to ± {estimate.sd:.4f} N·m·s/rad: {DAMPING} is {DAMPING / estimate.sd:.0f} times that.")
 print(f"About three of them must stand out, which is {3 * estimate.sd:.4f} N·m·s/rad.")
 print(f"Four times as long a recording of the same kind halves that: {3 * estimate.sd / 2:.4f} N·m·s/rad.")
