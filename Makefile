@@ -38,7 +38,7 @@ notebooks: $(TUTORIALS)
 
 docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
 	$(BIN)/jupytext --quiet --to ipynb --output $@.tmp.ipynb $<
-	sed -i.bak 's#(\.\./docs/#(../#' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # pictures, seen from docs/tutorials
+	sed -i.bak -e 's#(\.\./docs/#(../#g' -e 's#(\(0[0-9]_[a-z_]*\)\.py)#(\1.ipynb)#g' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # as seen from docs/tutorials
 	OMP_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
 	mv $@.tmp.ipynb $@
 

@@ -5,6 +5,7 @@ what `make docs` has built instead.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -33,7 +34,8 @@ def built(folder: Path) -> Path:
     for page in ROOT.glob("*.md"):
         shutil.copy(page, source)
     for notebook in sorted((ROOT / "notebooks").glob("0*.py")):
-        text = notebook.read_text("utf-8").replace("(../docs/", "(../")
+        text = notebook.read_text("utf-8").replace("(../docs/", "(../")  # as the Makefile does
+        text = re.sub(r"\((0\d_\w+)\.py\)", r"(\1.ipynb)", text)
         jupytext.write(jupytext.reads(text, "py:percent"), source / "docs" / "tutorials" / f"{notebook.stem}.ipynb")
     site = folder / "site"
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", source / "docs", site]

@@ -48,7 +48,7 @@ def test_a_swing_and_a_froude_number():
         (1e9, "look like ns"),
         (RATE, "look like frame numbers: pass --units frames"),
         (1 / 86400, "look like days"),
-        (1 / 60, "moves so fast"),
+        (1 / 60, "moves too fast"),
     ],
 )
 def test_times_in_another_unit_are_refused_with_its_name(factor, words):
