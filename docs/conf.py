@@ -19,7 +19,7 @@ DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 project, author, copyright = "invdyn", "The invdyn authors", "The invdyn authors, Apache-2.0"
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["pictures.py", "reference_pages.py"]
 html_theme = "furo"
 html_title = "invdyn"
@@ -73,12 +73,13 @@ def _as_written(app: Sphinx, what: str, name: str, thing: object, options: objec
 def _write_pages(app: Sphinx) -> None:
     from reference_pages import write_pages
 
-    write_pages(DOCS / "reference")
+    write_pages(DOCS / "reference", app.config.effect_pictures)
 
 
 def setup(app: Sphinx) -> None:
     """Register the formulas' renderer and the pages that are written from the code."""
     app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
     app.add_lexer("csv", TextLexer)
+    app.add_config_value("effect_pictures", True, "env")  # -D effect_pictures=0: quickly, without them
     app.connect("builder-inited", _write_pages, priority=100)
     app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon

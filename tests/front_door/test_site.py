@@ -19,7 +19,7 @@ from browsing import chromium, opened, requests
 
 ROOT = Path(__file__).parents[2]
 PHONE = 390  # pixels
-GENERATED = ("_modules/", "_static/", "genindex.html", "py-modindex.html", "search.html")
+GENERATED = ("_static/", "genindex.html", "py-modindex.html", "search.html")
 """Pages that the generator makes of its own accord."""
 
 
@@ -38,7 +38,20 @@ def built(folder: Path) -> Path:
         text = re.sub(r"\((0\d_\w+)\.py\)", r"(\1.ipynb)", text)
         jupytext.write(jupytext.reads(text, "py:percent"), source / "docs" / "tutorials" / f"{notebook.stem}.ipynb")
     site = folder / "site"
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", source / "docs", site]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-D",
+        "effect_pictures=0",
+        "-b",
+        "html",
+        source / "docs",
+        site,
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return site
