@@ -11,7 +11,7 @@ help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
 	@echo "make lint     check style, format and types"
-	@echo "make docs     build the documentation site into build/site"
+	@echo "make docs     build the documentation site into build/site, and check its links and pages"
 	@echo "make notebooks  execute the notebooks into docs/tutorials"
 	@echo "make install  everything for development into $(VENV)"
 	@echo "make clean    remove $(VENV) and the demo"
@@ -44,6 +44,7 @@ docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
 
 docs: notebooks
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
+	INVDYN_SITE=build/site $(BIN)/python -m pytest -q -m slow tests/front_door/test_site.py
 	@echo "build/site/index.html"
 
 clean:

@@ -12,10 +12,13 @@ from pathlib import Path
 from docutils.nodes import Element, SkipNode
 from latex2mathml.converter import convert
 from pygments.lexers import TextLexer
+from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.writers.html5 import HTML5Translator
 
 DOCS = Path(__file__).parent
+ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS))
 
 project, author, copyright = "invdyn", "The invdyn authors", "The invdyn authors, Apache-2.0"
@@ -38,14 +41,26 @@ autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
 napoleon_use_rtype = False
-suppress_warnings = [
-    "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too
-    "ref.python",  # a short name that several classes have, as `q`: the nearest is linked
-]
+suppress_warnings = ["ref.python"]  # a short name that several classes have, as `q`: the nearest is linked
 
 
 _COLUMNS = re.compile(r"\S {3,}\S")
 _BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
+
+
+class SourceFiles(SphinxPostTransform):
+    """Links to source files of the repository, where README and CONTRIBUTING are read, too: here the name alone."""
+
+    default_priority = 8  # before MyST says that there is no such page
+
+    def run(self, **kwargs: object) -> None:
+        """Replace each such link by its text."""
+        places = (Path(self.env.doc2path(self.env.docname)).parent, ROOT, ROOT / "benchmarks")
+        for node in list(self.document.findall(pending_xref)):
+            target = node["reftarget"]
+            if node["reftype"] == "myst" and target not in self.env.all_docs:
+                if any((folder / f"{target}{suffix}").is_file() for folder in places for suffix in ("", ".md")):
+                    node.replace_self(node[0].deepcopy())
 
 
 def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
@@ -80,6 +95,7 @@ def setup(app: Sphinx) -> None:
     """Register the formulas' renderer and the pages that are written from the code."""
     app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
     app.add_lexer("csv", TextLexer)
+    app.add_post_transform(SourceFiles)
     app.add_config_value("effect_pictures", True, "env")  # -D effect_pictures=0: quickly, without them
     app.connect("builder-inited", _write_pages, priority=100)
     app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon
