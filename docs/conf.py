@@ -57,10 +57,10 @@ class SourceFiles(SphinxPostTransform):
         """Replace each such link by its text."""
         places = (Path(self.env.doc2path(self.env.docname)).parent, ROOT, ROOT / "benchmarks")
         for node in list(self.document.findall(pending_xref)):
-            target = node["reftarget"]
-            if node["reftype"] == "myst" and target not in self.env.all_docs:
-                if any((folder / f"{target}{suffix}").is_file() for folder in places for suffix in ("", ".md")):
-                    node.replace_self(node[0].deepcopy())
+            files = [folder / f"{node['reftarget']}{suffix}" for folder in places for suffix in ("", ".md")]
+            page = node["reftarget"] in self.env.all_docs
+            if node["reftype"] == "myst" and not page and any(file.is_file() for file in files):
+                node.replace_self(node[0].deepcopy())
 
 
 def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:

@@ -1,7 +1,7 @@
 """The documentation site builds without a warning; its links lead somewhere; every page loads, on a phone too.
 
-`make docs` runs this on what it has built (`INVDYN_SITE=build/site`). By itself it builds a site of its own, in a minute:
-without the effects' pictures, and with notebooks that are not executed (tests/notebooks does that).
+`make docs` runs this on what it has built (`INVDYN_SITE=build/site`). By itself it builds one, in a minute: without
+the effects' pictures, and with notebooks that are not executed (tests/notebooks does that).
 """
 
 import os
