@@ -30,7 +30,7 @@
 # articulated-body dynamics from video via variational sequential Monte Carlo*. First it is simulated, so that the
 # truth is known. Then it is real, and nobody knows.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import warnings
 from importlib.resources import files
@@ -277,7 +277,7 @@ for scale in scales:
     print(f"σ_τ = {scale:>4.0f}:  log evidence {outer.log_evidence:7.2f} ± {outer.log_evidence_sd:.2f}")
 
 # %% [markdown]
-# # A real arm
+# ## A real arm
 #
 # The paper's recording: a human arm moves on a table and is filmed from above, so gravity acts out of the
 # plane. DeepLabCut tracked shoulder, elbow and wrist at 30 frames a second. The paper shows frames 50 to
@@ -306,7 +306,7 @@ if film is not None:
     print(f"outer sample size {size:.1f} of 64 filters of 100 particles; log Ẑ spreads by {spread:.2f} nats")
 
 # %% [markdown]
-# ## How badly rigid links fit
+# ### How badly rigid links fit
 #
 # The sampler is healthy. Is the *model*? A healthy sampler only says that the posterior of this model was
 # found. So look at the links. A rigid arm in a plane, seen straight from above, has the same distance from
@@ -378,7 +378,7 @@ if film is not None:
     display(torque_table(posterior).round(3))
 
 # %% [markdown]
-# # Exercises
+# ## Exercises
 #
 # Think first; each answer is folded below its question.
 #

@@ -38,7 +38,7 @@
 # | `svi` | the best *independent* Gaussians: mean field | that neighbours in time move together |
 # | `differentiate` | low-pass filter, two derivatives, Newton | uncertainty |
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings

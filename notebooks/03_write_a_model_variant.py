@@ -26,7 +26,7 @@
 #
 # You need [notebook 1](01_planar_arm.py), and some Python with classes. Three exercises stand at the end.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings

@@ -27,7 +27,7 @@
 #
 # You need Bayes' rule and the model of [notebook 1](01_planar_arm.py). Three exercises stand at the end.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings

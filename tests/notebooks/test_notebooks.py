@@ -62,7 +62,7 @@ def test_planar_arm_runs_and_finds_what_it_says(planar_arm, with_human_arm):
 
 
 def test_planar_arm_goes_on_without_the_real_recording(planar_arm, tmp_path):
-    heading = next(k for k, cell in enumerate(planar_arm.cells) if cell.source.startswith("# A real arm"))
+    heading = next(k for k, cell in enumerate(planar_arm.cells) if cell.source.startswith("## A real arm"))
     imports = next(cell for cell in planar_arm.cells if cell.cell_type == "code")
     planar_arm.cells = [imports, *planar_arm.cells[heading:]]
     text = printed(run(planar_arm, INVDYN_DATA=str(tmp_path)))
