@@ -103,7 +103,31 @@ def _body(folder: Path) -> Path:
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_code():
-    spec = importlib.util.spec_from_file_location("architecture_picture", ROOT / "docs" / "architecture_picture.py")
+    script = _script(ROOT / "docs" / "architecture_picture.py")
+    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+
+
+def _script(path: Path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+    return script
+
+
+def test_each_table_of_the_benchmarks_has_a_script_and_a_place():
+    page = _script(ROOT / "benchmarks" / "page.py")
+    text = page.PAGE.read_text("utf-8")
+    for name, command in page.COMMANDS.items():
+        assert (ROOT / "benchmarks" / command.split()[0]).exists(), name
+        assert "| new |" in page.replaced(text, name, "| new |")
+    with pytest.raises(ValueError, match="expected <!-- nothing -->"):
+        page.replaced(text, "nothing", "")
+
+
+def test_a_table_is_what_a_script_prints_between_bars():
+    page = _script(ROOT / "benchmarks" / "page.py")
+    printed = "4 cores\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\nload 3\n| c |\n|---|\n| 4 |\n"
+    assert page.tables(printed) == "| a | b |\n|---|---|\n| 1 | 2 |\n\n| c |\n|---|\n| 4 |"
+    text = "x\n<!-- one -->\nold\n<!-- end -->\n<!-- two -->\nkept\n<!-- end -->\n"
+    assert page.replaced(text, "one", "new") == text.replace("old", "new")
+    assert "commit" in page.stamp("cost.py")
