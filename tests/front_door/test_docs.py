@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
+from stand_in import deeplabcut
 
 from invdyn.cli import app
 from invdyn.inputs import load_body, load_recording
@@ -95,6 +96,27 @@ def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch)
     for number, block in enumerate(blocks(page, "toml")):
         (tmp_path / f"{number}.toml").write_text(block)
         assert load_body(str(tmp_path / f"{number}.toml")).num_joints > 0
+
+
+@pytest.mark.parametrize("name", ["deeplabcut", "robot_log", "cluster"])
+def test_a_guides_commands_run(name, folder, run, quick_inference):
+    """On files as the guide describes them, without the inference itself and with too few rows for a search."""
+    page = ROOT / "docs" / "how-to" / f"{name}.md"
+    for block in blocks(page, "toml"):
+        (folder / "arm.toml").write_text(block)
+    deeplabcut(folder / "tracks.csv", links=(0.30 / 0.0021, 0.26 / 0.0021), frames=30)
+    if name == "robot_log":
+        rows = [f"{0.02 * t:.2f},{-1.5 + 0.01 * t:.2f},1.0\n" for t in range(12)]
+        for file in ("rec.csv", "other.csv"):
+            (folder / file).write_text("time,shoulder_angle,shoulder_torque\n" + "".join(rows))
+    lines = [line for said, line in commands() if said == page.name]
+    assert lines
+    for line in lines:
+        outcome = run(*shlex.split(line, comments=True)[1:])
+        assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
+    assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
+    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["diagnosis/report.html"], "cluster": ["posterior.nc"]}
+    assert all((folder / file).exists() for file in made[name])
 
 
 def _body(folder: Path) -> Path:
