@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras and films beside.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras, films.
 
 Each command checks, then works, then writes.
 """
