@@ -52,6 +52,17 @@ def load_body(name: str) -> Body | Tree:
         return read_body(path)
 
 
+def load_planar(name: str, what: str) -> Body:
+    """As :func:`load_body`; raises InputError, which says ``what`` wants a planar chain, for a body in space."""
+    body = load_body(name)
+    if isinstance(body, Tree):
+        raise InputError(
+            f"{name}: {what} takes a chain of hinges in the plane so far, and this body moves in space; "
+            "infer and compare take it"
+        )
+    return body
+
+
 def load_recording(
     name: str,
     body: Body | Tree,

@@ -317,17 +317,9 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from invdyn.models import Tree
-        from invdyn.recordings import InputError
+        from .inputs import is_log, load_log, load_logs, load_planar
 
-        from .inputs import is_log, load_body, load_log, load_logs
-
-        body = load_body(self.body)
-        if isinstance(body, Tree):
-            raise InputError(
-                f"{self.body}: a diagnosis takes a chain of hinges in the plane so far, and this body moves in space; "
-                "infer and compare take it"
-            )
+        body = load_planar(self.body, "a diagnosis")
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):

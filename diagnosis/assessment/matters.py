@@ -28,6 +28,7 @@ from invdyn.diagnosis.problem.noise import is_noise
 SMOOTH, POINTS = 0.1, 11
 """s over which a motion's third derivative is one of a cubic, and points in so long."""
 
+
 def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = RULE.tolerance) -> np.ndarray:
     """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
     model = problem.model

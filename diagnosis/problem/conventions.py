@@ -92,5 +92,6 @@ def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.nd
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
     raise InputError(
         f"{name}: at joint {names} {mistake.words}, it seems. As they are, the torques differ from those of the "
-        f"motion by {100 * own:.0f} % of their size; corrected, by {100 * best:.0f} %. Correct the file; `invdyn check` says more"
+        f"motion by {100 * own:.0f} % of their size; corrected, by {100 * best:.0f} %. Correct the file; "
+        "`invdyn check` says more"
     )
