@@ -20,29 +20,23 @@ import numpy as np
 from scipy.signal import savgol_filter
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.pool import LOUD
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 
-TOLERANCE = 0.005
-"""Of a typical torque, by default."""
-STEP = 0.002
-"""s: the usual step of simulators of robots."""
-WORST = 1.0
-"""s over which a torque counts in the mean."""
 SMOOTH, POINTS = 0.1, 11
 """s over which a motion's third derivative is one of a cubic, and points in so long."""
 
 
-def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = TOLERANCE) -> np.ndarray:
+def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = RULE.tolerance) -> np.ndarray:
     """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
     model = problem.model
     time, velocity = model.time.numpy(), path[:, -model.body.num_joints :].numpy()
     starts = [*problem.starts]
     stretches = zip(np.split(time, starts), np.split(velocity, starts), strict=True)
     jerk = np.concatenate([_jerk(*stretch) for stretch in stretches])
-    step = min(STEP, float(np.median(np.diff(time))))
+    step = min(RULE.step, float(np.median(np.diff(time))))
     own = model.dynamics.typical_inertia(model.scale.body).numpy() * step / 2 * np.sqrt((jerk**2).mean(0))
     return np.maximum(share * np.array(model.scale.torque), own)
 
@@ -60,9 +54,9 @@ def matters(
     problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
 ) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    if problem.regime == "unknown_torque" or none.kappa > LOUD or any(is_noise(effect) for effect in best.effects):
+    if problem.regime == "unknown_torque" or none.kappa > RULE.loud or any(is_noise(effect) for effect in best.effects):
         return True
-    rows = max(round(WORST / float(problem.model.dt[1:].median())), 1)
+    rows = max(round(RULE.worst / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))
     total = np.concatenate([np.zeros((1, missing.shape[1])), (missing**2).cumsum(0)])
     worst = np.sqrt((total[rows:] - total[:-rows]).max(0) / rows)
