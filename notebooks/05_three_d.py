@@ -18,7 +18,10 @@
 # follows them. It shows what sampling costs in space, what a camera of that quality can tell of torques at all, and
 # three traps that the plane does not have: poles, aliases, and turns that nobody sees.
 #
-# It needs notebook 1, and runs in about a minute.
+# **You will learn** how much a camera tells of torques in space, why a start must choose among poses that show the same
+# points, what a posterior says of turns that no keypoint shows, and how lengths and motion are learned without forces.
+#
+# It needs notebook 1, and runs in about half a minute.
 
 # %%
 # %matplotlib inline

@@ -10,7 +10,7 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, warn_of_poles
 from invdyn.models import (
     ArmModel,
@@ -38,6 +39,7 @@ from invdyn.models.bodies.scalars import nominal
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings.cameras import Filmed
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
@@ -82,11 +84,12 @@ def arm_problem(
     hide_torque: bool = False,
     passive: bool = False,
     truth: Truth | None = None,
+    learn_cameras: Sequence[str] = (),
 ) -> Problem:
     """Bind a body to a recording.
 
     Args:
-        recording: keypoints among the body's sites, encoder angles, or both.
+        recording: keypoints among the body's sites, encoder angles, or both; of a film its pixels are observed.
         body: lengths in the recording's length unit.
         torque: torque process; Ornstein–Uhlenbeck by default.
         integrator, substeps: of the dynamics; sub-steps are chosen from the error when not given.
@@ -96,9 +99,14 @@ def arm_problem(
         hide_torque: ignore the recording's commanded torques.
         passive: the commanded torque is zero.
         truth: to compare with.
+        learn_cameras: what of a film's cameras but the first is not known, "offset", "pose" or both.
 
     Raises InputError when the recording does not fit the body.
     """
+    if unknown := [each for each in learn_cameras if each not in LEARNED]:
+        raise InputError(f"of cameras {' and '.join(LEARNED)} may be learned, got {unknown[0]!r}")
+    if learn_cameras and not isinstance(recording, Filmed):
+        raise InputError(f"{recording.name} is no film of several cameras, of which something could be learned")
     sites = _sites(recording, body)
     joints = body.num_joints
     angles = _in_order(recording, body, recording.angles, "angles")
@@ -111,7 +119,10 @@ def arm_problem(
             f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
             "fill it in, or pass --hide-torque to treat torques as unknown"
         )
-    columns = [recording.keypoints[:, p] for p, _ in sites]
+    if isinstance(recording, Filmed) and recording.views is not None:
+        columns = [recording.views.pixels[:, c, p] for c in range(len(recording.views.calibration)) for p, _ in sites]
+    else:
+        columns = [recording.keypoints[:, p] for p, _ in sites]
     rows = [np.concatenate(columns, axis=1)] if columns else []
     if angles is not None:
         rows.append(angles)
@@ -128,6 +139,8 @@ def arm_problem(
     ):
         confidence = None  # a constant confidence says nothing
     sensors: list[Sensor] = [Keypoints([site for _, site in sites], confidence)] if sites else []
+    if isinstance(recording, Filmed) and sites:
+        sensors = [pixels_of(recording, sites, tuple(learn_cameras))]
     sensors += [] if angles is None else [Encoders()]
     observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
@@ -137,7 +150,8 @@ def arm_problem(
         # Where somebody else speaks in its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
-        body, notes = _charted(body, recording.time, observations, observation, turning=not spoken)
+        shown, located = observation.in_space(observations)
+        body, notes = _charted(body, recording.time, located, shown, turning=not spoken)
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
@@ -264,17 +278,21 @@ def _start_values(
     values: dict[str, Any] = {}
     for sensor in observation.sensors:
         values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
-    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, observations, observation)
+    shown, located = observation.in_space(observations)
+    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, located, shown)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
     values["noise.velocity"] = 1e-3
-    candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
+    candidates = joint_angle_candidates(body, time, located, shown, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
         speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])
         values["initial.angle"] = middle[0]
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
+        if (pixels := observation.pixels) is not None:
+            seen = dynamics.keypoints(torch.as_tensor(middle), numbers)[:, list(pixels.sites)]
+            values |= started(pixels, rows[:, observation.part(pixels)], seen.numpy())
         if (keypoints := observation.keypoints) is not None:
             # What rigid links cannot explain is observation noise to begin with.
             sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()

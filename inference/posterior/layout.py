@@ -28,7 +28,7 @@ OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
     "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
     "observed_data": {"position": TIPS, "angle": JOINTS},
     "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
-    | {"base": ("space",)},
+    | {"base": ("space",), "skeleton": ("edge", "end")},
 }
 MISSING = {"observed_data", "constant_data"}
 """Groups in which a number may be missing."""
@@ -67,6 +67,8 @@ def check_layout(idata: az.InferenceData) -> None:
             continue
         if wrong := [d for d in dims if d in sizes and idata[group].sizes[d] != sizes[d]]:
             raise InputError(f"{group}/{name}: expected {sizes[wrong[0]]} of {wrong[0]}, as angle has")
+    if "skeleton" in idata["constant_data"]:
+        _check_skeleton(idata["constant_data"]["skeleton"].to_numpy(), sizes["keypoint"])
     _check_time(idata["posterior"])
     tracked = idata["observed_data"].get("position")
     if tracked is not None and tracked.sizes["time"] != sizes["time"]:
@@ -94,6 +96,12 @@ def _check_variable(what: str, values: xr.DataArray, dims: tuple[str, ...], may_
         raise InputError(f"{what}: expected finite numbers up to {LARGEST:.0e}, it has others")
     if not _printable(values.attrs.get("units", None if what.startswith("posterior/") else "1")):
         raise InputError(f"{what}: expected its unit as text, in the attribute units")
+
+
+def _check_skeleton(skeleton: np.ndarray, keypoints: int) -> None:
+    whole = skeleton.dtype.kind in "iu" and skeleton.shape[1] == 2
+    if not whole or not ((skeleton >= -1) & (skeleton < keypoints)).all():
+        raise InputError(f"constant_data/skeleton: expected pairs of numbers of the {keypoints} keypoints, −1 the base")
 
 
 def _check_time(posterior: xr.Dataset) -> None:

@@ -14,6 +14,8 @@ from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.joint_parts import JointParts
+
 AXES = "xyz"
 
 
@@ -115,6 +117,11 @@ class BodyBase:
     def base_keypoint(self) -> str | None:
         """None."""
         return None
+
+    @property
+    def joint_parts(self: ArticulatedBody) -> tuple[JointParts | None, ...]:
+        """No joint has any."""
+        return (None,) * self.num_joints
 
     @property
     def has_priors(self) -> bool:
