@@ -26,7 +26,7 @@ from PIL import Image
 from invdyn.inference import pooled
 from invdyn.recordings import InputError, atomic_path
 
-from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles
+from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles, unit_of
 
 FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
@@ -198,7 +198,7 @@ def still_parts(
         draw_bands(axes, time, bands[:, :, number], PURPLE)
         if "truth_torque" in known:
             draw_truth(axes, time, known["truth_torque"].values[:, number])
-        axes.set_title(f"{joint} torque ({idata['posterior']['torque'].attrs['units']})", loc="left")
+        axes.set_title(f"{joint} torque ({unit_of(idata, 'torque', number)})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")

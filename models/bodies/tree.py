@@ -310,6 +310,8 @@ class Tree(BodyBase):
         dims |= {"joint_rotation": ["link", "space", "axis"]}
         own = {name if name in dims else f"joint_{name}": value for name, value in numbers._asdict().items()}
         found = {name: (dims[name], value.detach()) for name, value in own.items()}
+        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
+        found["turns"] = ["joint"], torch.tensor(turns).int()
         if self._stands:
             found["base"] = ["space"], numbers.position[..., 0, :].detach()
         edges = self.skeleton
