@@ -1,7 +1,7 @@
 """A film of the arm: observed and predicted joints above, the torques with a moving time line below.
 
 In space it is seen from two sides, x and z from the front, y and z from the side. Lines join the points as the body
-has them.
+has them. In the plane it may lie over the film that was tracked.
 
 The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
 so that it costs milliseconds. The film plays at the recording's own speed. GIF by Pillow, MP4 by
@@ -10,7 +10,7 @@ imageio-ffmpeg (extra `video`).
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import arviz as az
 import matplotlib
@@ -28,6 +28,9 @@ from invdyn.recordings import InputError, atomic_path
 
 from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles, unit_of
 
+if TYPE_CHECKING:
+    from .overlay import Overlay
+
 FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
 MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
@@ -38,9 +41,14 @@ TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
 def save_film(
-    idata: az.InferenceData, path: str | Path, progress: Callable[[int, int, str], None] | None = None
+    idata: az.InferenceData,
+    path: str | Path,
+    progress: Callable[[int, int, str], None] | None = None,
+    overlay: "Overlay | None" = None,
 ) -> None:
     """Write the film as `path` says (.gif or .mp4), whole or not at all; `progress(done, total, what)`.
+
+    With an `overlay`, the arm is drawn over the pictures of another film.
 
     Raises:
         InputError: another suffix, or .mp4 without imageio-ffmpeg.
@@ -49,7 +57,7 @@ def save_film(
     check_film(path)
     time = idata["posterior"]["time"].values
     shown = shown_frames(time)
-    frames = film_frames(idata, shown, progress)
+    frames = film_frames(idata, shown, progress, overlay)
     with atomic_path(path) as temporary:
         write = write_gif if temporary.suffix == ".gif" else write_mp4
         write(frames, time[shown], temporary)
@@ -76,7 +84,10 @@ def shown_frames(time: np.ndarray) -> np.ndarray:
 
 
 def film_frames(
-    idata: az.InferenceData, shown: np.ndarray, progress: Callable[[int, int, str], None] | None = None
+    idata: az.InferenceData,
+    shown: np.ndarray,
+    progress: Callable[[int, int, str], None] | None = None,
+    overlay: "Overlay | None" = None,
 ) -> Iterator[np.ndarray]:
     """Yield an image (height, width, 3) uint8 for each frame in `shown`; height and width are even."""
     arms, lines = arm_points(idata), skeleton(idata)
@@ -87,6 +98,8 @@ def film_frames(
         observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
         observed = np.full((len(time), 1, arms.shape[-1]), np.nan)
+    if overlay is not None:
+        arms, mean, observed = map(overlay.pixels, (arms, mean, observed))
     dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
     with matplotlib.rc_context(STYLE):
         figure, arm_axes, torque_axes = still_parts(idata, arms, observed)
@@ -95,12 +108,20 @@ def film_frames(
         clock = arm_axes[-1].text(0.99, 0.98, "", transform=arm_axes[-1].transAxes, ha="right", va="top", fontsize=9)
         cursors = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
         moving: list[Any] = [*(artist for picture in pictures for artist in picture.artists), clock, *cursors]
+        if overlay is not None:
+            height, width = overlay.size
+            film, axes = overlay.pictures(shown), arm_axes[0]
+            beneath = axes.imshow(np.zeros((1, 1, 3)), extent=(-0.5, width - 0.5, height - 0.5, -0.5), zorder=0)
+            axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u (px)", ylabel="v (px)")
+            moving.insert(0, beneath)
         for artist in moving:
             artist.set_animated(True)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
         for number, frame in enumerate(shown):
             canvas.restore_region(still)
+            if overlay is not None:
+                beneath.set_data(next(film))
             recent = (time > time[frame] - TRAIL) & (time <= time[frame])
             for picture in pictures:
                 picture.show(arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1])
@@ -191,14 +212,15 @@ def still_parts(
         across, up = ("xyz"[place] for place in view)
         axes.set(xlabel=f"{across} ({unit})", ylabel=f"{up} ({unit})")
         arm_axes.append(axes)
-    bands, known = quantiles(idata, "torque"), idata["constant_data"]
+    shown = "torque" if "torque" in idata["posterior"] else "angle"  # a kinematic model knows no forces
+    bands, known = quantiles(idata, shown), idata["constant_data"]
     torque_axes = []
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
-        if "truth_torque" in known:
-            draw_truth(axes, time, known["truth_torque"].values[:, number])
-        axes.set_title(f"{joint} torque ({unit_of(idata, 'torque', number)})", loc="left")
+        if f"truth_{shown}" in known:
+            draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
+        axes.set_title(f"{joint} {shown} ({unit_of(idata, shown, number)})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")
@@ -210,7 +232,7 @@ def still_parts(
         Line2D([], [], color=BLUE, marker="o", label="predicted"),
         Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
     ]
-    if "truth_torque" in known:
+    if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()

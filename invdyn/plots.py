@@ -81,7 +81,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 draw_bands(axes, time, tips[:, :, row, space], color)
                 if "position" in observed:
                     draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
-        for column, (name, color) in enumerate((("angle", GREEN), ("torque", PURPLE)), 1):
+        last = "torque" if "torque" in posterior else "velocity"  # a kinematic model knows no forces
+        for column, (name, color) in enumerate((("angle", GREEN), (last, PURPLE)), 1):
             bands = quantiles(idata, name)
             for row, joint in enumerate(joints):
                 axes = figure.add_subplot(grid[row, column])

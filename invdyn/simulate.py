@@ -18,6 +18,7 @@ from invdyn.models import (
     Tree,
     dynamics_for,
 )
+from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
@@ -36,12 +37,32 @@ PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: expl
     },
 }
 
+PAPER_IN_SPACE: dict[str, Any] = {  # the same of its arm in space, as its code has them (test/run-3d-arm.ipynb)
+    "torque": OrnsteinUhlenbeck("printed", decay=2.0),
+    "integrator": "euler",
+    "settings": {
+        "torque.scale": 2.0,
+        "torque.decay": 2.0,
+        "noise.angle": 4e-5,
+        "noise.velocity": 4e-5,
+        "initial.angle": 0.0,
+        "initial.angle_scale": math.sqrt(0.001),
+        "initial.velocity": 0.0,
+        "initial.velocity_scale": math.sqrt(0.001),
+        "emission.keypoint_scale": math.sqrt(0.01),
+    },
+}
+
 
 def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Recording, Truth]:
-    """Draw one recording of `model`'s keypoints and encoders, and the states behind it; same seed, same recording."""
+    """Draw one recording of `model`'s keypoints and encoders, and the states behind it; same seed, same recording.
+
+    Raises Diverged where it runs away.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         states, observations = model.simulate()
+    check_finite(states)
     body, time = model.body, model.time.numpy()
     _, angle, velocity = (part.numpy() for part in model.split(states))
     command = None if model.command is None else model.command.numpy()
@@ -165,13 +186,14 @@ def resting(body: Body | Tree) -> list[float]:
     return found.tolist()
 
 
-def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
-    """The planar arm that Biderman et al. (2020) simulate, all of it at `PAPER`'s settings."""
+def paper_arm(body: Body | Tree, num_frames: int = 200) -> ArmModel:
+    """The arm that Biderman et al. (2020) simulate, in the plane at `PAPER`'s settings or in space at the others."""
+    paper, step = (PAPER, 0.03) if body.space == 2 else (PAPER_IN_SPACE, 0.01)
     return ArmModel(
         body,
-        0.03 * np.arange(num_frames),
+        step * np.arange(num_frames),
         Observation(Keypoints(body.keypoint_names)),
-        torque=PAPER["torque"],
-        integrator=PAPER["integrator"],
-        parameters=PAPER["settings"],
+        torque=paper["torque"],
+        integrator=paper["integrator"],
+        parameters=paper["settings"],
     )

@@ -18,11 +18,14 @@ from .dynamics.planar_recursive import RecursiveDynamics as RecursiveDynamics
 from .dynamics.planar_symbolic import SymbolicDynamics as SymbolicDynamics
 from .dynamics.registry import dynamics_for as dynamics_for
 from .dynamics.registry import planar_dynamics as planar_dynamics
+from .kinematic import KinematicModel as KinematicModel
 from .linear_gaussian import LinearGaussian as LinearGaussian
 from .observation.encoders import Encoders as Encoders
 from .observation.keypoints import Keypoints as Keypoints
 from .observation.observation import FAMILIES as FAMILIES
 from .observation.observation import Observation as Observation
+from .observation.pinhole import PinholeCameras as PinholeCameras
+from .observation.pixels import Pixels as Pixels
 from .observation.sensor import NoisySensor as NoisySensor
 from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel

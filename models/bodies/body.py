@@ -23,7 +23,8 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_chain, body_mjcf, body_toml, body_urdf, body_xml, robot_file
+from invdyn.models.bodies import body_chain, body_mjcf, body_toml, body_urdf, body_xml, joint_parts_toml, robot_file
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.parts import Robot
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
@@ -73,6 +74,8 @@ class BodyParameters(NamedTuple):
 class Link:
     """One rigid link. Each of its scalars is a number, a scalar Pyro distribution (its prior) or `Learned`.
 
+    `parts` are what its joint has besides the hinge: friction, a spring, a motor; None for nothing.
+
     Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive, a negative
     inertia, a prior that allows such, a centre of mass more than three lengths from the joint, and a link
     that has neither com nor inertia to resist a torque.
@@ -85,6 +88,7 @@ class Link:
     mass: Scalar
     com: Scalar | None = None
     inertia: Scalar | None = None
+    parts: JointParts | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "joint", "tip"):
@@ -174,6 +178,11 @@ class Body(BodyBase):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the K joints, from the base outwards."""
         return tuple(link.joint for link in self.links)
+
+    @property
+    def joint_parts(self) -> tuple[JointParts | None, ...]:
+        """What each joint has besides its hinge."""
+        return tuple(link.parts for link in self.links)
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -397,5 +406,8 @@ class Body(BodyBase):
 
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
-        links = [{key: getattr(link, key) for key in body_toml.LINK_KEYS} for link in self.links]
+        links = [
+            {key: getattr(link, key) for key in body_toml.LINK_KEYS} | joint_parts_toml.told(link.parts)
+            for link in self.links
+        ]
         body_toml.write(path, {key: getattr(self, key) for key in body_toml.BODY_KEYS} | {"links": links})

@@ -16,6 +16,7 @@ Of the last link's marked points the one farthest from its hinge is the tip; els
 it; else the far end of a shape. What a file has and a rigid body lacks is named in a warning: a diagnosis may find it.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from invdyn.models.bodies import parts as rigid
+from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.parts import PARALLEL, Part, PartJoint, Robot, check_finite
 from invdyn.models.bodies.scalars import BodyError
 
@@ -50,8 +52,8 @@ def _tables(robot: Robot, where: str) -> dict:
     tip_name, tip = _tip(groups[-1], plane, where)
     ends = [*anchors[1:], tip]
     tips = [*(_shown(group, hinge, plane) for group, hinge in zip(groups, hinges[1:], strict=False)), tip_name]
-    links, notes = [], []
-    for group, hinge, shown, start, end in zip(groups, hinges, tips, anchors, ends, strict=True):
+    links, notes, before = [], [], 0.0
+    for group, hinge, sign, shown, start, end in zip(groups, hinges, signs, tips, anchors, ends, strict=True):
         name = group[0].name
         length = float(np.linalg.norm(end - start))
         if not length > 0:
@@ -65,7 +67,13 @@ def _tables(robot: Robot, where: str) -> dict:
         given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside * aside}
         check_finite(list(given.values()), f"{where}: link '{name}'")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
-    if found := [*notes, *robot.left_out]:
+        heading = math.atan2(along[1], along[0])
+        zero = math.remainder(heading - before, math.tau)
+        parts_here = robot.joint_parts.get(hinge.name, NOTHING).turned(float(sign * normal[axis]), zero)
+        if parts_here != NOTHING:
+            links[-1]["parts"] = parts_here
+        before = heading
+    if found := [*notes, *robot.unplayed]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
     if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:
         warnings.warn(

@@ -2,7 +2,8 @@
 
 Everything is taken from the compiled model with all hinges and slides at 0, in world coordinates, so that no default,
 no frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`).
-What the model has and a rigid body lacks is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
+Friction, springs and motors of its joints are read as they stand (:mod:`.joint_parts_mjcf`). What the model has
+besides is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
 import warnings
@@ -14,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from invdyn.models.bodies import body_mjcf_left_out, body_xml
+from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
@@ -49,10 +50,13 @@ def of(root: Element, where: str) -> Robot:
     for site, body in enumerate(model.site_bodyid):
         sites.setdefault(int(body), []).append(site)
     parts = [_part(mujoco, model, data, b, joints.get(b, ()), sites.get(b, ())) for b in range(1, model.nbody)]
-    left_out = body_mjcf_left_out.named(mujoco, model, [joint.name for own in joints.values() for joint in own])
-    left_out += [entry for words, names in dropped.items() for entry in listed(words, names)]
+    names = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
+    joint_parts, motors = joint_parts_mjcf.read(mujoco, model, names)
+    beyond = [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
+    left_out = body_mjcf_left_out.named(mujoco, model, names) + beyond
+    unplayed = body_mjcf_left_out.named(mujoco, model, names, motors) + beyond
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out)
+    return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts, unplayed)
 
 
 def _engine(where: str) -> Any:

@@ -7,6 +7,7 @@ A mass comes from `<inertial>` alone: shapes say how a link looks and what it to
 frame, lumped with what it is fixed to. Gravity is 9.81 m/s² downwards along z, which URDF leaves open.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -14,10 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies import body_xml
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.whole_file import read_whole
 
+OF_PARTS = ("damping", "dry friction", "limits of torque")
+"""Of what is left out, what a joint's parts are."""
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 TENSOR = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
@@ -51,7 +55,9 @@ def of(robot: Element, where: str) -> Robot:
             own = _moved(frame, joint, where)
             todo.append((child, len(parts) - 1, _moves(joint, own, where), own))
     moving = [joint for joint in joints.values() if joint.get("type") != "fixed"]
-    return Robot(parts, GRAVITY, _left_out(robot, moving))
+    left_out = _left_out(robot, moving)
+    unplayed = [entry for entry in left_out if not entry.startswith(OF_PARTS)]
+    return Robot(parts, GRAVITY, left_out, _joint_parts(moving, where), unplayed)
 
 
 def _named(robot: Element, tag: str, where: str) -> dict[str, Element]:
@@ -169,6 +175,26 @@ def _ends(link: Element, frame: Frame, where: str) -> list[np.ndarray]:
         if half is not None:
             turn, centre = _moved(frame, shape, where)
             found += [centre - turn @ half, centre + turn @ half]
+    return found
+
+
+def _joint_parts(moving: Sequence[Element], where: str) -> dict[str, JointParts]:
+    """Damping and friction of `<dynamics>`, and the limit of `<limit effort>`, of each joint that has any."""
+    found = {}
+    for joint in moving:
+        name = joint.get("name", "")
+        told = f"{where}: joint '{name}'"
+        damping, friction = (
+            float(_numbers(joint.find("dynamics"), key, "0", told)[0]) for key in ("damping", "friction")
+        )
+        effort = float(_numbers(joint.find("limit"), "effort", "0", told)[0])
+        motor = Motor(low=-effort, high=effort) if effort > 0 else None
+        try:
+            parts = JointParts(damping, friction, motor=motor)
+        except BodyError as error:
+            raise BodyError(f"{told}: {error}") from error
+        if parts != NOTHING:
+            found[name] = parts
     return found
 
 

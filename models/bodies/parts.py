@@ -5,11 +5,12 @@ against its parent by its joints, one after the other, each about, or along, an 
 fixed to it, and both move together.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.scalars import BodyError
 
 PARALLEL = 1 - 1e-5
@@ -51,11 +52,17 @@ class Part:
 
 @dataclass(frozen=True)
 class Robot:
-    """A file's parts, gravity (3,) m/s², and words for what it has and a rigid body lacks."""
+    """A file's parts, and gravity (3,) m/s².
+
+    `left_out` are words for what it has and rigid links lack. `joint_parts` is what its joints have besides, in the
+    file's own angles, by name; `unplayed` is what is left out where a body has those.
+    """
 
     parts: Sequence[Part]
     gravity: np.ndarray
     left_out: Sequence[str] = ()
+    joint_parts: Mapping[str, JointParts] = field(default_factory=dict)
+    unplayed: Sequence[str] = ()
 
 
 def groups(parts: Sequence[Part]) -> tuple[list[list[Part]], list[int]]:

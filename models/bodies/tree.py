@@ -29,7 +29,7 @@ from invdyn.models.bodies import body_mjcf, body_tree, body_urdf, tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.parts import Robot
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
 from invdyn.models.bodies.scalars import (
     SMALLEST,
@@ -292,6 +292,26 @@ class Tree(BodyBase):
             }
         )
 
+    def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
+        """By link, site and axis; joints' positions as "origin". And `base`, where that stands still; `skeleton`."""
+        dims = {
+            "mass": ["link"],
+            "com": ["link", "space"],
+            "inertia": ["link", "moment"],
+            "origin": ["link", "space"],
+            "rotation": ["link", "space", "space_2"],
+            "sites": ["keypoint", "space"],
+            "gravity": ["space"],
+        }
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
+        found = {name: (dims[name], value) for name, value in own.items()}
+        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
+        found["turns"] = ["joint"], torch.tensor(turns).int()
+        if self._stands:
+            found["base"] = ["space"], own["origin"][..., 0, :]
+        edges = self.skeleton
+        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
+
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
         like: dict[str, Any] = {"dtype": numbers.mass.dtype, "device": numbers.mass.device}
@@ -302,20 +322,6 @@ class Tree(BodyBase):
             which[list(entries)] = True
             found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
-
-    def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
-        """Its numbers with their dims; `base`, where that stands still; and `skeleton`, −1 for the base."""
-        dims = {"mass": ["link"], "com": ["link", "space"], "inertia": ["link", "moment"], "gravity": ["space"]}
-        dims |= {"sites": ["keypoint", "space"], "joint_position": ["link", "space"]}
-        dims |= {"joint_rotation": ["link", "space", "axis"]}
-        own = {name if name in dims else f"joint_{name}": value for name, value in numbers._asdict().items()}
-        found = {name: (dims[name], value.detach()) for name, value in own.items()}
-        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
-        found["turns"] = ["joint"], torch.tensor(turns).int()
-        if self._stands:
-            found["base"] = ["space"], numbers.position[..., 0, :].detach()
-        edges = self.skeleton
-        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
 
     @property
     def _stands(self) -> bool:

@@ -87,12 +87,12 @@ class Dynamics(ABC):
 
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J θ̇, m/s, (..., S, d)."""
-        q, qd = torch.broadcast_tensors(q, qd)
+        q, qd = _together(q, qd)
         return _jvp()(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J θ̈ + J̇ θ̇, m/s², (..., S, d)."""
-        q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
+        q, qd, qdd = _together(q, qd, qdd)
         return _jvp()(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))[1]
 
     def torque_of(self, q: Tensor, site: int, force: Tensor, p: Any) -> Tensor:
@@ -137,6 +137,11 @@ class Dynamics(ABC):
                     f"expected {name} of shape (..., {self.num_joints}), one entry for each joint, "
                     f"got {tuple(value.shape)}"
                 )
+
+
+def _together(*values: Tensor) -> list[Tensor]:
+    """Values of one shape, each entry in a place of its own, which torch's forward mode asks for."""
+    return [value.contiguous() for value in torch.broadcast_tensors(*values)]
 
 
 @cache

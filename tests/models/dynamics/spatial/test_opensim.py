@@ -57,8 +57,9 @@ def test_inverse_dynamics_of_an_arm(data_folder):
     assert (off < 1e-7).all()
 
 
-def test_opensim_reads_what_is_written(tmp_path):
+def test_opensim_reads_what_is_written(tmp_path, monkeypatch):
     """By OpenSim's own reader (the wheel `opensim`, 380 MB with what it needs: no part of the extras)."""
+    monkeypatch.chdir(tmp_path)  # it writes a log where it is loaded
     opensim = pytest.importorskip("opensim")
     time, values = np.linspace(0, 1, 5), np.random.default_rng(0).normal(size=(5, 2))
     write_moments(tmp_path / "t.sto", time, values, values - 1, values + 1, ("r_elbow_flex", "cart"), {"cart"})
