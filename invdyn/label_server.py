@@ -8,7 +8,7 @@ import io
 import json
 import secrets
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
@@ -43,7 +43,7 @@ class LabelServer(ThreadingHTTPServer):
     def __init__(
         self,
         numbers: Sequence[int],
-        pictures: Sequence[np.ndarray],
+        pictures: Iterable[np.ndarray],
         names: Sequence[str],
         out: Path,
         before: Labels | None = None,
@@ -51,8 +51,10 @@ class LabelServer(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", 0), _Handler)
         self.secret = secrets.token_urlsafe(16)
         self.numbers, self.names, self.out = list(numbers), tuple(names), out
-        self.size = pictures[0].shape[1::-1]
-        self.pictures = [_encoded(picture) for picture in pictures]
+        self.pictures = []
+        for picture in pictures:  # one at a time: a hundred of a large film would not fit into memory
+            self.size = picture.shape[1::-1]
+            self.pictures.append(_encoded(picture))
         self.before = before
         self.points = np.full((len(self.numbers), len(self.names), 2), np.nan)
         if before is not None:

@@ -80,6 +80,7 @@ def test_labels_are_set_in_a_browser(browser, served):
     assert labels.frames.tolist() == [2, 4]
     step = 40 / canvas.size["width"]  # px of the film on one of the screen
     np.testing.assert_allclose(labels.points[1], [[20, 22], [12, 30]], atol=step)
+    assert step < 0.1  # small pictures are shown large
     at(12, 30).click_and_hold().perform()
     at(15, 31).release().perform()  # the second one is dragged
     wait.until(lambda _: np.allclose(read_labels(served.out).points[1, 1], [15, 31], atol=2 * step))
