@@ -1,84 +1,88 @@
-"""`invdyn infer film.mp4`: the film is tracked into a table of pixels, which is then a recording like any other."""
+"""What a command is given of several cameras: tracks in pixels, their calibration, and a body in space."""
 
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import arviz as az
+import numpy as np
 
-from invdyn.recordings import InputError, read_keypoint_csv
-from invdyn.recordings.tracking.film import Film, is_film
+from invdyn.models import Tree, dynamics_for
+from invdyn.recordings import InputError
+from invdyn.recordings.cameras import Filmed, load_filmed
 
-from .film_commands import tracks_of
-from .inputs import load_body
-from .options import Inference
+from .inputs import frame_range, load_body
 
-if TYPE_CHECKING:
-    from .overlay import Overlay
+TOO_FAR = 5.0
+"""Times larger, or smaller, than the body that what the cameras saw cannot be."""
 
 
-@dataclass(frozen=True)
-class Filmed:
-    """A film in a recording's place, who tracks it, and where the tracks go."""
+def film_of(
+    files: Sequence[str],
+    calibration: Sequence[Path],
+    body: str,
+    frames: str,
+    offsets: Sequence[str],
+    in_metres: Mapping[str, object],
+    **options: Any,
+) -> tuple[Filmed, Tree]:
+    """The recording and its body.
 
-    given: Inference
-    network: Path | None
-    arm: str | None
-    person: str | None
-    tracks: Path
+    Args:
+        files, calibration, options: as `load_filmed`'s.
+        body: a file.
+        frames: which rows, such as "50:250".
+        offsets: of cameras' clocks, such as "cam2=0.02".
+        in_metres: option -> value, None or False where it is not given, of what only other recordings have.
 
-    @classmethod
-    def of(
-        cls, given: Inference, network: Path | None, arm: str | None, person: str | None, tracks: Path
-    ) -> "Filmed | None":
-        """None for a recording that is no film.
+    Raises:
+        InputError: a body in the plane, such an option, or as `load_filmed`.
+        BodyError: as `load_body`.
+        OSError: a file that cannot be opened.
+    """
+    tree = load_body(body)
+    if not isinstance(tree, Tree):
+        raise InputError(f"{body}: cameras see a body in space, this one is in the plane: give it dimensions = 3")
+    if surplus := [name for name, value in in_metres.items() if value not in (None, False)]:
+        hint = "; a length to learn is {start = 0.3} in the body's file" if surplus[0] == "--learn-lengths" else ""
+        raise InputError(
+            f"tracks of several cameras are in pixels, and their calibration in metres: leave {surplus[0]} out{hint}"
+        )
+    clocks = dict(map(camera_offset, offsets))
+    found = load_filmed(files, calibration, tree.keypoint_names, offsets=clocks, **options)
+    _check_size(found, tree)
+    return found.at(slice(*frame_range(frames))), tree
 
-        Raises InputError for options of a film without one, and what a film does not go with; OSError for no body.
-        """
-        if not is_film(given.recording):
-            for option, value in (("--network", network), ("--arm", arm), ("--person", person)):
-                if value is not None:
-                    raise InputError(f"{given.recording}: {option} tracks a film, and this is none")
-            return None
-        for option, told in (("--units", given.units), ("--fps", given.fps), ("--format", given.format)):
-            if told is not None:
-                raise InputError(f"{given.recording}: a film has pixels and its own times: leave {option} out")
-        if given.scale is None and not given.body_lengths:
-            raise InputError(
-                f"{given.recording}: a film has pixels, the body has metres: pass --scale (metres a pixel) or "
-                "--body-lengths"
-            )
-        load_body(given.body)
-        return cls(given, network, arm, person, tracks)
 
-    @property
-    def files(self) -> list[Path]:
-        """What is read beside the recording's own."""
-        return [] if self.network is None else [self.network]
+def camera_offset(text: str) -> tuple[str, float]:
+    """Read "cam2=0.02". Raises InputError for anything else."""
+    name, _, number = text.partition("=")
+    try:
+        seconds = float(number)
+    except ValueError:
+        seconds = math.nan
+    if not (name and math.isfinite(seconds)):
+        raise InputError(f"an offset is CAMERA=SECONDS, such as cam2=0.02, got {text!r}")
+    return name, seconds
 
-    @property
-    def base(self) -> str:
-        """Name of the keypoint at the first joint."""
-        return self.given.base or load_body(self.given.body).base_keypoint
 
-    def track(self, checkpoint: Path | None, progress: Callable[[int, int, str], None]) -> Inference:
-        """Track the film; what to infer from then. Raises as `film_commands.tracks_of`."""
-        wanted = (self.base, *load_body(self.given.body).keypoint_names)
-        kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
-        film = Path(self.given.recording)
-        if (aspect := Film(film).aspect) != 1:
-            warnings.warn(
-                f"{film}: its pixels are not square (a player shows them {aspect:.3g} times as wide as high): no one "
-                "scale fits both directions; make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
-                stacklevel=2,
-            )
-        tracks_of(film, self.tracks, self.network, self.arm, self.person, kept, progress, wanted)
-        return replace(self.given, recording=str(self.tracks), units="px")
+def _check_size(recording: Filmed, body: Tree) -> None:
+    """Refuse points that are much farther from each other, or nearer, than those of the body can be."""
+    if len(recording.keypoint_names) < 2:
+        return
+    numbers = body.parameters()
+    sites = [body.keypoint_names.index(name) for name in recording.keypoint_names]
+    still = dynamics_for(body).keypoints(numbers.gravity.new_zeros(body.num_joints), numbers)[sites].numpy()
+    own, seen = _extent(still[None]), _extent(recording.keypoints)
+    if own > 0 and np.isfinite(seen) and not 1 / TOO_FAR < seen / own < TOO_FAR:
+        raise InputError(
+            f"{recording.name}: the cameras see keypoints {seen:.3g} m apart, those of body '{body.name}' are "
+            f"{own:.3g} m: is the calibration in metres, and are they of the same film?"
+        )
 
-    def overlay(self, idata: az.InferenceData) -> "Overlay":
-        """What the posterior's film is laid over."""
-        from .overlay import Overlay
 
-        return Overlay(Film(self.given.recording), read_keypoint_csv(self.tracks), self.base, idata)
+def _extent(points: np.ndarray) -> float:
+    """Median over rows (T, P, 3) of the largest distance of two points, m; NaN where never two are known."""
+    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    known = np.where(np.isfinite(apart), apart, 0.0).max((1, 2))
+    return float(np.median(known[known > 0])) if (known > 0).any() else math.nan

@@ -52,6 +52,8 @@ class Outputs:
 
         `overlay` makes what the film is laid over.
         """
+        if self.sto is not None and "torque" not in idata["posterior"]:
+            raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
         if self.posterior is not None:
             save_posterior(idata, self.posterior)
         if self.csv is not None:
@@ -144,9 +146,9 @@ def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) 
 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
-    """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, angle, velocity."""
+    """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, if any, angle, velocity."""
     columns = {"time": idata["posterior"]["time"].values}
-    for quantity in ("torque", "angle", "velocity"):
+    for quantity in [name for name in ("torque", "angle", "velocity") if name in idata["posterior"]]:
         low, _, median, _, high = quantiles(idata, quantity)
         for number, joint in enumerate(idata["posterior"]["joint"].values):
             for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
