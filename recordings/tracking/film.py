@@ -66,6 +66,7 @@ class Film:
 
         Raises InputError for a film that ends in the middle of a picture, or changes its size.
         """
+        av = import_av(self.path)
         began, last, shape, number = None, -np.inf, None, 0
         with self._open() as container:
             try:
@@ -82,7 +83,7 @@ class Film:
                     shape = (frame.height, frame.width)
                     if number >= start:
                         yield Picture(number, time, _upright(frame, size))
-            except import_av().error.FFmpegError as error:
+            except av.error.FFmpegError as error:
                 raise InputError(
                     f"{self.path}: the film cannot be decoded after picture {number} ({first_line(error)}): "
                     "is the file whole?"
