@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from invdyn.models import Tree, dynamics_for
-from invdyn.models.bodies import in_space
-from invdyn.recordings import InputError, check_readable
+from invdyn.recordings import InputError
 from invdyn.recordings.cameras import Filmed, load_filmed
 
-from .inputs import frame_range
+from .inputs import frame_range, load_body
 
 TOO_FAR = 5.0
 """Times larger, or smaller, than the body that what the cameras saw cannot be."""
@@ -31,17 +30,17 @@ def film_of(
 
     Args:
         files, calibration, options: as `load_filmed`'s.
-        body: a file.
+        body: a file, or the name of one of ours.
         frames: which rows, such as "50:250".
         offsets: of cameras' clocks, such as "cam2=0.02".
         in_metres: option -> value, None or False where it is not given, of what only other recordings have.
 
     Raises:
         InputError: a body in the plane, such an option, or as `load_filmed`.
-        BodyError: as `in_space.load`.
+        BodyError: as `load_body`.
         OSError: a file that cannot be opened.
     """
-    tree = in_space.load(check_readable(body))
+    tree = load_body(body)
     if not isinstance(tree, Tree):
         raise InputError(f"{body}: cameras see a body in space, this one is in the plane: give it dimensions = 3")
     if surplus := [name for name, value in in_metres.items() if value not in (None, False)]:
