@@ -24,7 +24,7 @@ from planar_paper import paper_problem
 
 from invdyn.inference import Problem, SMCOptions, pooled
 from invdyn.inference.methods.registry import smc
-from invdyn.models.bodies.in_space import load
+from invdyn.models import load_body as load
 from invdyn.models.divergence import Diverged
 from invdyn.simulate import paper_arm, record
 

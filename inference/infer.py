@@ -49,13 +49,13 @@ def infer(
         method: a key of ``METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.
-        settings: parameters by dotted name that are known, such as {"torque.scale": 20.0}; the noise
-            scales, λ, σ_τ and σ_y that are not given are fitted by marginal likelihood. "vsmc" learns their
-            posterior, and that of learned lengths and masses, and integrates them out.
+        settings: parameters by dotted name that are known, such as {"torque.scale": 20.0}. The other noise scales, λ
+            and σ_τ are fitted by marginal likelihood. "vsmc" learns their posterior and that of learned lengths and
+            masses, and integrates them out.
         torque, integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.
-        passive: no torque acts (what is inferred is what acts all the same: friction, drive).
+        passive: nobody drives the body. The inferred torque is then that of friction and other effects.
         hide_torque: ignore the recording's commands.
         progress: called with (done, total, what).
         device: of the particle filters, "cpu" or "cuda".

@@ -88,7 +88,7 @@ def triangulate(
         Path | None, typer.Option(help="The cameras in the recording's frame, in metres: .toml.")
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second, if the files do not say.")] = None,
-    format: Annotated[str | None, typer.Option(help="Of the files, if it is not plain from them.")] = None,
+    format: Annotated[str | None, typer.Option(help="Format of the files, if their names do not tell.")] = None,
     individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
 ) -> None:
     """Turn the tracks of several cameras into one recording in space."""

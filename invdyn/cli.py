@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras and films beside.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras, films.
 
 Each command checks, then works, then writes.
 """
@@ -104,7 +104,7 @@ def simulate(
 def infer(
     given: Inference,
     out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
-    method: Annotated[str, typer.Option(help="How; the answer to an unknown one lists them all.")] = "smc",
+    method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
     kinematic: Annotated[
         bool, typer.Option("--kinematic", help="Motion and lengths alone: no forces, no masses; smc or laplace.")
     ] = False,

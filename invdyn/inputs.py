@@ -52,6 +52,17 @@ def load_body(name: str) -> Body | Tree:
         return read_body(path)
 
 
+def load_planar(name: str, what: str) -> Body:
+    """As :func:`load_body`; raises InputError, which says ``what`` wants a planar chain, for a body in space."""
+    body = load_body(name)
+    if isinstance(body, Tree):
+        raise InputError(
+            f"{name}: {what} takes a chain of hinges in the plane so far, and this body moves in space; "
+            "infer and compare take it"
+        )
+    return body
+
+
 def load_recording(
     name: str,
     body: Body | Tree,
@@ -66,12 +77,12 @@ def load_recording(
     Args:
         name: a file, or the name of a known recording.
         body: says which keypoints and joints, and their order.
-        base: the keypoint at the first joint, if it is not called as the joint is. Where the file has it, the others
-            are taken relative to it, and lie about the body's own base.
-        body_lengths: take the scale from the body's own length (the base must be tracked); it is told, unless the
-            body is in body lengths itself. Of planar bodies alone.
-        as_filmed: take nothing away from the keypoints of a file that is in metres in the body's own frame, unless
-            `base` says so; a tilted camera would no longer show, and the base's noise would be in all of them.
+        base: the keypoint at the first joint; by default the one with the joint's name. Where the file has it, all
+            others are taken relative to it, and moved to the body's own base.
+        body_lengths: take the scale from the body's own length, and warn unless the body is in body lengths itself. The
+            base must be tracked. Of planar bodies alone.
+        as_filmed: leave keypoints as they are, if the file is in metres and `base` is not given. Subtracting the base
+            would hide a tilted camera, and add the base's noise to all keypoints.
         frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
         options: units, fps, format, scale … A body moves in a plane: without `plane` a constant third coordinate is
             left out.

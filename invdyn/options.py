@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 BodyFile = Annotated[
-    str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or one that comes with us.")
+    str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or the name of one of ours.")
 ]
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
@@ -37,20 +37,27 @@ class Recorded:
         list[Path] | None,
         typer.Option(help="Of several cameras, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
     ] = None
-    units: Annotated[str | None, typer.Option(help="Of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")] = None
+    units: Annotated[
+        str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
+    ] = None
     fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
-    format: Annotated[str | None, typer.Option(help="Of the file, if it is not plain from it.")] = None
+    format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[
         bool, typer.Option("--body-lengths", help="No scale known: take it from the body's own length.")
     ] = False
     base: Annotated[
-        str | None, typer.Option(help="Keypoint to subtract; default: the first joint's (`diagnose`: none in metres).")
+        str | None,
+        typer.Option(
+            help="Keypoint that becomes the origin; default: the first joint's (in `diagnose` none, for metres)."
+        ),
     ] = None
     individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
     plane: Annotated[
         str | None,
-        typer.Option(help="Of a file's three axes, right and up: xy, xz …; default: without a constant one."),
+        typer.Option(
+            help="The axes that point right and up, of a file with three: xy, xz …; default: the two that change."
+        ),
     ] = None
     frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
@@ -115,7 +122,7 @@ class Inference(Recorded):
         None
     )
     scheduler: Annotated[
-        str | None, typer.Option(help="Whose workers share the filters: Dask's (tcp://host:8786), or mpi.")
+        str | None, typer.Option(help="Where the filters run: a Dask scheduler (tcp://host:8786), or mpi.")
     ] = None
     filters_per_task: Annotated[
         int | None, typer.Option(min=1, help="Filters that a worker takes at a time; default: 32.")
@@ -310,17 +317,9 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from invdyn.models import Tree
-        from invdyn.recordings import InputError
+        from .inputs import is_log, load_log, load_logs, load_planar
 
-        from .inputs import is_log, load_body, load_log, load_logs
-
-        body = load_body(self.body)
-        if isinstance(body, Tree):
-            raise InputError(
-                f"{self.body}: a diagnosis takes a chain of hinges in the plane so far, and this body moves in space; "
-                "infer and compare take it"
-            )
+        body = load_planar(self.body, "a diagnosis")
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import arviz as az
 
+from invdyn.models import Body
 from invdyn.recordings import InputError, read_keypoint_csv
 from invdyn.recordings.tracking.film import Film, is_film
 
 from .film_commands import tracks_of
-from .inputs import load_body
+from .inputs import load_planar
 from .options import Inference
 
 if TYPE_CHECKING:
@@ -36,10 +37,10 @@ class TrackedFilm:
 
         Raises InputError for options of a film without one, and what a film does not go with; OSError for no body.
         """
-        if not is_film(given.recording):
+        if len(given.recordings) > 1 or not is_film(given.recording):
             for option, value in (("--network", network), ("--arm", arm), ("--person", person)):
                 if value is not None:
-                    raise InputError(f"{given.recording}: {option} tracks a film, and this is none")
+                    raise InputError(f"{given.recordings[0]}: {option} tracks a film, and this is none")
             return None
         for option, told in (("--units", given.units), ("--fps", given.fps), ("--format", given.format)):
             if told is not None:
@@ -49,7 +50,7 @@ class TrackedFilm:
                 f"{given.recording}: a film has pixels, the body has metres: pass --scale (metres a pixel) or "
                 "--body-lengths"
             )
-        load_body(given.body)
+        load_planar(given.body, "a film of one camera")
         return cls(given, network, arm, person, tracks)
 
     @property
@@ -58,17 +59,22 @@ class TrackedFilm:
         return [] if self.network is None else [self.network]
 
     @property
+    def body(self) -> Body:
+        """Whom it shows."""
+        return load_planar(self.given.body, "a film of one camera")
+
+    @property
     def base(self) -> str:
         """Name of the keypoint at the first joint."""
-        return self.given.base or load_body(self.given.body).base_keypoint
+        return self.given.base or self.body.base_keypoint
 
     def track(self, checkpoint: Path | None, progress: Callable[[int, int, str], None]) -> Inference:
         """Track the film; what to infer from then. Raises as `film_commands.tracks_of`."""
-        wanted = (self.base, *load_body(self.given.body).keypoint_names)
+        wanted = (self.base, *self.body.keypoint_names)
         kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
         film = Path(self.given.recording)
         tracks_of(film, self.tracks, self.network, self.arm, self.person, kept, progress, wanted)
-        return replace(self.given, recording=str(self.tracks), units="px")
+        return replace(self.given, recordings=[str(self.tracks)], units="px")
 
     def overlay(self, idata: az.InferenceData) -> "Overlay":
         """What the posterior's film is laid over."""

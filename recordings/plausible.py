@@ -124,9 +124,9 @@ def _check_length(one: str, other: str, observed: float, length: float, unit: st
 def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float) -> None:
     if (number := froude(length * angle[:, None], time, length)) > FASTEST:
         raise InputError(
-            f"joint {joint} turns so fast that the tip of its link of {length:.3g} m feels {number:.3g} times "
-            "gravity in a quarter of the rows; these look like degrees: pass --units deg (--units rad if "
-            "radians they are), or time is not in seconds"
+            f"joint {joint} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
+            f"{number:.3g} times gravity. These look like degrees: pass --units deg. If they are radians, "
+            "check that times are seconds; --units rad accepts them"
         )
 
 
@@ -151,9 +151,9 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
         for k, length in enumerate(lengths):
             if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:
                 raise InputError(
-                    f"{recording.keypoint_names[k - len(lengths)]} moves so fast about the joint before it that it "
-                    f"feels {number:.3g} times gravity in a quarter of the rows: check that times are seconds and "
-                    "--fps is right (--units s if they are)"
+                    f"{recording.keypoint_names[k - len(lengths)]} moves too fast: in a quarter of the rows it feels "
+                    f"{number:.3g} times gravity about the joint before it. Check --fps, and that times are seconds; "
+                    "--units s accepts them"
                 )
 
 

@@ -170,7 +170,7 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= dict.fromkeys(("base", "origin", "sites", "joint_position"), length)
+    units |= dict.fromkeys(("base", "origin", "sites"), length)
     units |= {"gravity": f"{length}/s²", "log_evidence": "nat", "smallest_singular_value": f"{length}/rad"}
     units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}

@@ -14,7 +14,7 @@ from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 
 
 def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:
-    """Parts of hinges and slides, by the names of all joints, in the file's own angles; and their actuators' numbers."""
+    """Parts of hinges and slides, by the names of all joints, in the file's own angles; and their actuators."""
     found: dict[str, JointParts] = {}
     played: set[int] = set()
     for j, name in enumerate(names):

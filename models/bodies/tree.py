@@ -293,7 +293,7 @@ class Tree(BodyBase):
         )
 
     def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
-        """By link, site and axis; joints' positions as "origin"."""
+        """By link, site and axis; joints' positions as "origin". And `base`, where that stands still; `skeleton`."""
         dims = {
             "mass": ["link"],
             "com": ["link", "space"],
@@ -304,7 +304,11 @@ class Tree(BodyBase):
             "gravity": ["space"],
         }
         own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
-        return {name: (dims[name], value) for name, value in own.items()}
+        found = {name: (dims[name], value) for name, value in own.items()}
+        if self._stands:
+            found["base"] = ["space"], own["origin"][..., 0, :]
+        edges = self.skeleton
+        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
 
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
@@ -316,18 +320,6 @@ class Tree(BodyBase):
             which[list(entries)] = True
             found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
-
-    def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
-        """Its numbers with their dims; `base`, where that stands still; and `skeleton`, −1 for the base."""
-        dims = {"mass": ["link"], "com": ["link", "space"], "inertia": ["link", "moment"], "gravity": ["space"]}
-        dims |= {"sites": ["keypoint", "space"], "joint_position": ["link", "space"]}
-        dims |= {"joint_rotation": ["link", "space", "axis"]}
-        own = {name if name in dims else f"joint_{name}": value for name, value in numbers._asdict().items()}
-        found = {name: (dims[name], value.detach()) for name, value in own.items()}
-        if self._stands:
-            found["base"] = ["space"], numbers.position[..., 0, :].detach()
-        edges = self.skeleton
-        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
 
     @property
     def _stands(self) -> bool:
