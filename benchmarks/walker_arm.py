@@ -57,8 +57,17 @@ def arm() -> Tree:
             length=Learned(0.3),
             tip="elbow",
             mass=2.0,
+            inertia=(0.004, 0.017, 0.017, 0.0, 0.0, 0.0),
         ),
-        SpatialLink("forearm", Joint("elbow", "universal"), "upper_arm", length=Learned(0.3), tip="wrist", mass=1.3),
+        SpatialLink(
+            "forearm",
+            Joint("elbow", "universal"),
+            "upper_arm",
+            length=Learned(0.3),
+            tip="wrist",
+            mass=1.3,
+            inertia=(0.002, 0.011, 0.011, 0.0, 0.0, 0.0),
+        ),
     ]
     return Tree("right arm", links)
 
