@@ -62,28 +62,29 @@ def diagnose(
     """Diagnose the gap.
 
     Args:
-        recording: keypoints, encoders or both, with the commanded torques where they are known (without ``torques``
-            they are unknown); or several of one arm, which then have their causes in common.
+        recording: keypoints, encoders or both, with the commanded torques. Without ``torques`` these are unknown.
+            Several recordings of one arm are diagnosed together, with the same causes.
         body: the simulation.
-        held_out: another recording of the same arm, or several, to measure how far the gap closes; by default the last
-            third.
+        held_out: other recordings of the same arm, on which the closing of the gap is measured; by default the last
+            third of ``recording``.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
-        most: effects at once, at most. Many take long, and several imitate what the catalogue lacks.
+        most: effects at once, at most. More take longer, and may imitate what the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
-        budget: s that the search may take, by the clock; what is found then depends on the machine. By default its
-            work is counted (:mod:`.budget`), which does not.
-        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`), and what is
-            left beside a cause neither.
+        budget: seconds that the search may take; the result then depends on the machine. By default the search
+            counts its work instead (:mod:`.budget`), and the result does not.
+        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
+            nor does what a cause leaves.
         progress: called with (done, total, what).
 
-    Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
-    or when the simulation runs away from the recording whatever torque is added, or ``most`` or ``budget`` is not
-    positive or ``tolerance`` no share, or
-    ``without`` has a name that is no effect's. Too few
-    rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
-    a large torque could be missing and not show (:mod:`.power`).
+    Raises:
+        InputError: the recording does not fit the body; the held-out one does not fit the recording, or has too few
+            rows; the simulation diverges from the recording whatever torque is added; ``most`` or ``budget`` is not
+            positive, ``tolerance`` is no share, or ``without`` names no effect.
+
+    Too few rows of the recording itself are an answer and no error (:attr:`.Diagnosis.not_enough_data`). So are rows in
+    which a large torque could be missing and not show (:mod:`.power`).
     """
     stage = 0, ""
 

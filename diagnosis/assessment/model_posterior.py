@@ -1,27 +1,30 @@
 """Probabilities of causes: the best confirmed by SMC, all weighed by tempered evidence, prior and what they leave.
 
-Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`), and within it the share s_c of
+Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`). Within it, s_c is the share of
 residuals that do not matter: under a stated tolerance, or a tenth of the one that the simulation without it needs.
-With "no gap" among the causes,
+"No gap" is one of the causes.
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
-A cause explains a part only, s_c = 0, if errors of prediction are still alike from row to row or lie along the motion;
-if keypoints stray in the same rows, as no stray detections do (swapped ones are a cause of their own); if errors are
-larger than the noise that the recording shows; if its parameters are such that its effects would not be what they are
-called (:meth:`Effect.credible`), as two stops that meet; or if a residual still gains evidence, L_c = max_size log p −
-log p(spike), five nats more than a hundredth of what it gains where there is no cause
-(:meth:`.pool.HypothesisPool.leaves`): it is small then, but surely there, and over the tolerance. Of a held-out
-recording the most probable cause is asked the same (:mod:`.transfer`). Of three effects or more held-out rows have to
-bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
+A cause explains only a part, s_c = 0, in any of these cases:
 
-Another effect is then at work beside c, and in the choice between causes that costs what it does where it has a name
-(:mod:`.prior`): p_c of those with s_c = 0 falls by P(n + 1)/P(n), n ≥ 1 the effects of c, but for what a held-out
-recording shows.
+- errors of prediction are still correlated from row to row, or lie along the motion;
+- keypoints stray in the same rows, which stray detections do not (swapped ones are a cause of their own);
+- errors are larger than the noise that the recording shows;
+- parameters are such that an effect would not bear its name (:meth:`Effect.credible`), as two stops that meet;
+- a residual still gains evidence: L_c = max_size log p − log p(spike) exceeds a hundredth of what it gains without a
+  cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but surely
+  there.
 
-With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion: neither counts
-there, and errors are those under an ample torque. And a cause that does not surely improve the prediction of held-out
-rows is taken back.
+The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`). Of three effects or more,
+held-out rows have to bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
+
+If s_c = 0, another effect is at work beside c. In the choice between causes it costs what a named one does
+(:mod:`.prior`): p_c falls by P(n + 1)/P(n), where c has n ≥ 1 effects. What a held-out recording shows is exempt.
+
+With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion. Neither counts
+there, and errors are those under an ample torque. A cause that does not surely improve the prediction of held-out rows
+is taken back.
 """
 
 from dataclasses import dataclass, replace

@@ -93,11 +93,11 @@ def correlation(errors: np.ndarray) -> tuple[float, float]:
 def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, float]:
     """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
 
-    Whatever their sizes and distribution. Of the faster half of all detections: at rest there is no direction. The
-    first coordinates of ``errors`` (T, O) are the tracked tips' x and y.
+    Whatever their sizes and distribution, of ``errors`` (T, O). Of the faster half of all detections: at rest there is
+    no direction.
     """
     tips = seen_tips(cause.model, cause.path)
-    errors = errors[:, : 2 * tips.shape[1]].reshape(tips.shape)
+    errors = cause.model.observation.points(errors)
     velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
     speed = np.hypot(*np.moveaxis(velocity, -1, 0))
     seen = np.isfinite(errors).all(-1)

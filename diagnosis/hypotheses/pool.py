@@ -132,6 +132,8 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     body = problem.model.body
     observation, commanded = problem.model.observation, problem.regime == "commanded"
     tracked = list(observation.tracked_names)
+    parts = getattr(body, "joint_parts", ())
+    servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
     found = []
     for name, kind in EFFECTS.items():
         if name in without:
@@ -141,9 +143,14 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
         found += [
             effect.bound(body)
             for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, bool(observation.data()))
+            if effect.tellable(commanded, bool(observation.data())) and _told(effect.bound(body), servos)
         ]
     return found
+
+
+def _told(effect: Effect, servos: set[int]) -> bool:
+    """Whether what happens to a command could happen to what the effect's motors are told: ``servos`` get targets."""
+    return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
 
 
 def imitable(effect: Effect) -> bool:

@@ -62,6 +62,7 @@ def render(diagnosis: Diagnosis) -> str:
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
+        file_changes=_file_changes(diagnosis),
         faint=plain(RULE.faint, 2),
         clear=plain(CLEAR, 2),
         hidden_torque=diagnosis.regime == "unknown_torque",
@@ -132,6 +133,20 @@ def _cause(cause: Cause, best: float) -> dict:
         ],
         "note": f"{evidence} (Monte Carlo error {fixed(cause.log_evidence_sd, 1)})." if known(behind) else "",
     }
+
+
+def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Rows of the corrected file: what, from, to, and the interval."""
+    written = diagnosis.written
+    return [
+        (
+            f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}, {each['unit']}",
+            plain(each["from"], 4),
+            plain(each["to"], 4),
+            f"{plain(each['interval_90'][0], 3)} to {plain(each['interval_90'][1], 3)}",
+        )
+        for each in (written.changes if written else ())
+    ]
 
 
 def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:

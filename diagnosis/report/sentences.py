@@ -1,8 +1,8 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
-from invdyn.diagnosis.report.numbers import handy, known, largest, percent
-from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, Written, named
+from invdyn.diagnosis.report.numbers import handy, known, largest, percent, plain
+from invdyn.diagnosis.report.words import SIDES, cause_words, finding_words, key_words, place_words, variable_words
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
@@ -151,12 +151,13 @@ def details(diagnosis: Diagnosis) -> list[str]:
     found = []
     if answer != "none":
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
+        found += _changes(diagnosis)
     if answer in ("outside", "none") and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
         found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")
     if answer in ("ambiguous", "outside", "unclear") and diagnosis.separating_experiment:
-        found.append(f"What would tell: {diagnosis.separating_experiment.strip().rstrip('.')}.")
+        found.append(f"To tell the causes apart: {diagnosis.separating_experiment.strip().rstrip('.')}.")
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
@@ -165,8 +166,40 @@ def details(diagnosis: Diagnosis) -> list[str]:
             f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at "
             "(--budget gives more)."
         )
+    if diagnosis.written is not None:
+        found += _written(diagnosis.written)
     if diagnosis.regime == "unknown_torque" and answer != "none":
-        found.append("The joint torques are unknown, so what they could imitate by themselves cannot be blamed.")
+        found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
+    return found
+
+
+def _changes(diagnosis: Diagnosis) -> list[str]:
+    """What of the simulation's own numbers the best cause changes: from … to …."""
+    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+    found = []
+    for finding in cause.effects if cause is not None else ():
+        for name, change in finding.changes.items():
+            low, high = (plain(end, 3) for end in change.after.interval_90)
+            found.append(
+                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {plain(change.before, 3)} to "
+                f"{handy(change.after.mean, change.after.unit)} (90 % interval {low} to {high})."
+            )
+    return found
+
+
+def _written(written: Written) -> list[str]:
+    """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
+    if written.nothing is not None:
+        return [f"No corrected file was written: {written.nothing}."]
+    count = len(written.changes)
+    found = [f"The corrected simulation is {written.file}: {count} number{'s' * (count != 1)} changed."]
+    found += [f"Not in it is {words}: {why}." for words, why in written.unsaid.items()]
+    if (tried := written.rollout) is not None:
+        total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
+        found.append(
+            f"{tried['engine']} itself, replaying {on} in it, is off by {handy(total['after'], 'rad')} rms after "
+            f"{tried['window_s']:g} s at most; in the original by {handy(total['before'], 'rad')}."
+        )
     return found
 
 
@@ -190,7 +223,7 @@ def where(diagnosis: Diagnosis) -> str | None:
 def depends(diagnosis: Diagnosis) -> str | None:
     """What the residual follows."""
     names = [variable_words(v) for v in diagnosis.where.depends_on]
-    return f"What is missing follows {named(names)}." if names else None
+    return f"The missing torque depends on {named(names)}." if names else None
 
 
 def _closed(diagnosis: Diagnosis) -> str | None:
@@ -223,7 +256,7 @@ def _each(diagnosis: Diagnosis) -> str | None:
     doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
     data = "Data held out from the fit" if shrinkage.held_out else "These data"
     text = f"Leaving out {named(costs)}."
-    return f"{text} {data} do not surely bear out {named(doubtful)}." if doubtful else text
+    return f"{text} {data} do not confirm {named(doubtful)}." if doubtful else text
 
 
 def left(diagnosis: Diagnosis) -> list[str]:
@@ -233,8 +266,8 @@ def left(diagnosis: Diagnosis) -> list[str]:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
             shares = [share for one, other, share in diagnosis.overlaps if {one, other} <= set(group)]
-            alike = "" if not shares else f" (the changes that two of them predict overlap by {_range(shares)})"
-            found.append(f"{named(words)} remain probable: this recording does not tell them apart surely{alike}.")
+            alike = "" if not shares else f" (the changes that they predict are {_range(shares)} alike)"
+            found.append(f"{named(words)} all remain probable: this recording cannot tell them apart{alike}.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
 
 

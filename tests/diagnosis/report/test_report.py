@@ -168,10 +168,10 @@ def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
     """Only of those of which that is known."""
     d = ambiguous()
     (sentence,) = left(d)
-    assert sentence.endswith("remain probable: this recording does not tell them apart surely.")
+    assert sentence.endswith("all remain probable: this recording cannot tell them apart.")
     keys = d.ambiguity_set[0]
     (sentence,) = left(replace(d, overlaps=((*keys, 0.973), ("payload", "armature.elbow", 0.1))))
-    assert "(the changes that two of them predict overlap by 97\u00a0%)" in sentence
+    assert "(the changes that they predict are 97\u00a0% alike)" in sentence
 
 
 def test_verdict_does_not_claim_what_was_not_reached():
@@ -312,12 +312,12 @@ def test_what_each_of_several_effects_closes_is_told():
     friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
     told = f"Leaving out {friction} would cost {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
     assert told in page
-    assert f"Data held out from the fit do not surely bear out {deadzone}." in page
+    assert f"Data held out from the fit do not confirm {deadzone}." in page
     assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
     alone = {"viscous_friction.shoulder": Part(0.91, (0.88, 0.94))}
     for fewer in (render(replace(case, shrinkage=replace(case.shrinkage, by_effect=alone))), render(case)):
         assert "Leaving out" not in fewer
-        assert "bear out" not in fewer
+        assert "do not confirm" not in fewer
 
 
 def test_residuals_are_told_before_and_after():
