@@ -253,7 +253,10 @@ class Diagnosed(Recorded):
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
     ] = None
     tolerance: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+        float,
+        typer.Option(
+            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+        ),
     ] = 0.005
     mapping: Annotated[
         str | None,
