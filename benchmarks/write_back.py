@@ -25,7 +25,7 @@ from invdyn.models import Body
 from invdyn.recordings import Recording
 
 FILE = """<mujoco model="robot"><compiler angle="radian"/><option timestep="0.002" gravity="0 0 -9.81"/><worldbody>
-<body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.02" frictionloss="0.1"/>
+<body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.02"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1.2" contype="0" conaffinity="0"/>
 <body name="fore" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0" damping="0.1" stiffness="0.8" springref="0.4"/>
 <inertial pos="0 0 -0.12" mass="0.8" diaginertia="0.005 0.005 0.0002"/><site name="tip" pos="0 0 -0.25"/>
@@ -33,7 +33,7 @@ FILE = """<mujoco model="robot"><compiler angle="radian"/><option timestep="0.00
 MOTOR = '<motor name="s" joint="shoulder"/>'
 SERVO = '<position name="s" joint="shoulder" kp="40" kv="3" forcerange="-15 15"/>'
 SERVOS = '<position name="s" joint="shoulder" kp="40" kv="3"/><position name="e" joint="elbow" kp="12" kv="0.6"/>'
-RATE = 100.0
+RATE, SECONDS = 50.0, 4.0
 
 
 def _joint(name: str, attribute: str, was: float, to: float) -> Callable[[str], str]:
@@ -63,7 +63,7 @@ def effects(rng: np.random.Generator, servo: bool) -> dict[str, tuple[str, Calla
     found = {
         "viscous_friction.elbow": _joint("elbow", "damping", 0.1, u(0.2, 0.5)),
         "viscous_friction.shoulder": _joint("shoulder", "damping", 0.3, 0.3 + u(0.3, 1.0)),
-        "coulomb_friction.shoulder": _joint("shoulder", "frictionloss", 0.1, u(0.3, 0.7)),
+        "coulomb_friction.shoulder": _joint("shoulder", "frictionloss", 0.0, u(0.2, 0.6)),
         "coulomb_friction.elbow": _joint("elbow", "frictionloss", 0.0, u(0.08, 0.25)),
         "armature.shoulder": _joint("shoulder", "armature", 0.02, 0.02 + u(0.03, 0.1)),
         "armature.elbow": _joint("elbow", "armature", 0.0, u(0.005, 0.02)),
@@ -113,7 +113,7 @@ def case(seed: int, number: int, folder: Path, servo: bool, workers: int) -> tup
     file.write_text(text)
     true.write_text(known[effect](text))
     body = Body.load(file)
-    first, second = (log(true.read_text(), rng, 5.0, servo, name) for name in ("log", "held_out"))
+    first, second = (log(true.read_text(), rng, SECONDS, servo, name) for name in ("log", "held_out"))
     begun = clock.perf_counter()
     found = diagnose(first, body, workers=workers)
     seconds = clock.perf_counter() - begun
