@@ -11,7 +11,7 @@ help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
 	@echo "make lint     check style, format and types"
-	@echo "make docs     build the documentation site into build/site"
+	@echo "make docs     build the documentation site into build/site, and check its links and pages"
 	@echo "make notebooks  execute the notebooks into docs/tutorials"
 	@echo "make install  everything for development into $(VENV)"
 	@echo "make clean    remove $(VENV) and the demo"
@@ -38,12 +38,13 @@ notebooks: $(TUTORIALS)
 
 docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
 	$(BIN)/jupytext --quiet --to ipynb --output $@.tmp.ipynb $<
-	sed -i.bak 's#(\.\./docs/#(../#' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # pictures, seen from docs/tutorials
+	sed -i.bak -e 's#(\.\./docs/#(../#g' -e 's#(\(0[0-9]_[a-z_]*\)\.py)#(\1.ipynb)#g' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # as seen from docs/tutorials
 	OMP_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
 	mv $@.tmp.ipynb $@
 
 docs: notebooks
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
+	INVDYN_SITE=build/site $(BIN)/python -m pytest -q -m slow tests/front_door/test_site.py
 	@echo "build/site/index.html"
 
 clean:
@@ -62,5 +63,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,docs,robots,logs,fast,video,tracks,cameras,cluster,checkpoint]'
+	$(PIP) -e '.[dev,docs,robots,logs,fast,video,tracks,tracking,cameras,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

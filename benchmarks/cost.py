@@ -170,22 +170,19 @@ def main() -> None:
         print(json.dumps({name: round(value, 3) for name, value in row.items()}, ensure_ascii=False))
         return
     sweeps: dict[str, list[dict[str, float]]] = {}
-    print("| T | N | M | K | filter CPU s | µs a particle-step | guide CPU s | memory MB |\n" + "|---" * 8 + "|")
+    print("| what grows | from … to | filter CPU s | time grows as | memory MB | memory as | µs a particle-step |")
+    print("|---" * 7 + "|")
     for letter, sizes in SWEEPS.items():
         sweeps[letter] = []
         for size in sizes:
-            row = measured(size, arguments.threads)
-            sweeps[letter].append(row)
-            each = 1e6 * row["filter CPU s"] / (row["T"] * row["N"] * row["M"])
-            cells = f"{row['filter CPU s']:.2f} | {each:.2f} | {row['guide CPU s']:.2f} | {row['memory MB']:.0f}"
-            print(f"| {row['T']} | {row['N']} | {row['M']} | {row['K']} | {cells} |", flush=True)
-    for letter, rows in sweeps.items():
-        x = [row[letter] for row in rows]
-        time_, memory = (slope(x, [row[name] for row in rows]) for name in ("filter CPU s", "memory MB"))
-        print(
-            f"\n{NAMES[letter]}: from {x[-2]} to {x[-1]}, time grows as {letter}^{time_:.2f}, "
-            f"memory as {letter}^{memory:.2f}"
-        )
+            sweeps[letter].append(measured(size, arguments.threads))
+        rows, ends = sweeps[letter], (sweeps[letter][0], sweeps[letter][-1])
+        cells = [f"{ends[0][letter]} … {ends[1][letter]}"]
+        for name, digits in (("filter CPU s", 2), ("memory MB", 0)):
+            grows = slope([row[letter] for row in rows], [row[name] for row in rows])
+            cells += [" … ".join(f"{row[name]:.{digits}f}" for row in ends), f"{letter}^{grows:.2f}"]
+        each = (1e6 * row["filter CPU s"] / (row["T"] * row["N"] * row["M"]) for row in ends)
+        print(f"| {NAMES[letter]} | {' | '.join(cells)} | {' … '.join(f'{one:.2f}' for one in each)} |", flush=True)
     draw(sweeps)
     print(f"\n{FIGURE.relative_to(Path.cwd()) if FIGURE.is_relative_to(Path.cwd()) else FIGURE}")
 

@@ -143,23 +143,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     body = Body.from_toml(files("invdyn.models") / "bodies" / "dfki_design_a0.toml")
-    print("shoulder/elbow, N·m")
-    print(
-        f"{'run':<5} {'torque process':<19} {'truth':<19} {'rmse':<12} {'best Butterworth':<23} {'per joint':<12} "
-        f"{'correlation':<12} {'90 % covers':<12} {'ESS':<5} s"
-    )
+    heads = ("run", "torque process", "truth", "RMSE", "Butterworth", "… per joint", "correlation", "90 % covers")
+    print(f"| {' | '.join(heads)} | outer ESS | s |\n{'|---' * (len(heads) + 2)}|")
     for run in arguments.runs:
         for torque in arguments.torque:
             for row in score(case(run, body, arguments.seed), torque, arguments.seed):
-                three = {key: "/".join(f"{v:.3f}" for v in row[key]) for key in ("rmse", "baseline", "per_joint")}
-                two = {key: "/".join(f"{v:.2f}" for v in row[key]) for key in ("correlation", "coverage")}
-                print(
-                    f"{run:<5} {torque:<19} {row['truth']:<19} {three['rmse']:<12} "
-                    f"{three['baseline']} at {row['cutoff']:<4.1f} Hz  {three['per_joint']:<12} "
-                    f"{two['correlation']:<12} "
-                    f"{two['coverage']:<12} {row['outer_ess']:<5.1f} {row['seconds']:.0f}",
-                    flush=True,
-                )
+                cells = [" / ".join(f"{v:.3f}" for v in row[key]) for key in ("rmse", "baseline", "per_joint")]
+                cells += [" / ".join(f"{v:.2f}" for v in row[key]) for key in ("correlation", "coverage")]
+                cells += [f"{row['outer_ess']:.1f}", f"{row['seconds']:.0f}"]
+                print(f"| {run} | {torque} | {row['truth']} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def seconds(recording: Recording, workers: int) -> tuple[float, str]:
 
 def growth() -> None:
     """Print seconds of CPU of a whole diagnosis against rows, and of the screen against candidates (one worker)."""
-    print(f"{'rows':>10}{'diagnosis, CPU s':>18}{'exponent':>10}{'screen, CPU s':>16}{'exponent':>10}")
+    print("| rows | diagnosis, CPU s | exponent | screen of all candidates, CPU s | exponent |\n|---|---|---|---|---|")
     before = None
     for rows in ROWS:
         recording = recorded("payload", rows / 100, CALM)
@@ -74,12 +74,12 @@ def growth() -> None:
         diagnose(recording, ARM)
         now = np.array([rows, time.process_time() - start, screened(recording, 1.0)[1]])
         grown = np.full(3, np.nan) if before is None else np.log(now / before)
-        whole, part = grown[1:] / grown[0]
-        print(f"{rows:>10}{now[1]:>18.2f}{whole:>10.2f}{now[2]:>16.2f}{part:>10.2f}", flush=True)
+        whole, part = ("" if before is None else f"{each:.2f}" for each in grown[1:] / grown[0])
+        print(f"| {rows} | {now[1]:.1f} | {whole} | {now[2]:.2f} | {part} |", flush=True)
         before = now
-    print(f"\n{'candidates':>10}{'screen of 600 rows, CPU s':>28}")
+    print("\n| candidates | screen of 600 rows, CPU s |\n|---|---|")
     for share in SHARES:
-        print("{:>10}{:>28.2f}".format(*screened(recorded("payload", effort=CALM), share)), flush=True)
+        print("| {} | {:.2f} |".format(*screened(recorded("payload", effort=CALM), share)), flush=True)
 
 
 def screened(recording: Recording, share: float) -> tuple[int, float]:
@@ -108,14 +108,17 @@ def main() -> None:
     if arguments.growth:
         growth()
         return
-    heads = "".join(f"{workers:>8} worker(s)" for workers in arguments.workers)
-    print(f"{f'seconds, the least of {arguments.repeat}':<24}{heads}")
+    heads = " | ".join(f"{workers} worker{'s' * (workers > 1)}, s" for workers in arguments.workers)
+    print(
+        f"| what the simulation lacks | {heads} | what the diagnosis says |\n{'|---' * (len(arguments.workers) + 2)}|"
+    )
     for name in CASES:
-        recording, row, said = recorded(name), "", ""
+        recording, row, said = recorded(name), [], ""
         for workers in arguments.workers:
             runs = [seconds(recording, workers) for _ in range(arguments.repeat)]
-            row, said = f"{row}{min(taken for taken, _ in runs):>18.1f}", runs[0][1]
-        print(f"{name:<24}{row}   → {said}", flush=True)
+            row.append(f"{min(taken for taken, _ in runs):.1f}")
+            said = runs[0][1]
+        print(f"| {name} | {' | '.join(row)} | {said} |", flush=True)
 
 
 if __name__ == "__main__":

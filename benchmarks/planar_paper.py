@@ -69,14 +69,18 @@ def main() -> None:
     parser.add_argument("--epsilon", type=float, nargs="+", default=[0.01, 0.1])
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for epsilon in arguments.epsilon:
-        rows = [score(paper_problem(epsilon, seed), seed) for seed in range(arguments.seeds)]
-        print(f"\nε {epsilon:g}, {len(rows)} seeds\n\n| | min | median | mean | max |\n|---|---|---|---|---|")
-        for name in rows[0]:
+    found = {
+        epsilon: [score(paper_problem(epsilon, seed), seed) for seed in range(arguments.seeds)]
+        for epsilon in arguments.epsilon
+    }
+    heads = [f"ε {epsilon:g}: {what}" for epsilon in found for what in ("median", "mean", "least to most")]
+    print(f"| {arguments.seeds} seeds | {' | '.join(heads)} |\n{'|---' * (len(heads) + 1)}|")
+    for name in found[arguments.epsilon[0]][0]:
+        cells = []
+        for rows in found.values():
             values = np.array([row[name] for row in rows])
-            cells = (values.min(), np.median(values), values.mean(), values.max())
-            print(f"| {name} | " + " | ".join(f"{cell:.3g}" for cell in cells) + " |", flush=True)
-        print(f"\nlowest outer ESS: seed {int(np.argmin([row['outer ESS'] for row in rows]))}", flush=True)
+            cells += [f"{np.median(values):.3g}", f"{values.mean():.3g}", f"{values.min():.3g} to {values.max():.3g}"]
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

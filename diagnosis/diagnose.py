@@ -18,13 +18,13 @@ from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, by_effect, closed, unseen
-from invdyn.diagnosis.assessment.matters import TOLERANCE
+from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
@@ -56,33 +56,35 @@ def diagnose(
     seed: int = 0,
     workers: int = 1,
     budget: float | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = RULE.tolerance,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
 
     Args:
-        recording: keypoints, encoders or both, with the commanded torques where they are known (without ``torques``
-            they are unknown); or several of one arm, which then have their causes in common.
+        recording: keypoints, encoders or both, with the commanded torques. Without ``torques`` these are unknown.
+            Several recordings of one arm are diagnosed together, with the same causes.
         body: the simulation.
-        held_out: another recording of the same arm, or several, to measure how far the gap closes; by default the last
-            third.
+        held_out: other recordings of the same arm, on which the closing of the gap is measured; by default the last
+            third of ``recording``.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
-        most: effects at once, at most. Many take long, and several imitate what the catalogue lacks.
+        most: effects at once, at most. More take longer, and may imitate what the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
-        budget: s that the search may take, by the clock; what is found then depends on the machine. By default its
-            work is counted (:mod:`.budget`), which does not.
-        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`).
+        budget: seconds that the search may take; the result then depends on the machine. By default the search
+            counts its work instead (:mod:`.budget`), and the result does not.
+        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
+            nor does what a cause leaves.
         progress: called with (done, total, what).
 
-    Raises InputError when the recording does not fit the body, or the held-out one the recording, or has too few rows,
-    or when the simulation runs away from the recording whatever torque is added, or ``most`` or ``budget`` is not
-    positive or ``tolerance`` no share, or
-    ``without`` has a name that is no effect's. Too few
-    rows of the recording itself are no error but an answer: :attr:`.Diagnosis.not_enough_data`; as are rows in which
-    a large torque could be missing and not show (:mod:`.power`).
+    Raises:
+        InputError: the recording does not fit the body; the held-out one does not fit the recording, or has too few
+            rows; the simulation diverges from the recording whatever torque is added; ``most`` or ``budget`` is not
+            positive, ``tolerance`` is no share, or ``without`` names no effect.
+
+    Too few rows of the recording itself are an answer and no error (:attr:`.Diagnosis.not_enough_data`). So are rows in
+    which a large torque could be missing and not show (:mod:`.power`).
     """
     stage = 0, ""
 
@@ -140,7 +142,7 @@ def diagnose(
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
-    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed, tolerance), partial(attempt, held, likely)]
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
@@ -152,11 +154,13 @@ def diagnose(
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
-        weighed = only(bound, found, none, weighed.log_evidence)
+        weighed = only(bound, found, none, weighed.log_evidence, tolerance)
         shares, there = held(none)
     best = weighed.best
     if len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
+        if not borne_out(best, parts):
+            weighed = in_part_only(weighed)
     else:
         parts = {key(effect): shares for effect in best.effects}
     report(4, "describe")

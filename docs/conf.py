@@ -12,14 +12,17 @@ from pathlib import Path
 from docutils.nodes import Element, SkipNode
 from latex2mathml.converter import convert
 from pygments.lexers import TextLexer
+from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.writers.html5 import HTML5Translator
 
 DOCS = Path(__file__).parent
+ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS))
 
 project, author, copyright = "invdyn", "The invdyn authors", "The invdyn authors, Apache-2.0"
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["pictures.py", "reference_pages.py"]
 html_theme = "furo"
 html_title = "invdyn"
@@ -38,14 +41,26 @@ autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
 napoleon_use_rtype = False
-suppress_warnings = [
-    "myst.xref_missing",  # links to source files of the repository: README and CONTRIBUTING are read there, too
-    "ref.python",  # a short name that several classes have, as `q`: the nearest is linked
-]
+suppress_warnings = ["ref.python"]  # a short name that several classes have, as `q`: the nearest is linked
 
 
 _COLUMNS = re.compile(r"\S {3,}\S")
 _BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
+
+
+class SourceFiles(SphinxPostTransform):
+    """Links to source files of the repository, where README and CONTRIBUTING are read, too: here the name alone."""
+
+    default_priority = 8  # before MyST says that there is no such page
+
+    def run(self, **kwargs: object) -> None:
+        """Replace each such link by its text."""
+        places = (Path(self.env.doc2path(self.env.docname)).parent, ROOT, ROOT / "benchmarks")
+        for node in list(self.document.findall(pending_xref)):
+            files = [folder / f"{node['reftarget']}{suffix}" for folder in places for suffix in ("", ".md")]
+            page = node["reftarget"] in self.env.all_docs
+            if node["reftype"] == "myst" and not page and any(file.is_file() for file in files):
+                node.replace_self(node[0].deepcopy())
 
 
 def _mathml(display: str) -> Callable[[HTML5Translator, Element], None]:
@@ -73,12 +88,14 @@ def _as_written(app: Sphinx, what: str, name: str, thing: object, options: objec
 def _write_pages(app: Sphinx) -> None:
     from reference_pages import write_pages
 
-    write_pages(DOCS / "reference")
+    write_pages(DOCS / "reference", app.config.effect_pictures)
 
 
 def setup(app: Sphinx) -> None:
     """Register the formulas' renderer and the pages that are written from the code."""
     app.add_html_math_renderer("mathml", (_mathml("inline"), None), (_mathml("block"), None))
     app.add_lexer("csv", TextLexer)
+    app.add_post_transform(SourceFiles)
+    app.add_config_value("effect_pictures", True, "env")  # -D effect_pictures=0: quickly, without them
     app.connect("builder-inited", _write_pages, priority=100)
     app.connect("autodoc-process-docstring", _as_written, priority=100)  # before napoleon

@@ -6,6 +6,7 @@ and without it, at a size that its own prior calls likely.
 
 import inspect
 import pkgutil
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -27,14 +28,12 @@ ROOMS = {
 }
 
 
-def write_pages(folder: Path) -> None:
-    """Write api/, effects.md with pictures, and cli.md into the folder."""
+def write_pages(folder: Path, pictures: bool = True) -> None:
+    """Write api/, effects.md with pictures (which take half a minute, once) or without, and cli.md into the folder."""
     (folder / "api").mkdir(parents=True, exist_ok=True)
     for room, what in ROOMS.items():
         _write(folder / "api" / f"{room}.md", api_page(room, what))
-    pictures = folder / "effects"
-    pictures.mkdir(exist_ok=True)
-    _write(folder / "effects.md", effects_page(pictures))
+    _write(folder / "effects.md", effects_page(folder / "effects" if pictures else None))
     _write(folder / "cli.md", cli_page())
 
 
@@ -53,23 +52,29 @@ def api_page(room: str, what: str) -> str:
     return "\n".join(parts)
 
 
-def effects_page(pictures: Path) -> str:
-    """Name, formula, parameters, twins, experiment and picture of each effect."""
+def effects_page(pictures: Path | None) -> str:
+    """Name, formula, parameters, twins, experiment and picture of each effect; pictures that are up to date stay."""
     from invdyn.models.effects import EFFECTS
 
+    newest = Path(__file__).stat().st_mtime
     parts = ["# Effects\n\nWhat a real arm has and an ideal simulation lacks. Each effect is one class and one file.\n"]
     for name, kind in EFFECTS.items():
         module = inspect.getmodule(kind)
         formula = (module.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
-        picture, source = pictures / f"{name}.svg", Path(inspect.getfile(kind))
-        if not picture.exists() or picture.stat().st_mtime < max(p.stat().st_mtime for p in (source, Path(__file__))):
-            draw_effect(kind, picture)
+        shown = ""
+        if pictures is not None:
+            pictures.mkdir(exist_ok=True)
+            picture = pictures / f"{name}.svg"
+            if not picture.exists() or picture.stat().st_mtime < max(
+                Path(inspect.getfile(kind)).stat().st_mtime, newest
+            ):
+                draw_effect(kind, picture)
+            shown = f"![The arm with {kind.phrase} and without](effects/{name}.svg)\n\n"
         rows = "\n".join(f"| `{p.name}` | {p.unit} |" for p in _parameters(kind))
         twins = f"\n\nNo recording tells it from: {', '.join(kind.twins)}." if kind.twins else ""
         parts.append(
             f"## {name}\n\n{kind.phrase[0].upper()}{kind.phrase[1:]}: {kind.meaning}. {formula}\n\n"
-            f"![The arm with {kind.phrase} and without](effects/{name}.svg)\n\n"
-            f"| parameter | unit |\n|---|---|\n{rows}\n\n"
+            f"{shown}| parameter | unit |\n|---|---|\n{rows}\n\n"
             f"Brought out by {kind.shown_by}.{twins}\n"
         )
     return "\n".join(parts)
@@ -90,10 +95,7 @@ def cli_page() -> str:
 def draw_effect(kind: type, file: Path) -> None:
     """Draw what an effect does to the arm: two paths of a coordinate, with it and without."""
     with torch.random.fork_rng():
-        torch.manual_seed(0)
-        plain, other = _arm(), _arm(kind)
-        time = plain.time.numpy()
-        ideal, real = (_seen(model) for model in (plain, other))
+        time, ideal, real = ideal_arm().time.numpy(), ideal_path(), _seen(arm_with(kind))
     shown = int(np.nanargmax(np.nanstd(real - ideal, axis=0)))
     with plt.rc_context({"font.size": 9, "svg.hashsalt": kind.__name__, "axes.spines.top": False}):
         figure, axes = plt.subplots(figsize=(5.2, 1.8), layout="constrained")
@@ -105,7 +107,9 @@ def draw_effect(kind: type, file: Path) -> None:
         plt.close(figure)
 
 
-def _arm(kind: type | None = None):
+@cache
+def ideal_arm():
+    """The arm that all effects are drawn on, under a command that sweeps."""
     from invdyn.models import ArmModel, Body, Link
 
     body = Body("arm", [Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)])
@@ -113,15 +117,23 @@ def _arm(kind: type | None = None):
     hold = np.array([4.0, 1.2])
     sweep = np.stack([2 * np.sin(3 * time), 0.8 * np.sin(5 * time)], -1)
     still = dict.fromkeys(("initial.angle_scale", "initial.velocity_scale", "noise.angle", "noise.velocity"), 1e-6)
-    model = ArmModel(
-        body, time, command=hold * np.cos(time)[:, None] + sweep, parameters=still | {"torque.scale": 1e-6}
-    )
-    if kind is None:
-        return model
-    effect = kind.everywhere(body, body.keypoint_names)[-1]
+    command = hold * np.cos(time)[:, None] + sweep
+    return ArmModel(body, time, command=command, parameters=still | {"torque.scale": 1e-6})
+
+
+@cache
+def ideal_path() -> np.ndarray:
+    """Its elbow and wrist as seen, (T, 4) m."""
+    return _seen(ideal_arm())
+
+
+def arm_with(kind: type):
+    """The arm with the effect at its last place, as large as its prior calls likely."""
+    model = ideal_arm()
+    effect = kind.everywhere(model.body, model.body.keypoint_names)[-1]
     model = model.with_effects(effect)
     chosen = {}
-    for parameter in effect.bound(body).parameters(model.scale):
+    for parameter in effect.bound(model.body).parameters(model.scale):
         value = parameter.prior.icdf(torch.tensor(0.8)) if _has_quantiles(parameter.prior) else parameter.prior.mean
         chosen[f"effect.{effect.key}.{parameter.name}"] = torch.as_tensor(value, dtype=torch.float64).reshape(1)
     return model.replace(**chosen)
@@ -142,13 +154,8 @@ def _seen(model) -> np.ndarray:
 
 
 def _parameters(kind: type):
-    from invdyn.models.effects.scale import Scale
-
-    model = _arm()
-    effect = kind.everywhere(model.body, model.body.keypoint_names)[-1].bound(model.body)
-    scale = model.scale
-    assert isinstance(scale, Scale)
-    return effect.parameters(scale)
+    model = ideal_arm()
+    return kind.everywhere(model.body, model.body.keypoint_names)[-1].bound(model.body).parameters(model.scale)
 
 
 def _write(file: Path, text: str) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.models import Body
+from invdyn.models import Body, Tree
+from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.recordings import (
@@ -35,23 +36,36 @@ from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import nearest
 from invdyn.recordings.plane import FLAT
 
+from .inputs_in_space import load_in_space
 
-def load_body(name: str) -> Body:
+
+def load_body(name: str) -> Body | Tree:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
     if resolved(name).exists():
-        return Body.load(check_readable(name))
+        return read_body(check_readable(name))
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
     if name not in ours:
         raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
     with as_file(ours[name]) as path:
-        return Body.from_toml(path)
+        return read_body(path)
+
+
+def load_planar(name: str, what: str) -> Body:
+    """As :func:`load_body`; raises InputError, which says ``what`` wants a planar chain, for a body in space."""
+    body = load_body(name)
+    if isinstance(body, Tree):
+        raise InputError(
+            f"{name}: {what} takes a chain of hinges in the plane so far, and this body moves in space; "
+            "infer and compare take it"
+        )
+    return body
 
 
 def load_recording(
     name: str,
-    body: Body,
+    body: Body | Tree,
     base: str | None,
     body_lengths: bool,
     as_filmed: bool = False,
@@ -63,12 +77,12 @@ def load_recording(
     Args:
         name: a file, or the name of a known recording.
         body: says which keypoints and joints, and their order.
-        base: the keypoint at the first joint, if it is not called as the joint is. Where the file has it, the others
-            are taken relative to it, and lie about the body's own base.
-        body_lengths: take the scale from the body's own length (the base must be tracked); it is told, unless the
-            body is in body lengths itself.
-        as_filmed: take nothing away from the keypoints of a file that is in metres in the body's own frame, unless
-            `base` says so; a tilted camera would no longer show, and the base's noise would be in all of them.
+        base: the keypoint at the first joint; by default the one with the joint's name. Where the file has it, all
+            others are taken relative to it, and moved to the body's own base.
+        body_lengths: take the scale from the body's own length, and warn unless the body is in body lengths itself. The
+            base must be tracked. Of planar bodies alone.
+        as_filmed: leave keypoints as they are, if the file is in metres and `base` is not given. Subtracting the base
+            would hide a tilted camera, and add the base's noise to all keypoints.
         frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
         options: units, fps, format, scale … A body moves in a plane: without `plane` a constant third coordinate is
             left out.
@@ -77,6 +91,8 @@ def load_recording(
         InputError: the file, or the file beside the body, makes no sense.
         OSError: the file cannot be opened.
     """
+    if isinstance(body, Tree):
+        return load_in_space(name, body, base, body_lengths, slice(*frame_range(frames)), **options)
     options["plane"] = options.get("plane") or FLAT
     lengths = [link.nominal("length") for link in body.links]
     units = parse_units(options.get("units"))
@@ -197,7 +213,7 @@ def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     )
 
 
-def load_known(name: str, body: Body) -> Truth:
+def load_known(name: str, body: Body | Tree) -> Truth:
     """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
     known = load_truth(name) if not resolved(name).exists() and name in names() else read_truth(name)
     if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:

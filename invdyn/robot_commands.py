@@ -35,10 +35,10 @@ def check(
     from invdyn.recordings import write_text
 
     from .check_text import check_text
-    from .inputs import load_body, load_log
+    from .inputs import load_log, load_planar
 
     check_outputs([out], [Path(robot), Path(log)])
-    body = load_body(robot)
+    body = load_planar(robot, "a check")
     recording = load_log(log, body, units, frames, mapping, episode)
     found = run(recording, body, passive=passive, effects=effects)
     typer.echo(check_text(found))

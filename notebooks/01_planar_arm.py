@@ -14,15 +14,23 @@
 # # Which torques moved this arm?
 #
 # A camera films an arm. A tracker marks its elbow and its wrist in every frame, a little wrong each time.
-# Which torques did the joints exert, and how sure can one be? This notebook follows
-# [Biderman, Naesseth and colleagues (2020)](https://montrealrobotics.ca/diffcvgp/), *Inverse articulated-body
-# dynamics from video via variational sequential Monte Carlo*, through their planar arm: first simulated, where
-# the truth is known, then real, where it is not.
+# Which torques did the joints exert, and how sure can one be?
 #
-# It opens as a notebook in Jupyter with `jupytext` installed, and runs from top to bottom in about half a
-# minute.
+# **You will learn**
+#
+# * how Newton's law and Bayes' rule together turn keypoints into torques;
+# * what a particle filter does, and why the plain one fails here;
+# * how looking ahead mends it, and how to see that it did;
+# * how to read the bands, and when not to trust them.
+#
+# You need Bayes' rule and $F = ma$. You need not know particle filters. Ten minutes to read; three exercises
+# stand at the end.
+#
+# The arm is that of [Biderman, Naesseth and colleagues (2020)](https://montrealrobotics.ca/diffcvgp/), *Inverse
+# articulated-body dynamics from video via variational sequential Monte Carlo*. First it is simulated, so that the
+# truth is known. Then it is real, and nobody knows.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import warnings
 from importlib.resources import files
@@ -64,21 +72,28 @@ generator = torch.manual_seed(0)
 # ## The model
 #
 # The arm is two rigid links in a plane. Its state is $x = (\tau, \theta, \dot\theta)$: two torques, two
-# angles (the first against the horizontal, the second against the first link), two angular velocities.
+# angles and two angular velocities. The first angle counts from the horizontal, the second from the first link.
 # Newton says
 #
 # $$ D(\theta)\,\ddot\theta + h(\theta, \dot\theta) + c(\theta) = \tau, $$
 #
 # with the inertia matrix $D$, Coriolis and centrifugal torques $h$ and the gravity load $c$. Nobody tells
-# us what $\tau$ does, so it is given a modest prior: it wanders and is pulled back to zero
-# (Ornstein–Uhlenbeck),
+# us what $\tau$ does. So it gets a modest prior, the Ornstein–Uhlenbeck process: it wanders, and is pulled back to
+# zero,
 #
 # $$ \dot\tau = -\lambda \tau + \sigma_\tau \eta, \qquad \lambda = 6 /\mathrm{s},\ \sigma_\tau = 20. $$
 #
-# Time goes in steps of $\delta = 0.03$ s, $x_t = x_{t-1} + \delta\,\dot x_{t-1}$ plus noise:
-# $\delta\sigma_\tau$ on each torque (the paper's scaling) and $\varepsilon = 0.01$ on angles and
-# velocities. The camera sees elbow and wrist with variance 0.05 on links of one metre: 22 cm of noise on
-# each coordinate. That is a bad camera.
+# Time goes in steps of $\delta = 0.03$ s: $x_t = x_{t-1} + \delta\,\dot x_{t-1}$ plus noise. The noise is
+# $\delta\sigma_\tau$ on each torque (the paper's scaling) and $\varepsilon = 0.01$ on angles and velocities.
+# The camera sees elbow and wrist with variance 0.05 on links of one metre. That is 22 cm of noise on each
+# coordinate: a bad camera.
+#
+# Together these are a prior $p(x)$ of whole motions and a likelihood $p(y \mid x)$ of the film $y$. Bayes' rule
+# gives what we want,
+#
+# $$ p(x \mid y) = \frac{p(x)\, p(y \mid x)}{p(y)}. $$
+#
+# No formula solves it: the path $x$ has 1,200 unknowns, and they enter through sines and products. So we *sample*.
 
 # %%
 body = Body.from_toml(BODIES / "paper_planar_arm.toml")
@@ -100,9 +115,8 @@ right.legend()
 plt.show()
 
 # %% [markdown]
-# $D$, $h$ and $c$ come from the Lagrangian by computer algebra. They are plain functions of tensors, in
-# batches and with gradients; here is each along the true motion, and the check that they add up to the
-# torque.
+# $D$, $h$ and $c$ come from the Lagrangian by computer algebra. They are plain functions of tensors. Here is
+# each along the true motion, and the check that they add up to the torque.
 
 # %%
 parameters = body.parameters()
@@ -122,14 +136,21 @@ for name, value in {
 # %% [markdown]
 # ## The bootstrap filter, and how it fails
 #
-# A particle filter carries a cloud of guessed states forward, row by row: move each guess as the model
-# says, weigh it by how well it explains the new frame, and now and then drop the bad ones and copy the
-# good. The average weight along the way estimates the *evidence* $p(y)$, without bias.
+# A particle filter carries a cloud of guessed states, the *particles*, through the film. For every frame it
 #
-# How would one know that it works? Run it 64 times and compare. Each run's trajectories are weighed by
-# that run's estimate $\hat Z_m$ of the evidence: the *outer* importance sampler of the paper. If all runs
-# found the same answer, all weigh alike, and the outer effective sample size is near 64. If one lucky run
-# dwarfs the others, it is near 1.
+# 1. moves each particle as the model says, with fresh noise;
+# 2. weighs it by how well it explains the frame, $w = p(y_t \mid x_t)$;
+# 3. now and then drops particles of little weight and copies those of much weight.
+#
+# The product over frames of the mean weight, $\hat Z$, estimates the *evidence* $p(y)$, without bias.
+#
+# How would one know that it works? Run it 64 times and compare. Each run $m$ is weighed by its own estimate,
+# $W_m = \hat Z_m / \sum_k \hat Z_k$. This is the *outer* importance sampler of the paper. Its effective
+# sample size is
+#
+# $$ \mathrm{ESS} = \frac{1}{\sum_m W_m^2}. $$
+#
+# If all runs found the same answer, it is near 64. If one lucky run dwarfs the others, it is near 1.
 
 # %%
 blind = run_filters(model, observations, SMCOptions(64, 1000), guide="bootstrap", keep=0)
@@ -140,25 +161,24 @@ print(
 )
 
 # %% [markdown]
-# It is near 1: the outer sampler rests on a run or two. The reason is in the equations. A torque $\tau_t$
-# changes $\dot\theta_{t+1}$, which changes $\theta_{t+2}$: the first frame that says anything about it
-# comes two rows later, and under 22 cm of noise it takes many frames more to say something clear. A guess
-# of $\tau_t$ made from the past alone is a guess in the dark, 200 times in a row, and the weights have to
-# kill nearly all of them.
+# So the outer sampler rests on a few runs, and the runs disagree wildly. The reason is in the equations. A torque
+# $\tau_t$ changes $\dot\theta_{t+1}$, and that changes $\theta_{t+2}$. The first frame that says anything about
+# it comes two rows later. Under so much noise it takes many more to say something clear. A guess of $\tau_t$ from
+# the past alone is a guess in the dark, in every row. The weights then kill nearly all guesses.
 
 # %% [markdown]
 # ## Looking ahead
 #
-# The cure is to propose from what is *still to be seen*. Suppose we knew $\psi_t(x) = p(y_{t}, \dots, y_T
-# \mid x_t = x)$. Then moving by
+# The cure is to use what is *still to be seen*. Suppose we knew $\psi_t(x) = p(y_{t}, \dots, y_T \mid x_t = x)$:
+# how well a particle at $x$ can still explain the rest of the film. Then moving by
 #
 # $$ q(x_t \mid x_{t-1}) \;\propto\; p(x_t \mid x_{t-1})\, \psi_t(x_t) $$
 #
-# would draw from the posterior itself, and all weights would be equal. We do not know $\psi$, but a
-# Gaussian smoother along the best path knows it roughly: one backward pass gives a Gaussian $\psi_t$. The
-# transition stays the exact, nonlinear one, and the weights correct whatever $\psi$ got wrong, so the
-# evidence stays unbiased (controlled SMC, [Heng et al. 2020](https://arxiv.org/abs/1708.08396)). The calls further
-# down also refit $\psi$ on the particles of pilot runs, which helps where the posterior bends.
+# would draw from the posterior itself, and all weights would be equal. We do not know $\psi$. But a Gaussian
+# smoother knows it roughly: it linearises the model along the best path, and one backward pass gives a Gaussian
+# $\psi_t$. The particles still move by the exact, nonlinear model. The weights correct whatever $\psi$ got wrong,
+# so the evidence stays unbiased. This is controlled SMC
+# ([Heng et al. 2020](https://arxiv.org/abs/1708.08396)).
 
 # %%
 smoother = gaussian_smoother(model, observations)
@@ -187,18 +207,16 @@ plt.show()
 # %% [markdown]
 # ## From filter to smoother
 #
-# A filter at row $t$ has seen the frames up to $t$. But $\tau_t$ shows itself later, so the filter's
-# answer for *now* is no better than guessing zero (the numbers below the figure). What one wants is the
-# *smoothed* torque, given the whole film. There are two ways to it:
+# A bootstrap filter at row $t$ has seen the frames up to $t$. But $\tau_t$ shows itself later. So the filter's
+# answer for *now* is hardly better than guessing zero: see the numbers below the figure. What one wants is the
+# *smoothed* torque, given the whole film. There are two ways to it.
 #
-# * **genealogy**: take the final particles and follow their ancestors back. Every resampling loses some
-#   lines. After the many of a bootstrap filter, all trajectories share a few pasts;
-# * **backward simulation**: draw trajectories from the end to the start, choosing at each row anew among
-#   all the particles; and as a particle fits hardly any child but its own where the dynamics are nearly
-#   deterministic, move whole blocks of states on the way.
+# * **Genealogy** takes the final particles and follows their ancestors back. Every resampling loses some lines. A
+#   bootstrap filter resamples often, so all its trajectories share a few pasts.
+# * **Backward simulation** draws trajectories from the end to the start. In each row it chooses anew among all
+#   particles, and it moves whole blocks of states on the way.
 #
-# The controlled filter resamples so seldom that even its genealogy stays alive here: its flat line is
-# below 100 because some of the final particles were drawn twice.
+# The controlled filter resamples so seldom that even its genealogy stays alive here.
 
 # %%
 few = run_filters(model, observations, SMCOptions(8, 100), smoother=smoother)
@@ -232,7 +250,7 @@ for name, mean in (("filter", filtered), ("smoother", smoothed)):
 # %% [markdown]
 # ## The torques
 #
-# All of it in one call: filters, outer sampler, smoothing. The bands hold 50 and 90 % of the posterior.
+# One call does all of it: filters, outer sampler, smoothing. The bands hold 50 and 90 % of the posterior.
 
 # %%
 idata = smc(problem, options=SMCOptions(64, 100, num_draws=8), seed=0)
@@ -240,16 +258,16 @@ display(plot_posterior(idata))
 display(torque_table(idata).round(3))
 
 # %% [markdown]
-# The true torque (dashed) jumps faster than any 22 cm camera could show. The median does not pretend to
-# see the jumps; the bands say how much is hidden. In the table, `90 % covers` is the share of frames whose
-# true torque lies in the band: it should be near 0.9, and one run of 200 correlated frames scatters around
-# that by some hundredths (`benchmarks/` averages over many).
+# The true torque (dashed) jumps faster than such a camera could show. The median does not pretend to see the
+# jumps. The bands say how much is hidden. In the table, `90 % covers` is the share of frames whose true torque
+# lies in the band. It should be near 0.9. One run scatters around that by some hundredths, because neighbouring
+# frames are not independent; the benchmarks average over many runs.
 
 # %% [markdown]
 # ## What the evidence is good for
 #
-# The filters' average $\hat Z$ compares explanations. How strong does the data think the torques are? Try
-# five values of $\sigma_\tau$, the truth being 20; a difference of 3 nats is odds of 20 to 1.
+# The filters' average $\hat Z$ compares explanations. How strong do the data think the torques are? Try five
+# values of $\sigma_\tau$; the truth is 20. A difference of 3 nats means odds of $e^3 \approx 20$ to 1.
 
 # %%
 scales = [5.0, 10.0, 20.0, 40.0, 80.0]
@@ -259,13 +277,13 @@ for scale in scales:
     print(f"σ_τ = {scale:>4.0f}:  log evidence {outer.log_evidence:7.2f} ± {outer.log_evidence_sd:.2f}")
 
 # %% [markdown]
-# # A real arm
+# ## A real arm
 #
 # The paper's recording: a human arm moves on a table and is filmed from above, so gravity acts out of the
-# plane. DeepLabCut tracked shoulder, elbow and wrist at 30 frames a second; the paper shows frames 50 to
-# 250. Nobody measured the scale, so lengths are in *body lengths* (the arm's median length is 1), and
-# torques in kg·(body length)²/s². With an arm of some 0.5 m and the 1.5 kg a link that the body file
-# assumes, multiply by 0.25 to have N·m.
+# plane. DeepLabCut tracked shoulder, elbow and wrist at 30 frames a second. The paper shows frames 50 to
+# 250. Nobody measured the scale. So lengths are in *body lengths* (the arm's median length is 1), and
+# torques in kg·(body length)²/s². If the arm is 0.5 m long and its links weigh what the body file assumes,
+# multiply by $0.5^2$ to have N·m.
 
 # %%
 arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
@@ -277,8 +295,8 @@ except InputError as error:
     print(f"The recording cannot be had here, so what follows is skipped: {error}")
 
 # %% [markdown]
-# Noise scales, the torques' strength and speed, and the links' lengths are not known now. They are found
-# by maximising the evidence; then the filters run.
+# Noise scales, the torques' strength and speed, and the links' lengths are not known now. `infer` finds them by
+# maximising the evidence. Then the filters run.
 
 # %%
 if film is not None:
@@ -288,11 +306,11 @@ if film is not None:
     print(f"outer sample size {size:.1f} of 64 filters of 100 particles; log Ẑ spreads by {spread:.2f} nats")
 
 # %% [markdown]
-# ## How badly rigid links fit
+# ### How badly rigid links fit
 #
 # The sampler is healthy. Is the *model*? A healthy sampler only says that the posterior of this model was
-# found. Look at the links: in a film of a rigid planar arm, seen straight from above, the distance from
-# shoulder to elbow would be the same in every frame.
+# found. So look at the links. A rigid arm in a plane, seen straight from above, has the same distance from
+# shoulder to elbow in every frame.
 
 # %%
 if film is not None:
@@ -323,6 +341,8 @@ if film is not None:
         )
     total = np.sqrt(np.mean(off**2))
     print(f"both: {total * body_length:.1f} px = {total:.3f} body lengths rms a coordinate")
+    jump = np.linalg.norm(np.diff(seen[:, 1], axis=0), axis=-1)
+    print(f"the wrist's mark jumps farthest at {film.time[jump.argmax() + 1]:.1f} s, by {jump.max():.2f} body lengths")
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3))
     left.plot(pixels.time, apparent / body_length, linewidth=1.2, label=[link.name for link in arm.links])
@@ -343,17 +363,55 @@ if film is not None:
     plt.show()
 
 # %% [markdown]
-# So the fit is bad, and the numbers above say how bad. The apparent lengths nearly double. Perhaps the arm
-# leaves the plane, or the camera looks at a slant, or the shoulder's mark slides on the shirt; and at 5.8
-# s the wrist's mark jumps. The model has one place to put that, the camera's noise. It makes the noise
-# large enough, and then the predictive intervals cover the keypoints at about their nominal rate. Coverage
-# alone would let it pass. The residuals give it away: camera noise would be fresh in each frame, and these
-# hang together from frame to frame and drift over whole movements.
+# So the fit is bad, and the numbers above say how bad. Perhaps the arm leaves the plane. Perhaps the camera looks
+# at a slant, or the shoulder's mark slides on the shirt. The model has one place to put that: the camera's noise.
+# It makes the noise large enough, and then the predictive intervals cover the keypoints about as often as they
+# should. Coverage alone would let it pass. The residuals give it away. Camera noise is fresh in each frame, but
+# each of these residuals resembles the one before it.
 #
-# What it means for the torques: their bands allow for noise of that size, as if it were independent from
-# frame to frame, and know nothing of a systematic cause. Take their *shape* as the answer of a rigid
-# planar arm to this film, and do not take the bands as the last word.
+# What does it mean for the torques? Their bands allow for noise of that size, as if it were independent from frame
+# to frame. They know nothing of a systematic cause. Take the *shape* of the torques as the answer of a rigid planar
+# arm to this film. Do not take the bands as the last word.
 
 # %%
 if film is not None:
     display(torque_table(posterior).round(3))
+
+# %% [markdown]
+# ## Exercises
+#
+# Think first; each answer is folded below its question.
+#
+# **1. A better camera.** Its noise is now 2 cm instead of 22. Does the bootstrap filter get better or worse?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+sharp = model.replace(**{"emission.keypoint_scale": torch.full_like(model.parameters["emission.keypoint_scale"], 0.02)})
+film_sharp = torch.as_tensor(record(sharp, seed=4)[0].keypoints.reshape(len(recording.time), -1))
+for name, guide in (("bootstrap", "bootstrap"), ("controlled", "controlled")):
+    options = SMCOptions(64, 1000 if guide == "bootstrap" else 100, refits=0)
+    outer = outer_weights(run_filters(sharp, film_sharp, options, guide=guide, keep=0).log_evidence)
+    print(f"{name}: outer sample size {outer.ess:.1f} of 64 filters, log Ẑ spreads by {outer.filter_sd:.1f} nats")
+print("The bootstrap filter gets worse: the clearer the picture, the fewer blind guesses explain it.")
+print("The controlled filter aims at the picture, so clarity does not harm it.")
+
+# %% [markdown]
+# **2. Unbiased, but too low.** The mean of $\hat Z$ is $p(y)$. Yet most bootstrap runs above lie below it.
+# How can both be true?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+below = (blind.log_evidence < outer_guided.log_evidence).double().mean()
+mean_of_logs, log_of_mean = blind.log_evidence.mean(), outer_weights(blind.log_evidence).log_evidence
+print(f"{below:.0%} of the bootstrap runs lie below the best estimate.")
+print(f"Mean of log Ẑ: {mean_of_logs:.1f}; log of the mean of Ẑ: {log_of_mean:.1f}.")
+print("The logarithm is concave, so E[log Ẑ] ≤ log E[Ẑ] = log p(y) (Jensen).")
+print("Ẑ is like a lottery: a few large prizes keep its mean right, and most tickets win less.")
+
+# %% [markdown]
+# **3. Twice as heavy.** Double both masses, and double the torques' scale $\sigma_\tau$. What happens to the evidence?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+doubled = {name: 2 * model.parameters[name] for name in ("body.mass", "torque.scale")}
+heavy = gaussian_smoother(model.replace(**doubled), observations)
+print(f"log evidence by the Gaussian smoother: {smoother.log_evidence:.4f} before, {heavy.log_evidence:.4f} after")
+print("Nothing happens. D, h and c are proportional to the masses, so twice the torque moves twice the mass alike.")
+print("Keypoints alone never tell masses from torques: one of the two must be known.")

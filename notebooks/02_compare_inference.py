@@ -13,10 +13,19 @@
 # %% [markdown]
 # # Which method to trust?
 #
-# [Notebook 1](01_planar_arm.py) infers an arm's torques by one method. There are others, cheaper ones and older
-# ones. All of them get the same model $p(x, y)$ and the same keypoints $y$, and are asked for the same thing, the
+# [Notebook 1](01_planar_arm.py) infers an arm's torques by one method. There are others, some cheaper, some older.
+# Here all of them get the same model $p(x, y)$ and the same keypoints $y$. All are asked for the same thing: the
 # posterior $p(x \mid y)$ of the path $x$ of torques, angles and velocities. Where they differ, at most one is
 # right.
+#
+# **You will learn**
+#
+# * how to compare methods by one table, and what each column tells;
+# * why mean-field variational inference is far too sure of itself, by a formula of one line;
+# * how to test whether bands are right on average, with a truth that you drew yourself;
+# * which method to use for what.
+#
+# You need [notebook 1](01_planar_arm.py). Three exercises stand at the end.
 #
 # | | what it does | what it leaves out |
 # |---|---|---|
@@ -28,10 +37,8 @@
 # | `svi-markov` | the best Gaussian Markov chain, by maximising a bound | what is not Gaussian |
 # | `svi` | the best *independent* Gaussians: mean field | that neighbours in time move together |
 # | `differentiate` | low-pass filter, two derivatives, Newton | uncertainty |
-#
-# The notebook takes about a minute.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings
@@ -61,9 +68,9 @@ BODIES = files("invdyn.models") / "bodies"
 # %% [markdown]
 # ## One recording, one table
 #
-# The paper's simulated arm, its first 30 rows, with every parameter known. `compare` runs the methods one after
-# another on the same problem; on the command line it is `invdyn compare`. (`nuts` and `particle-gibbs` are left
-# out for their time: add them to the list if you can wait some minutes.)
+# We take the first rows of the paper's simulated arm, with every parameter known. `compare` runs the methods one
+# after another on the same problem. On the command line it is `invdyn compare`. (`nuts` and `particle-gibbs` take
+# minutes, so they are left out. Add them to the list if you can wait.)
 
 # %%
 ROWS = 30
@@ -77,40 +84,38 @@ print(comparison_text(comparison))
 # %% [markdown]
 # How to read it:
 #
-# * **error rms** is of the posterior mean alone. Hardly any method is bad at it, but for the one that
-#   differentiates noise twice: second differences at 33 frames a second multiply 22 cm of noise by a thousand. If
-#   a mean were all you wanted, nearly any of them would do.
-# * **CRPS** scores the whole posterior, in N·m like an error: too wide costs, too narrow costs.
-# * **covers** is the share of true torques inside the 50 and 90 % bands. With 30 correlated rows it is a rough
-#   number.
-# * **log evidence** $\log p(y)$: `smc`, `bootstrap` and `vsmc` estimate the same number without bias, so they
-#   should agree within their errors. `svi` and `svi-markov` give a *lower bound*; what they fall short by is
-#   exactly $\mathrm{KL}(q \,\|\, p(x \mid y))$, the distance of their answer from the posterior.
-# * **outer ESS**: of 64 filters, how many agree. Near 64 is healthy. Near 1 means that one lucky filter speaks
-#   for all, and then neither its evidence nor its error bar means much.
-# * **log score** says how well each predicts the last fifth of the rows, one step at a time, having seen the
-#   others. It needs no truth, so you also have it for real recordings. It does not see everything: mean field's is
-#   level with that of `smc` here, whatever its bands.
+# * **error rms** is the error of the posterior mean. Only `differentiate` is bad at it. It differentiates noise
+#   twice, and a second difference divides by the squared time step, $\delta^{-2} \approx 1{,}100$ per s². If a
+#   mean were all you wanted, nearly any other method would do.
+# * **CRPS** scores the whole posterior, in N·m like an error. Bands that are too wide cost, and so do bands that are
+#   too narrow.
+# * **covers** is the share of true torques inside the 50 and 90 % bands. Few correlated rows make it a rough number.
+# * **log evidence** is $\log p(y)$. `smc`, `bootstrap` and `vsmc` estimate the same number without bias, so they
+#   should agree within their errors. `svi` and `svi-markov` give a *lower bound*. What they fall short by is
+#   $\mathrm{KL}(q \,\|\, p(x \mid y))$: how far their answer $q$ is from the posterior.
+# * **outer ESS** says how many of 64 filters agree. Near 64 is healthy. Near 1 means that one lucky filter speaks
+#   for all. Then neither its evidence nor its error bar means much.
+# * **log score** says how well a method predicts each of the last rows from those before it. It needs no truth, so
+#   you have it for real recordings, too. But it does not see everything: compare mean field's with that of `smc`.
 
 # %%
 display(plot_comparison({name: comparison.posteriors[name] for name in ("smc", "laplace", "svi-markov", "svi")}))
 
 # %% [markdown]
-# Look at the width of the bands, not at the medians. `smc` and `laplace` lie over one another, `svi-markov` is
-# somewhat too narrow, and mean field (`svi`) draws nearly a line.
+# Look at the width of the bands, not at the medians. `smc` and `laplace` agree. `svi-markov` is somewhat too
+# narrow. Mean field (`svi`) draws nearly a line.
 #
 # ## Why mean field is so sure
 #
-# It is not a lack of training. Let the posterior be Gaussian with precision $\Lambda$ (the inverse covariance). The
-# independent Gaussians with the best bound have the variances
+# More training would not help. Let the posterior be Gaussian with precision $\Lambda$, the inverse covariance.
+# Among independent Gaussians, those with the best bound have the variances
 #
 # $$ \sigma_i^2 = 1 / \Lambda_{ii} \;\le\; (\Lambda^{-1})_{ii}, $$
 #
-# on the left: how uncertain $x_i$ is *when all other entries are known*; on the right, how uncertain it is. An
-# arm's dynamics tie neighbours in time together. If you know the velocity at $t$ and at $t + 1$ to within
-# $\varepsilon$, then you know the torque in between. So the left side is next to nothing while the right side is
-# wide. A guide that lets neighbours move together, as a Markov chain or a particle's trajectory does, has no such
-# trouble.
+# The left side says how uncertain $x_i$ is *when all other entries are known*. The right side says how uncertain it
+# is. The dynamics of an arm tie neighbours in time together. If you know the velocities at $t$ and $t + 1$ to within
+# $\varepsilon$, then you know the torque in between. So the left side is next to nothing, while the right side is
+# wide. A Markov chain or a particle's trajectory lets neighbours move together, and has no such trouble.
 #
 # The Gaussian smoother has $\Lambda$, so both sides can be computed:
 
@@ -137,14 +142,14 @@ print(f"mean-field band over true band, median: shoulder, elbow {np.median(mean_
 # %% [markdown]
 # ## Calibration: ask many times
 #
-# One recording cannot say whether 90 % bands hold 90 %. Simulation can: draw a path from the prior and a
-# recording from it, infer, and note the true torque's rank among the posterior's draws, from 0 (below all) to 1
-# (above all). Draws and truth come from the same distribution, given the recording, if the method is right. Then
-# the rank is uniform, whatever the model (*simulation-based calibration*, [Talts et al.
-# 2018](https://arxiv.org/abs/1804.06788)). If bands are too narrow, ranks pile up at 0 and 1.
+# One recording cannot say whether 90 % bands hold 90 %. Many simulated ones can. Draw a path from the prior and a
+# recording from that path. Infer, and note the rank of the true torque among the posterior's draws, from 0 (below
+# all) to 1 (above all). If the method is right, truth and draws have the same distribution given the recording, so
+# the rank is uniform. This is *simulation-based calibration*
+# ([Talts et al. 2018](https://arxiv.org/abs/1804.06788)). If bands are too narrow, ranks pile up at 0 and 1.
 #
-# Here with the two Gaussians from above, whose ranks are $\Phi((\tau - \mu)/\sigma)$, on a hundred simulated
-# arms. The grey band is where 99 of 100 bars lie if the ranks are uniform.
+# We do this on a hundred arms with the two Gaussians from above, whose ranks are $\Phi((\tau - \mu)/\sigma)$. If
+# ranks are uniform, 99 of 100 bars end in the grey band.
 
 # %%
 torch.manual_seed(0)
@@ -170,18 +175,17 @@ for name, values in ranks.items():
     print(f"{name}: 90 % bands hold {np.mean(abs(np.array(values) - 0.5) < 0.45):.2f} of the true torques")
 
 # %% [markdown]
-# `python benchmarks/calibration.py` does this with every method, draws and all, and with more than single
-# torques: it also ranks $\log p(x, y)$ of the true path among those of the draws. That is where the Gaussian
-# smoother fails too. Each of its bands is right, but its paths as a whole are not ones that this arm could have
-# taken.
+# `python benchmarks/calibration.py` does this with the draws of every method. It also ranks $\log p(x, y)$ of the
+# true path among those of the draws. There the Gaussian smoother fails too (`laplace` below). Each of its bands is
+# right, but its whole paths are not paths that this arm could have taken.
 #
 # ![ranks by method](../docs/calibration.png)
 
 # %% [markdown]
 # ## A real arm
 #
-# On the paper's human arm there is no truth. What is left: do methods that should agree, agree; is the outer ESS
-# healthy; and who predicts best?
+# On the paper's human arm there is no truth. Three questions are left. Do methods that should agree, agree? Is the
+# outer ESS healthy? Who predicts best?
 
 # %%
 arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
@@ -198,13 +202,47 @@ if film is not None:
 # %% [markdown]
 # ## What to trust
 #
-# * Begin with `laplace`: a tenth of a second, and its torques' bands are good as long as the posterior is nearly
-#   Gaussian. Clear keypoints and short steps make it so.
+# * Begin with `laplace`. It is the fastest. Its bands are good as long as the posterior is nearly Gaussian; clear
+#   keypoints and short steps make it so.
 # * Report `smc`. It corrects what the Gaussian gets wrong, and its outer ESS tells you when it could not. If that
 #   is low, take more particles or filters before you believe anything.
-# * If two methods that leave nothing out disagree, one has not converged. `nuts` and `particle-gibbs` are the
-#   referees, on a short stretch; look at their `r_hat`.
-# * Never take bands from `svi`, nor believe a bootstrap filter whose outer ESS is near 1.
-# * `differentiate` is good for a first look at clean data. It has no bands to be wrong.
+# * If two methods that leave nothing out disagree, one has not converged. Let `nuts` or `particle-gibbs` decide on a
+#   short stretch, and look at their `r_hat`.
+# * Never take bands from `svi`. Never believe a bootstrap filter whose outer ESS is near 1.
+# * `differentiate` is good for a first look at clean data. It has no bands.
 # * All of this is about finding the posterior *of this model*. None of these numbers says that the arm is rigid,
 #   planar, or as heavy as you wrote.
+#
+# ## Exercises
+#
+# **1. Two numbers.** Let a posterior be Gaussian with variances 1 and correlation $\rho = 0.99$. How wide is the best
+# mean-field answer?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+covariance = np.array([[1, 0.99], [0.99, 1]])
+width = 1 / np.sqrt(np.linalg.inv(covariance).diagonal())
+print(f"Its standard deviation is 1/√Λᵢᵢ = √(1 − ρ²) = {width[0]:.3f}, where 1 is right.")
+print(f"So its 90 % band holds {norm.cdf(1.645 * width[0]) * 2 - 1:.2f} of the probability.")
+
+# %% [markdown]
+# **2. Too wide.** A method states twice the right standard deviation. What do its ranks look like, and how often do
+# its 90 % bands hold the truth?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+wide = norm.cdf(norm.ppf(np.clip(np.array(ranks["smoother"])[:, 1], 1e-9, 1 - 1e-9)) / 2)
+print("ranks between 0, .1, …, 1:", np.histogram(wide, bins=np.linspace(0, 1, BINS + 1))[0])
+print(f"They form a hump in the middle, and 90 % bands hold {np.mean(abs(wide - 0.5) < 0.45):.2f}.")
+
+# %% [markdown]
+# **3. Right bands, wrong paths.** Each torque's band of a method is right. You draw each row's torque independently
+# from its band. Are these paths draws from the posterior?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+smoother = gaussian_smoother(model, observations)
+chain = GaussianChain.of(smoother)
+independent = chain.loc + smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt() * torch.randn_like(chain.loc)
+for name, path in (("together", chain.rsample()), ("row by row", independent)):
+    angle, velocity = path[:, 2:4], path[:, 4:]
+    slip = angle[1:] - angle[:-1] - 0.03 * velocity[:-1]
+    print(f"drawn {name}: angles miss θ + δ·velocity of the row before by {slip.square().mean().sqrt():.3f} rad rms")
+print("No. The model allows ε = 0.01 rad. Rows of the posterior depend on one another; rows drawn apart do not.")

@@ -14,11 +14,19 @@
 # # A model of your own
 #
 # A hand trembles at some five beats a second. Which torques make it do so? The Ornstein–Uhlenbeck torque of
-# [notebook 1](01_planar_arm.py) wanders and has no beat. This notebook writes a torque that has one, and a body
-# that is not among ours, in under forty lines, and hands both to every inference method there is. None of them
-# needs to be told anything more: a model is written once.
+# [notebook 1](01_planar_arm.py) wanders and has no beat. So we write a torque that has one, and a body that invdyn
+# does not have. Together they are under forty lines. Then every inference method runs on them unchanged.
+#
+# **You will learn**
+#
+# * what a torque process is, and which four methods define one;
+# * how to fit its parameters, and how the evidence tells whether a recording needs it;
+# * how to hand a model of your own to every inference method;
+# * which mistakes to avoid.
+#
+# You need [notebook 1](01_planar_arm.py), and some Python with classes. Three exercises stand at the end.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings
@@ -44,21 +52,21 @@ plt.rcParams.update(STYLE | {"figure.constrained_layout.use": True, "figure.dpi"
 # %% [markdown]
 # ## The torque
 #
-# A torque process is a Gaussian Markov chain $z_t$ whose first entries are the joint torques. For a noisy
-# oscillation take two numbers a joint, the torque $\tau$ and its companion $s$, a quarter of a beat behind. In a
-# step $\delta$ they turn by $\omega\delta$, forget a little, and get noise:
+# A torque process is a Gaussian Markov chain $z_t$ whose first entries are the joint torques. A noisy oscillation
+# needs two numbers a joint: the torque $\tau$ and a companion $s$, a quarter of a beat behind. In a step $\delta$
+# they turn by $\omega\delta$, shrink a little, and get noise:
 #
 # $$ \begin{pmatrix}\tau\\ s\end{pmatrix}_{t} = e^{-\gamma\delta}
 #    \begin{pmatrix}\cos\omega\delta & -\sin\omega\delta\\ \sin\omega\delta & \cos\omega\delta\end{pmatrix}
 #    \begin{pmatrix}\tau\\ s\end{pmatrix}_{t-1} + \sigma\sqrt{1 - e^{-2\gamma\delta}}\;\eta_t,
 #    \qquad \eta_t \sim \mathcal N(0, I). $$
 #
-# A turn changes no lengths, so both have the standard deviation $\sigma$ for ever, and
+# A turn changes no lengths, so both keep the standard deviation $\sigma$ for ever, and
 #
 # $$ \mathrm{cov}(\tau_u, \tau_{u+h}) = \sigma^2 e^{-\gamma |h|} \cos \omega h: $$
 #
-# a beat of $f = \omega/2\pi$ Hz that keeps time for about $1/\gamma$ seconds. With $\omega = 0$ it is the
-# Ornstein–Uhlenbeck torque again. The step is exact for any $\delta$, so frames may be missing or irregular.
+# This is a beat of $f = \omega/2\pi$ Hz that keeps time for about $1/\gamma$ seconds. The step is exact for any
+# $\delta$, so frames may be missing or irregular.
 #
 # Four methods say all of this. Shapes: `z` is (…, 2K) for K joints, all torques first; parameters are (…, K);
 # `dt` is in seconds.
@@ -93,8 +101,8 @@ class Tremor(TorqueProcess):
 # %% [markdown]
 # ## The body
 #
-# A forearm that rests at the elbow, and a hand. Lengths in m, masses in kg; the hand's centre of mass is given,
-# all that is not follows from a uniform rod.
+# A forearm that rests at the elbow, and a hand. Lengths are in m, masses in kg. The hand's centre of mass is given.
+# What is not given is that of a uniform rod.
 
 # %%
 forearm = Link("forearm", joint="elbow", tip="wrist", length=0.26, mass=1.2)
@@ -102,8 +110,8 @@ hand = Link("hand", joint="wrist", tip="knuckle", length=0.09, mass=0.45, com=0.
 body = Body("forearm and hand", [forearm, hand], gravity=(0.0, 0.0))
 
 # %% [markdown]
-# That is the whole variant. (In TOML the body would be a file for `--body`; a torque process that is to stay goes
-# into `models/torques/`, and its name into `TORQUE_PROCESSES`.)
+# That is the whole variant. (Written as TOML, the body would be a file for `--body`. A torque process that is to stay
+# goes into `models/torques/`, and its name into `TORQUE_PROCESSES`.)
 #
 # ## A recording with known truth
 #
@@ -130,9 +138,9 @@ plt.show()
 # %% [markdown]
 # ## At what frequency?
 #
-# `fit` maximises the marginal likelihood over whatever parameters it is told are free, those of a process that it
-# has never seen included. Its start is 4 Hz. Beside it the Ornstein–Uhlenbeck torque, fitted likewise. The
-# difference of their log evidences says whether this recording asks for a beat at all.
+# `fit` maximises the marginal likelihood over the parameters that we call free, those of our new process included.
+# It starts at 4 Hz. We fit the Ornstein–Uhlenbeck torque likewise. The difference of the two log evidences says
+# whether this recording needs a beat at all.
 
 # %%
 scales = [Free("torque.scale"), Free("torque.decay", sd=1.0), Free("emission.keypoint_scale", tied=True)]
@@ -151,8 +159,8 @@ print(f"frequency {frequency:.2f} ± {frequency * sd:.2f} Hz (truth 5.5)")
 # %% [markdown]
 # ## Every method
 #
-# `METHODS` holds all of them by name. So that this runs in a minute, they get the first 16 frames and small
-# sizes; the settings that a few of them have of their own only make them shorter. Nothing here is about tremors.
+# `METHODS` holds all of them by name. To save time they get the first frames only, and small sizes. Nothing here is
+# about tremors.
 
 # %%
 FRAMES = 16
@@ -181,18 +189,55 @@ for name, method in METHODS.items():
 display(plot_comparison({name: posteriors[name] for name in ("smc", "nuts", "laplace", "svi")}))
 
 # %% [markdown]
-# Sixteen frames are too few to rank anybody's error (for that see [notebook 2](02_compare_inference.py)). The
-# evidence does tell: `smc`, `vsmc` and `laplace` agree, the bound of `svi-markov` is a few nats below, mean field's
-# nearly three hundred, and the bootstrap filter is lost. What matters here is that no method knows
-# of tremors and no line was written for any of them: particle filters call `transition` for many particles at
-# once, NUTS and SVI differentiate through it, and the smoother linearises it, by automatic differentiation.
+# So few frames cannot rank anybody's error; for that see [notebook 2](02_compare_inference.py). The evidence does
+# tell something. `smc`, `vsmc` and `laplace` agree. `svi-markov` and `svi` are lower bounds, and mean field's is far
+# below. The bootstrap filter is lost.
+#
+# What matters here: no method knows of tremors, and no line was written for any of them. Particle filters call
+# `transition` for many particles at once. NUTS and SVI differentiate through it. The smoother linearises it by
+# automatic differentiation.
 #
 # Three things to look at when you write your own:
 #
-# * **Shapes.** Parameters may come with leading dimensions (one set beside many), so write `z.chunk(2, -1)` and not
+# * **Shapes.** Parameters may come with leading dimensions, many sets at once. So write `z.chunk(2, -1)` and not
 #   `z[0]`.
-# * **Units and time.** `dt` is in seconds and need not be constant: take the exact transition over `dt`, not one
-#   step of Euler's, where there is one.
-# * **A proper density.** Every entry of `z` needs noise. A process without any (a torque that is exactly the
-#   integral of another entry) has no transition density; give the entry a little, or use the exact joint
-#   covariance and return its triangular root, as `Matern32` does with `diagonal = False`.
+# * **Time.** `dt` is in seconds and need not be constant. Where there is an exact transition over `dt`, take it, and
+#   not one step of Euler's method.
+# * **A proper density.** Every entry of `z` needs noise. A torque that is exactly the integral of another entry has
+#   no transition density. Give it a little noise, or return the triangular root of the exact joint covariance, as
+#   `Matern32` does with `diagonal = False`.
+#
+# ## Exercises
+#
+# **1. No beat.** Set the frequency to 0. Which process of notebook 1 is the tremor's torque then?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+one, dt = torch.ones(1, dtype=torch.float64), torch.tensor(1 / 60, dtype=torch.float64)
+decay, sigma = 2.0 * one, 0.3 * one
+still = {"torque.scale": sigma, "torque.decay": decay, "torque.frequency": 0 * one}
+same = {"torque.scale": sigma * torch.sqrt(2 * decay), "torque.decay": decay}
+for name, mine, other in (
+    ("mean", Tremor().mean(torch.cat([one, 0 * one]), dt, still)[:1], OrnsteinUhlenbeck().mean(one, dt, same)),
+    ("noise", Tremor().noise(dt, still)[:1], OrnsteinUhlenbeck().noise(dt, same)),
+):
+    print(f"{name} of one step: {mine.item():.6f} here, {other.item():.6f} of the Ornstein–Uhlenbeck torque")
+print("It is the Ornstein–Uhlenbeck torque, whose scale is σ√(2γ) where the tremor's is σ.")
+
+# %% [markdown]
+# **2. A slow camera.** The hand trembles at 5.5 Hz, and a camera takes 8 frames a second. What does it see?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+frames = np.arange(16) / 8
+seen, slow = np.cos(2 * np.pi * 5.5 * frames), np.cos(2 * np.pi * (8 - 5.5) * frames)
+print(f"In those frames a beat of 5.5 Hz and one of {8 - 5.5} Hz differ by {abs(seen - slow).max():.0e} at most.")
+print("Above half the frame rate, beats fold back (aliasing). No method can tell the two; only the prior can.")
+
+# %% [markdown]
+# **3. Where the noise comes from.** Why is the noise's standard deviation $\sigma\sqrt{1 - e^{-2\gamma\delta}}$?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+variance = 0 * one
+for _ in range(600):
+    variance = torch.exp(-2 * decay * dt) * variance + Tremor().noise(dt, still)[:1] ** 2
+print("The variance must stay σ²: v = e^(−2γδ) v + noise² has the solution v = σ² only for this noise.")
+print(f"From variance 0, 600 steps lead to a standard deviation of {variance.sqrt().item():.4f}; σ is {sigma.item()}.")

@@ -14,11 +14,20 @@
 # # Diagnose the gap
 #
 # A simulated arm and the real one get the same commands, and part. What does the simulation lack? Friction, a
-# delay, a crooked camera? This notebook plays reality with an effect that the simulation does not have, and asks
-# `diagnose` for four things: is there a gap, where, which effect causes it, and how far does it close once the
-# effect is added. It ends with an effect that no catalogue has.
+# delay, a crooked camera? Here we play reality ourselves, with an effect that the simulation does not have. Then we
+# ask `diagnose` four things. Is there a gap? Where? Which effect causes it? How far does it close once the effect is
+# in?
+#
+# **You will learn**
+#
+# * what the probability of a cause means, and what "outside the catalogue" means;
+# * why some effects cannot be told apart, and what would help;
+# * what can be said when nobody knows the torque;
+# * how to turn a formula found in the residual torque into an effect of your own.
+#
+# You need Bayes' rule and the model of [notebook 1](01_planar_arm.py). Three exercises stand at the end.
 
-# %%
+# %% tags=["hide-input"]
 # %matplotlib inline
 import logging
 import warnings
@@ -61,9 +70,9 @@ def reality(effect, duration=2.0, **values):
 
 
 # %% [markdown]
-# An **effect** is a small class. Viscous friction adds the torque $-b\,\dot\theta$ at its joint; every effect of the
-# catalogue says where it can act, which parameters it has, and what sizes are plausible (a prior that follows the
-# size of the body).
+# An **effect** is a small class. Viscous friction adds the torque $-b\,\dot\theta$ at its joint. Every effect of the
+# catalogue says where it can act, which parameters it has, and which sizes are plausible: a prior that follows the
+# size of the body.
 
 # %%
 print(len(EFFECTS), "effects:", ", ".join(EFFECTS))
@@ -73,19 +82,20 @@ friction = reality(ViscousFriction("elbow"), damping=DAMPING)
 # %% [markdown]
 # ## The diagnosis
 #
-# It is told the recording and the simulation, and not a word about friction. Between the two it puts a **residual
-# torque** $r$, an Ornstein–Uhlenbeck process at every joint that stands for whatever is missing,
+# `diagnose` gets the recording and the simulation, and not a word about friction. Between the two it puts a
+# **residual torque** $r$ at every joint, which stands for whatever is missing:
 #
 # $$ D(\theta)\ddot\theta + h(\theta, \dot\theta) + c(\theta) = u + r(t), \qquad r \sim \mathcal{OU}(\text{size}), $$
 #
-# and gives every cause $c$, an effect at a place or several effects, its evidence: how probable are the keypoints
-# $y$, parameters integrated out, weighed by the prior. The size of $r$ is unknown too. That it is next to zero once
-# the cause is in has a share $s_c$ of the cause's probability $p_c$, and only that share counts for the cause:
+# A cause $c$ is an effect at a place, or several of them, or no gap. Bayes' rule gives its probability $p_c$ from
+# its evidence $p(y \mid c)$, with all parameters integrated out, and from its prior. The size of $r$ is unknown,
+# too. Let $s_c$ be the probability that next to nothing of $r$ remains once the cause is in. Only that share counts
+# for the cause:
 #
 # $$ P(\text{cause } c) = p_c\, s_c, \qquad P(\text{outside the catalogue}) = \sum_c p_c\,(1 - s_c). $$
 #
-# So a cause is probable only when it explains the gap *and nothing is left*; what it has of the second sum stands in
-# its `in_part`: it is at work, and so is something else. "No gap" is one of the causes.
+# So a cause is probable only when it explains the gap *and nothing is left*. Its term of the second sum stands in its
+# `in_part`: it is at work, and so is something else.
 
 
 # %%
@@ -113,14 +123,14 @@ estimate = diagnosis.causes[0].effects[0].parameters["damping"]
 print(f"truth {DAMPING}: {(estimate.mean - DAMPING) / estimate.sd:+.1f} standard deviations from the mean")
 
 # %% [markdown]
-# Do not be surprised by a near relative among the causes. Drifting friction has constant friction as a special case
-# (its slope is then zero), so it explains the recording as well; it has a parameter more to waste, and Occam's
-# razor, which the evidence has built in, makes it less probable. Something stays outside the catalogue, too: next to
-# friction, a torque so small that two seconds do not show it is not ruled out.
+# A near relative may stand among the causes. Drifting friction, for example, has constant friction as a special case,
+# so it explains the recording as well. But it has one parameter more, and the evidence punishes that (Occam's
+# razor). Something stays outside the catalogue, too. A torque so small that two seconds do not show it is never
+# ruled out.
 #
-# *Where* comes as shares of probability, *how far* from data that the fit has not seen: parameters are fitted on the
-# first two thirds, and on the last third each frame is predicted from the ones before. With the log scores of the
-# frames, in nats, under the simulation as it is, with the cause, and of a simulation without a gap,
+# *Where* comes as shares of probability. *How far* comes from data that the fit has not seen: parameters are fitted
+# on the first two thirds, and on the last third each frame is predicted from the ones before. Each frame's log score,
+# in nats, is taken under the simulation as it is, with the cause, and for a simulation without a gap:
 #
 # $$ \text{closed} = \frac{\sum (\text{with cause} - \text{as it is})}{\sum (\text{no gap} - \text{as it is})}. $$
 
@@ -136,13 +146,12 @@ for joint, before in diagnosis.gap.residual_torque_rms.items():
     print(f"residual torque at the {joint}: {before:.4f} N·m before, {after:.4f} after")
 
 # %% [markdown]
-# The replay starts from the smoothed state and runs open loop, set back to it now and then, with the parameters
-# fitted to all frames.
+# The replay error is that of the simulation run on its own from the smoothed state, set back to it now and then.
 #
-# `diagnosis.tracks` holds what the report draws. On the left the residual torque at the elbow, before and after; on
-# the right the same against the elbow's velocity. Nearly a straight line through the origin: that is viscous friction,
-# seen by eye. It is flatter than the truth, in grey, for the prior of the residual pulls it towards zero; the
-# friction's own parameter has no such bias.
+# `diagnosis.tracks` holds what the report draws. The left panel shows the residual torque at the elbow, before and
+# after. The right panel shows the same against the elbow's velocity. It is nearly a straight line through the origin:
+# viscous friction, seen by eye. It is flatter than the truth in grey, because the prior of the residual pulls it
+# towards zero. The parameter of the friction has no such bias.
 
 # %%
 tracks = diagnosis.tracks
@@ -166,7 +175,7 @@ plt.show()
 # ## Two effects that cannot be told apart
 #
 # Now gravity is tilted by 0.05 rad: the arm stands on a floor that is not level. A camera that is *rolled* by the same
-# angle films the same thing: turn the whole picture, and gravity points elsewhere in it.
+# angle films the same thing. Turn the whole picture, and gravity points elsewhere in it.
 
 # %%
 tilted = diagnose(reality(GravityTilt(), angle=0.05), body)
@@ -175,11 +184,10 @@ print("cannot be told apart:", *(" / ".join(keys) for keys in tilted.ambiguity_s
 print(tilted.separating_experiment)
 
 # %% [markdown]
-# Both angles agree with the truth, and the probability is split between the two. One lies in the dynamics, the
-# other in the observation, so *where* is split too. No longer recording of this kind will help: the two predict the
-# same keypoints, whatever the arm does. What would help is something that is not in the recording. The diagnosis
-# gives such rivals as one **ambiguity set**: the fewest causes that hold 95 % of the probability of all that name an
-# effect.
+# Both angles agree with the truth, and the two causes share the probability. One lies in the dynamics, the other in
+# the observation, so *where* is split, too. A longer recording of this kind does not help: the two predict the same
+# keypoints, whatever the arm does. Only something that is not in the recording can help. The diagnosis gives such
+# rivals as one **ambiguity set**: the fewest causes that hold 95 % of the probability of all that name an effect.
 
 # %%
 print("side:", ", ".join(f"{name} {share:.2f}" for name, share in tilted.where.side.items()))
@@ -187,8 +195,8 @@ print("side:", ", ".join(f"{name} {share:.2f}" for name, share in tilted.where.s
 # %% [markdown]
 # ## Unknown torque
 #
-# Take the recording with friction and forget the commands, as for a limb, whose muscles tell nobody their torque. The
-# residual is now the limb's own torque, of any size.
+# Take the recording with friction and forget the commands. This is the case of a limb: its muscles tell nobody their
+# torque. The residual is now the limb's own torque, and may have any size.
 
 # %%
 hidden = replace(friction, torques=None, joint_names=())
@@ -198,11 +206,12 @@ tell(unknown)
 print("could not have been seen:", ", ".join(unknown.not_identifiable))
 
 # %% [markdown]
-# Muscles whose torque is $-b\,\dot\theta$ more, or less, move the arm as friction does, and the keypoints do not tell
-# them apart. So without commands no effect of the dynamics is named, and all of them are in the list of what *could
-# not have been seen*; viscous friction at the elbow, the truth, is one. "No gap" is no proof that there is none.
+# Muscles that add the torque $-b\,\dot\theta$ move the arm as friction does. The keypoints cannot tell the two apart.
+# So without commands no effect of the dynamics is named. All of them are in the list of what *could not have been
+# seen*, and viscous friction at the elbow, the truth, is one. Here "no gap" does not prove that there is none.
 #
-# A torque cannot stretch a link or shift a marker. Most of what only the camera sees stays visible:
+# But a torque cannot stretch a link or shift a marker. So most of what only the camera sees stays visible. The
+# detectability $d'$ says by how many standard deviations an effect of its usual size stands out:
 
 # %%
 seen = {each.key: each.dprime for each in unknown.visibility if each.side == "observation"}
@@ -212,13 +221,13 @@ for key, dprime in sorted(seen.items(), key=lambda item: -item[1]):
 # %% [markdown]
 # ## Outside the catalogue
 #
-# The elbow's motor sits at the base, and a belt leads over the shoulder to the elbow. It drags the elbow along
-# when the shoulder turns: at the elbow acts
+# The elbow's motor sits at the base, and a belt leads over the shoulder to the elbow. When the shoulder turns, the
+# belt drags the elbow along with the torque
 #
 # $$ \tau_\text{elbow} = -b\,\dot\theta_\text{shoulder}. $$
 #
-# The catalogue has no such thing. As an effect, to play reality with, it is a dozen lines: a pair of joints, one
-# parameter with unit and prior, and one hook, the force. Shapes: `now.qd` is (…, K), a parameter (…, 1).
+# The catalogue has no such effect. We write it, to play reality with: a pair of joints, one parameter with its unit
+# and prior, and one hook, the force. Shapes: `now.qd` is (…, K), a parameter (…, 1).
 
 
 # %%
@@ -244,16 +253,15 @@ print("formula:", strange.outside.description)
 print(f"which predicts each held-out frame better by {strange.outside.gain_per_frame:.2f} nats")
 
 # %% [markdown]
-# Whatever effect is tried, a torque is left, so the probability lies outside the catalogue. The residual torque is
-# then regressed on a library of functions of $(\theta, \dot\theta, u, t)$, and a formula of at most three
-# terms comes out, as a hint. It is a hint and no proof: which terms stand in it is a choice among many that are
-# alike, and the standard deviations know nothing of that choice. Here its first term is the truth's; compare its
-# coefficient with $-b = -0.1$.
+# Whatever effect is tried, a torque is left, so the probability lies outside the catalogue. Then the residual torque
+# is regressed on a library of functions of $(\theta, \dot\theta, u, t)$. The result is a formula of at most three
+# terms. It is a hint and no proof. Many sets of terms fit about as well, and the standard deviations do not count
+# that choice. Here the first term is that of the truth. Compare its coefficient with $-b$.
 #
 # ## Turn it into an effect
 #
-# A person who knows the machine reads "the shoulder's velocity, on the elbow", thinks of the belt, and writes the class
-# above. In the catalogue, it is a candidate like all others:
+# Someone who knows the machine reads "the shoulder's velocity, on the elbow", thinks of the belt, and writes the class
+# above. In the catalogue it is a candidate like all others:
 
 # %%
 EFFECTS["belt_drag"] = BeltDrag
@@ -262,14 +270,45 @@ tell(explained)
 print(f"truth: {BELT}; share of the gap closed: {explained.shrinkage.gap_closed:.2f}")
 
 # %% [markdown]
-# An effect that is to stay becomes a file in `models/effects/`; CONTRIBUTING.md says what else it needs, and one set
-# of tests checks every effect of the catalogue.
+# An effect that is to stay becomes a file in `models/effects/`. CONTRIBUTING.md says what else it needs.
 #
 # Three things to keep in mind with recordings of your own:
 #
-# * **The body comes first.** Uncertain masses and lengths are integrated out where the body file states their
-#   uncertainty. A number that is wrong and stated as exact is a gap like any other, and gets blamed on some effect.
-# * **Held-out data of another kind** is worth more than the last third of the same motion: `diagnose(one, body,
+# * **The body comes first.** State how uncertain masses and lengths are, and they are integrated out. A wrong number
+#   that is stated as exact is a gap like any other, and some effect gets the blame.
+# * **Test on another motion.** That is worth more than the last third of the same one: `diagnose(one, body,
 #   held_out=another)`. An effect that imitates the true one on this motion often fails on another.
-# * **Here reality was played by our own effect classes**, which is the easiest of cases. `invdyn blind` plays it in
-#   another engine and withholds the answers.
+# * **Here our own effect classes played reality**, which is the easiest case. `invdyn blind` plays it in another
+#   engine and withholds the answers.
+#
+# ## Exercises
+#
+# **1. Two causes.** Viscous friction has $p = 0.7$, $s = 0.9$; a payload has $p = 0.3$, $s = 0.2$. What does the
+# diagnosis state?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+p, s = np.array([0.7, 0.3]), np.array([0.9, 0.2])
+print("P(cause) = p s:", dict(zip(("viscous friction", "payload"), (p * s).round(2).tolist(), strict=True)))
+print("in part, p (1 − s):", (p * (1 - s)).round(2).tolist())
+print(f"outside the catalogue, the sum of these: {p @ (1 - s):.2f}")
+
+# %% [markdown]
+# **2. A plumb line.** A plumb line hangs in the picture. Does it tell tilted gravity from a rolled camera? Do encoders?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+angle, down = 0.05, np.array([0.0, -1.0])
+turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+print("tilted gravity: the line hangs along gravity, turn @ down =", (turn @ down).round(3).tolist())
+print("rolled camera:  it hangs along down, and the picture turns it: the same", (turn @ down).round(3).tolist())
+print("A plumb line shows where gravity points in the picture, and the arm's motion shows that already.")
+print("Encoders count from the base. Under tilted gravity they agree with the picture.")
+print(f"Under a rolled camera the first joint's encoder and the picture differ by {angle} rad. So encoders tell.")
+
+# %% [markdown]
+# **3. The least that shows.** How small may the damping be for two seconds to show it? Use the standard deviation
+# of the first diagnosis.
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+print(f"The damping is known to ± {estimate.sd:.4f} N·m·s/rad: {DAMPING} is {DAMPING / estimate.sd:.0f} times that.")
+print(f"About three of them must stand out, which is {3 * estimate.sd:.4f} N·m·s/rad.")
+print(f"Four times as long a recording of the same kind halves that: {3 * estimate.sd / 2:.4f} N·m·s/rad.")

@@ -105,8 +105,8 @@ def bridged(recording: Recording, length: float, first: int = 0) -> Recording:
     where = f"rows {row} and {row + 1} are {step[worst]:.3g} s apart ({time[worst]:g} s, then {time[worst + 1]:g} s)"
     if more.sum() > len(time):
         raise InputError(
-            f"{where}, too long a gap to say anything across it: use the rows before or after it, "
-            f"--frames :{row} or {row}:"
+            f"{where}: no torque can be inferred across so long a gap. Use the rows before it (--frames :{row}) or "
+            f"after it (--frames {row}:)"
         )
     more = more.astype(int)
     source = np.repeat(np.arange(len(time)), np.append(more + 1, 1))

@@ -7,6 +7,7 @@ import pyro
 import pytest
 import torch
 from hypothesis import settings
+from stand_in import human_arm
 
 settings.register_profile("invdyn", deadline=None, derandomize=True)  # the same examples, however busy the machine
 settings.load_profile("invdyn")
@@ -29,6 +30,16 @@ def data_folder() -> Path:
         stop = pytest.fail if os.environ.get("INVDYN_REQUIRE_DATA") == "1" else pytest.skip
         stop("needs real recordings: set INVDYN_DATA")
     return Path(folder).expanduser()
+
+
+@pytest.fixture
+def with_human_arm(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """INVDYN_DATA with the human arm in it: the real one, or a simulated one where there is no folder."""
+    if os.environ.get("INVDYN_DATA") or os.environ.get("INVDYN_REQUIRE_DATA") == "1":
+        return request.getfixturevalue("data_folder")
+    folder = human_arm(tmp_path / "recordings")
+    monkeypatch.setenv("INVDYN_DATA", str(folder))
+    return folder
 
 
 @pytest.fixture(autouse=True)

@@ -6,9 +6,9 @@ It is the diagnosis' own screen (:mod:`..sensitivity.screen`) along the data's p
 from dataclasses import dataclass
 
 from invdyn.diagnosis.assessment.findings import key
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.problem.diagnosis_problem import cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import added, screen
@@ -31,7 +31,7 @@ class Visible:
     @property
     def hidden(self) -> tuple[str, ...]:
         """Keys of those that would not show."""
-        return tuple(name for name, value in self.dprime.items() if value < FAINT)
+        return tuple(name for name, value in self.dprime.items() if value < RULE.faint)
 
 
 def visible(recording: Recording, body: Body, passive: bool = False) -> Visible:
@@ -49,6 +49,6 @@ def visible(recording: Recording, body: Body, passive: bool = False) -> Visible:
     dprime = dict(sorted(dprime.items(), key=lambda item: -item[1]))
     record: dict[str, list[str]] = {}
     for s in added(screened):
-        if s.dprime < FAINT:
+        if s.dprime < RULE.faint:
             record.setdefault(EFFECTS[s.effect.name].shown_by, []).append(key(s.effect))
     return Visible(dprime, {what: tuple(sorted(names)) for what, names in record.items()})

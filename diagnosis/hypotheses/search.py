@@ -3,29 +3,28 @@
 Forward selection with replacement over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani &
 Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:mod:`.prior`):
 
-    1  "no effect" by itself; where detections are stray, what leaves them, before anything else, or, where that leaves
-       something, what leaves nothing instead
-    2  where the best single effect leaves something: those that would leave little to a small residual, from several
-       values those that no screen tells the size of (``Effect.scan``), and it in shorter sub-steps (:mod:`.substeps`);
-       then, or where it is not what it is called (:mod:`.credible`), sets of up to four in a beam (:mod:`.beam_search`)
-    3  given the best set so far, screen every effect that could be added and refine the most promising
-    (:mod:`.forward_step`)
-    4  where one has become two, drop the older and look for a better one in its place
-    5  again from 3, until nothing that is added raises the posterior; the same for the best single effect where sets
-       of several have overtaken it, but for one other beside it that leaves nothing
-    6  leave effects of the best set out, one by one, while that raises it
-    7  look for a better one in place of each, along the path that the set has found; where there is one, or what is
-       left of the best set has not been in 3 yet, again from 3
-    8  where the best set leaves something after all, refine every effect on what is seen beside the best single one,
-       and again from 6
+    1  Refine "no effect". If detections are stray, refine first the mistakes of a tracker that explain them.
+    2  Refine the best single effects of the screen. If the best one leaves something, also try effects that would
+       leave little, effects whose size no screen tells (``Effect.scan``, from several values), and the best one in
+       shorter sub-steps (:mod:`.substeps`). If that leaves something, or its parameters are not credible
+       (:mod:`.credible`), try sets of up to four in a beam (:mod:`.beam_search`).
+    3  Given the best set, screen every effect that could be added. Refine the most promising (:mod:`.forward_step`).
+    4  When one has become two, drop the older and look for a better one in its place.
+    5  Repeat from 3 until no addition raises the posterior. If sets of several have overtaken the best single effect,
+       add to that one, too, in search of a pair that leaves nothing.
+    6  Leave effects of the best set out, one by one, while that raises the posterior.
+    7  Look for a better effect in place of each, along the path of the set. If there is one, or the reduced set has
+       not been through 3, repeat from 3.
+    8  If the best set leaves something after all, refine every effect of the observation beside the best single one,
+       and repeat from 6.
 
-With unknown torque one effect is looked for that the camera shows: what changes the motion alone, a torque can imitate,
-and only the prior of the torque could speak against it. What such effects gain is what that prior gives away for
-nothing, as no limb obeys it; one of the observation has to gain more.
+With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
+its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
+than those others gain from it.
 
-Where the budget (:mod:`..budget`) ends the search, it ends with what is in the pool.
+When the budget (:mod:`..budget`) ends the search, the pool is the result.
 
-Everything that was refined stays in the pool, so that what the data cannot tell apart stands side by side; but a set
+Everything that was refined stays in the pool, so that rivals which the data cannot tell apart stand side by side. A set
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 

@@ -68,8 +68,8 @@ def _check_keypoints(name: str, model: ArmModel, body: Body, points: np.ndarray,
         if abs(same) > ALIKE and abs(np.angle(same)) > (APART if k else ROLLED):
             raise InputError(
                 f"{name}: the encoder of joint {joint!r} and its keypoints differ by "
-                f"{math.degrees(np.angle(same)):.0f}° all along: is its zero elsewhere? It is where the link lies "
-                f"{'along x' if k == 0 else 'along the one before'}: subtract that from its angles"
+                f"{math.degrees(np.angle(same)):.0f}° all along. Ours is zero where the link lies "
+                f"{'along x' if k == 0 else 'along the one before'}: subtract the difference from its angles"
             )
 
 
@@ -91,6 +91,7 @@ def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.nd
         return
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
     raise InputError(
-        f"{name}: at joint {names} {mistake.words}, it seems: against gravity and motion the torques miss "
-        f"{100 * own:.0f} % of their size, and {100 * best:.0f} % once that is put right; `invdyn check` says more"
+        f"{name}: at joint {names} {mistake.words}, it seems. As they are, the torques differ from those of the "
+        f"motion by {100 * own:.0f} % of their size; corrected, by {100 * best:.0f} %. Correct the file; "
+        "`invdyn check` says more"
     )

@@ -15,7 +15,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
@@ -63,7 +63,7 @@ def render(diagnosis: Diagnosis) -> str:
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
         file_changes=_file_changes(diagnosis),
-        faint=plain(FAINT, 2),
+        faint=plain(RULE.faint, 2),
         clear=plain(CLEAR, 2),
         hidden_torque=diagnosis.regime == "unknown_torque",
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
@@ -234,6 +234,6 @@ def _visible(diagnosis: Diagnosis) -> dict[str, list]:
     """Candidates by whether the recording could have shown them, with d′."""
     groups: dict[str, list] = {"yes": [], "faintly": [], "no": []}
     for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):
-        name = "no" if not v.dprime >= FAINT else "yes" if v.dprime >= CLEAR else "faintly"
+        name = "no" if not v.dprime >= RULE.faint else "yes" if v.dprime >= CLEAR else "faintly"
         groups[name].append((key_words(v.key, diagnosis), plain(v.dprime, 2)))
     return groups

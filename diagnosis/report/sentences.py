@@ -157,7 +157,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
         found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")
     if answer in ("ambiguous", "outside", "unclear") and diagnosis.separating_experiment:
-        found.append(f"What would tell: {diagnosis.separating_experiment.strip().rstrip('.')}.")
+        found.append(f"To tell the causes apart: {diagnosis.separating_experiment.strip().rstrip('.')}.")
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
@@ -169,7 +169,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.written is not None:
         found += _written(diagnosis.written)
     if diagnosis.regime == "unknown_torque" and answer != "none":
-        found.append("The joint torques are unknown, so what they could imitate by themselves cannot be blamed.")
+        found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
     return found
 
 
@@ -223,7 +223,7 @@ def where(diagnosis: Diagnosis) -> str | None:
 def depends(diagnosis: Diagnosis) -> str | None:
     """What the residual follows."""
     names = [variable_words(v) for v in diagnosis.where.depends_on]
-    return f"What is missing follows {named(names)}." if names else None
+    return f"The missing torque depends on {named(names)}." if names else None
 
 
 def _closed(diagnosis: Diagnosis) -> str | None:
@@ -256,7 +256,7 @@ def _each(diagnosis: Diagnosis) -> str | None:
     doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
     data = "Data held out from the fit" if shrinkage.held_out else "These data"
     text = f"Leaving out {named(costs)}."
-    return f"{text} {data} do not surely bear out {named(doubtful)}." if doubtful else text
+    return f"{text} {data} do not confirm {named(doubtful)}." if doubtful else text
 
 
 def left(diagnosis: Diagnosis) -> list[str]:
@@ -266,8 +266,8 @@ def left(diagnosis: Diagnosis) -> list[str]:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
             shares = [share for one, other, share in diagnosis.overlaps if {one, other} <= set(group)]
-            alike = "" if not shares else f" (the changes that two of them predict overlap by {_range(shares)})"
-            found.append(f"{named(words)} remain probable: this recording does not tell them apart surely{alike}.")
+            alike = "" if not shares else f" (the changes that they predict are {_range(shares)} alike)"
+            found.append(f"{named(words)} all remain probable: this recording cannot tell them apart{alike}.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
 
 

@@ -114,7 +114,8 @@ class ArmModel(StateSpaceModel):
     def layout(self) -> StateLayout:
         """What a state is made of."""
         hidden = sum(each.states for each in self.effects.hidden)
-        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal)
+        memory = self.observation.states
+        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal, memory)
 
     @cached_property
     def mechanics(self) -> Mechanics:
@@ -128,7 +129,10 @@ class ArmModel(StateSpaceModel):
     @cached_property
     def chain(self) -> Transition:
         """How its states go on."""
-        return Transition(self.mechanics, self._motors, self.timeline, self.torque, self.layout, self.substeps_taken)
+        parts = self.substeps_taken
+        return Transition(
+            self.mechanics, self._motors, self.timeline, self.torque, self.layout, parts, self.observation
+        )
 
     @cached_property
     def sight(self) -> Sight:
@@ -172,6 +176,7 @@ class ArmModel(StateSpaceModel):
     def unconstrained(self) -> frozenset[str]:
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
+        mine |= {name for name in self.parameters if name.startswith("camera.")}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
         return self.torque.unconstrained | mine | signed
 
@@ -180,7 +185,7 @@ class ArmModel(StateSpaceModel):
         return self.mechanics.body_parameters()
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
+        """State (..., D) → torque state z and hidden ones (..., Z + H + M), angles (..., K), velocities (..., K)."""
         return self.layout.split(state)
 
     def net_torque(self, path: Tensor) -> Tensor:
@@ -315,6 +320,14 @@ class ArmModel(StateSpaceModel):
         """Paths (C, T, D) through smoothed inverse kinematics; see :mod:`.start`."""
         paths = kinematic_paths(self, observations)
         return super().initial_paths(observations) if paths is None else paths
+
+    @property
+    def lone(self) -> tuple[list[int], list[int]] | None:
+        """The sensors' own states; see :attr:`.StateSpaceModel.lone`."""
+        if not self.layout.memory:
+            return None
+        begun = self.layout.torque + self.layout.hidden
+        return list(range(begun, begun + self.layout.memory)), self.observation.remembered
 
     @property
     def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say

@@ -23,8 +23,9 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml, joint_parts_toml
+from invdyn.models.bodies import body_chain, body_mjcf, body_toml, body_urdf, body_xml, joint_parts_toml, robot_file
 from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.parts import Robot
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
     KNOWN,
@@ -363,8 +364,12 @@ class Body(BodyBase):
     @classmethod
     def from_xml(cls, content: bytes, path: str | Path) -> Self:
         """The body of the content of a file of MJCF or URDF; see `load`."""
-        root = body_xml.parse(content, str(path))
-        return cls._of((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
+        return cls.from_robot(robot_file.of(content, str(path)), path)
+
+    @classmethod
+    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
+        """The body of a file's parts; see `load`."""
+        return cls._of(body_chain.tables(robot, str(path)), path)
 
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
@@ -382,12 +387,12 @@ class Body(BodyBase):
 
         Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
         """
-        return cls._of(body_mjcf.read(path), path)
+        return cls.from_robot(body_mjcf.read(path), path)
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
         """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
-        return cls._of(body_urdf.read(path), path)
+        return cls.from_robot(body_urdf.read(path), path)
 
     @classmethod
     def _of(cls, tables: dict, path: str | Path) -> Self:

@@ -5,6 +5,7 @@ K = S = kp gear² and D = kv gear². Limits are those of the actuator's force, o
 the joint's actuators together, whichever is narrower. What is not played is told by :mod:`.body_mjcf_left_out`.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ import numpy as np
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 
 
-def read(mujoco: Any, model: Any) -> tuple[dict[str, JointParts], set[int]]:
-    """Parts of each hinge by its name, in the file's own angles; and the numbers of the actuators that they have."""
+def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:
+    """Parts of hinges and slides, by the names of all joints, in the file's own angles; and their actuators."""
     found: dict[str, JointParts] = {}
     played: set[int] = set()
-    for j in range(model.njnt):
-        name, dof = model.joint(j).name or f"joint{j + 1}", int(model.jnt_dofadr[j])
+    for j, name in enumerate(names):
+        if model.jnt_type[j] not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            continue
+        dof = int(model.jnt_dofadr[j])
         own = [a for a in range(model.nu) if _drives(mujoco, model, a, j)]
         motor = None
         if len(own) == 1 and (motor := _motor(mujoco, model, own[0], j)) is not None:

@@ -164,11 +164,16 @@ class BodyBase:
 
     def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
         """Dims are called after the number, gravity's "space"."""
-        own = {name: value.detach() for name, value in numbers._asdict().items()}
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
         dims = {name: [f"{name}_{i}" for i in range(value.ndim)] for name, value in own.items()} | {
             "gravity": ["space"]
         }
         return {name: (dims[name], value) for name, value in own.items()}
+
+
+def kept_as(name: str) -> str:
+    """Under which name a posterior keeps one of a body's numbers: "position" is that of the keypoints there."""
+    return "origin" if name == "position" else name
 
 
 def axes(body: ArticulatedBody) -> list[str]:

@@ -14,13 +14,13 @@ from invdyn.models.effects.scale import Scale
 class CameraRoll(Optics):
     """All points turned counter-clockwise by an angle about the origin.
 
-    With the base at the origin it cannot be told from tilted gravity, unless a plumb line or the base's own orientation
-    is seen.
+    With the base at the origin it cannot be told from tilted gravity, unless the picture shows how the base lies or
+    encoders count from it.
     """
 
     phrase = "camera roll"
     meaning = "a picture turned about the line of sight"
-    shown_by = "a plumb line in view of the camera"
+    shown_by = "the joints' encoders, or the base's own edges in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"gravity_tilt": {"angle": "angle"}}
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -14,12 +14,13 @@ from invdyn.models.effects.scale import Scale
 class GravityTilt(Effect):
     """Gravity turned counter-clockwise by an angle, in the frame of the body and of the camera.
 
-    Cannot be told from a rolled camera unless the picture shows a plumb line or the base's orientation.
+    Cannot be told from a rolled camera, unless the picture shows how the base lies or encoders count from it. A plumb
+    line does not help: both turn it alike.
     """
 
     phrase = "tilted gravity"
     meaning = "gravity that points elsewhere than in the simulation"
-    shown_by = "a plumb line in view of the camera"
+    shown_by = "the joints' encoders, or the base's own edges in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
     planar = True

@@ -173,7 +173,7 @@ def test_simulate_infer_plot_end_to_end(folder, run):
     assert run("plot", "p.nc", "--out", "again.png").exit_code == 0
 
 
-def test_a_real_recording_by_its_name(folder, run, data_folder):
+def test_a_known_recording_by_its_name(folder, run, with_human_arm):
     call = ("infer", "human-arm", "--body", "human_arm_on_table", "--body-lengths", "--frames", "50:80")
     outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--film", "f.gif")
     assert outcome.exit_code == 0, outcome.output

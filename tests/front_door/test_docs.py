@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
+from stand_in import deeplabcut
 
 from invdyn.cli import app
 from invdyn.inputs import load_body, load_recording
@@ -97,13 +98,58 @@ def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch)
         assert load_body(str(tmp_path / f"{number}.toml")).num_joints > 0
 
 
+@pytest.mark.parametrize("name", ["deeplabcut", "robot_log", "cluster"])
+def test_a_guides_commands_run(name, folder, run, quick_inference):
+    """On files as the guide describes them, without the inference itself and with too few rows for a search."""
+    page = ROOT / "docs" / "how-to" / f"{name}.md"
+    for block in blocks(page, "toml"):
+        (folder / "arm.toml").write_text(block)
+    deeplabcut(folder / "tracks.csv", links=(0.30 / 0.0021, 0.26 / 0.0021), frames=30)
+    if name == "robot_log":
+        rows = [f"{0.02 * t:.2f},{-1.5 + 0.01 * t:.2f},1.0\n" for t in range(12)]
+        for file in ("rec.csv", "other.csv"):
+            (folder / file).write_text("time,shoulder_angle,shoulder_torque\n" + "".join(rows))
+    lines = [line for said, line in commands() if said == page.name]
+    assert lines
+    for line in lines:
+        outcome = run(*shlex.split(line, comments=True)[1:])
+        assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
+    assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
+    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["diagnosis/report.html"], "cluster": ["posterior.nc"]}
+    assert all((folder / file).exists() for file in made[name])
+
+
 def _body(folder: Path) -> Path:
     (folder / "arm.toml").write_text(blocks(FILES, "toml")[0])
     return folder / "arm.toml"
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_code():
-    spec = importlib.util.spec_from_file_location("architecture_picture", ROOT / "docs" / "architecture_picture.py")
+    script = _script(ROOT / "docs" / "architecture_picture.py")
+    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+
+
+def _script(path: Path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+    return script
+
+
+def test_each_table_of_the_benchmarks_has_a_script_and_a_place():
+    page = _script(ROOT / "benchmarks" / "page.py")
+    text = page.PAGE.read_text("utf-8")
+    for name, command in page.COMMANDS.items():
+        assert (ROOT / "benchmarks" / command.split()[0]).exists(), name
+        assert "| new |" in page.replaced(text, name, "| new |")
+    with pytest.raises(ValueError, match="expected <!-- nothing -->"):
+        page.replaced(text, "nothing", "")
+
+
+def test_a_table_is_what_a_script_prints_between_bars():
+    page = _script(ROOT / "benchmarks" / "page.py")
+    printed = "4 cores\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\nload 3\n| c |\n|---|\n| 4 |\n"
+    assert page.tables(printed) == "| a | b |\n|---|---|\n| 1 | 2 |\n\n| c |\n|---|\n| 4 |"
+    text = "x\n<!-- one -->\nold\n<!-- end -->\n<!-- two -->\nkept\n<!-- end -->\n"
+    assert page.replaced(text, "one", "new") == text.replace("old", "new")
+    assert "commit" in page.stamp("cost.py")

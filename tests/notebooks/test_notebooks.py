@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import jupytext
+import numpy as np
 import pytest
 from nbclient import NotebookClient
 
@@ -34,23 +35,34 @@ def planar_arm():
     return jupytext.read(FOLDER / "01_planar_arm.py")
 
 
-def test_planar_arm_runs_and_finds_what_it_says(planar_arm, data_folder):
-    text = printed(run(planar_arm, INVDYN_DATA=str(data_folder)))
+def test_planar_arm_runs_and_finds_what_it_says(planar_arm, with_human_arm):
+    text = printed(run(planar_arm, INVDYN_DATA=str(with_human_arm)))
     assert "skipped" not in text
     sizes = [
         float(line.split("outer sample size ")[1].split(" of 64")[0])
         for line in text.splitlines()
         if "outer sample size" in line
     ]
-    bootstrap, controlled, human = sizes
+    bootstrap, controlled, human, sharp_bootstrap, sharp_controlled = sizes
     assert bootstrap < 8
     assert controlled > 50
     assert human > 50
     assert figures(planar_arm) == 6
+    filtered, smoothed, own = (
+        np.array(re.findall(rf"{what}.*?\[ *(\S+) +(\S+?)\]", text)[0], float)
+        for what in ("filter: rms error", "smoother: rms error", "the torques' own rms is")
+    )
+    assert (filtered > 0.8 * own).all()  # hardly better than guessing zero
+    assert (smoothed < 0.8 * filtered).all()
+    # the answers of the exercises
+    assert sharp_bootstrap < 1.5 < 40 < sharp_controlled
+    assert int(re.search(r"(\d+)% of the bootstrap runs lie below", text)[1]) > 50
+    before, after = re.search(r"Gaussian smoother: (\S+) before, (\S+) after", text).groups()
+    assert before == after
 
 
 def test_planar_arm_goes_on_without_the_real_recording(planar_arm, tmp_path):
-    heading = next(k for k, cell in enumerate(planar_arm.cells) if cell.source.startswith("# A real arm"))
+    heading = next(k for k, cell in enumerate(planar_arm.cells) if cell.source.startswith("## A real arm"))
     imports = next(cell for cell in planar_arm.cells if cell.cell_type == "code")
     planar_arm.cells = [imports, *planar_arm.cells[heading:]]
     text = printed(run(planar_arm, INVDYN_DATA=str(tmp_path)))
@@ -58,10 +70,9 @@ def test_planar_arm_goes_on_without_the_real_recording(planar_arm, tmp_path):
     assert "human_arm" in text
 
 
-def test_compare_inference_runs_and_shows_who_is_too_sure(tmp_path):
-    """Its last part needs a real recording; without one it says so and goes on."""
+def test_compare_inference_runs_and_shows_who_is_too_sure(with_human_arm):
     notebook = jupytext.read(FOLDER / "02_compare_inference.py")
-    text = printed(run(notebook, INVDYN_DATA=os.environ.get("INVDYN_DATA", str(tmp_path))))
+    text = printed(run(notebook, INVDYN_DATA=str(with_human_arm)))
     assert "failed:" not in text
     held = [float(share) for share in re.findall(r"90 % bands hold (0\.\d+) of the true torques", text)]
     smoother, mean_field = held
@@ -71,9 +82,14 @@ def test_compare_inference_runs_and_shows_who_is_too_sure(tmp_path):
     evidence = {row[0]: float(row[1]) for row in re.findall(r"^(smc|vsmc|svi-markov|svi) +(-\d+\.\d+)", text, re.M)}
     assert abs(evidence["smc"] - evidence["vsmc"]) < 0.1
     assert evidence["svi"] < evidence["svi-markov"] - 10 < evidence["smc"] - 10
-    pictures = figures(notebook)
-    assert pictures == (3 if "INVDYN_DATA" in os.environ else 2)
-    assert ("cannot be had here" in text) == ("INVDYN_DATA" not in os.environ)
+    assert figures(notebook) == 3
+    assert "cannot be had here" not in text
+    # the answers of the exercises
+    assert "right" in text
+    together, apart = (float(found) for found in re.findall(r"row before by (\S+) rad rms", text))
+    assert together == pytest.approx(0.01, rel=0.3)  # ε
+    assert apart > 5 * together
+    assert float(re.search(r"hump in the middle, and 90 % bands hold (\S+)\.", text)[1]) > 0.97
 
 
 def test_a_model_variant_runs_by_every_method():
@@ -88,6 +104,10 @@ def test_a_model_variant_runs_by_every_method():
     error = {name: float(elbow) for name, elbow, *_ in rows}
     assert max(error[name] for name in ("smc", "vsmc", "nuts", "particle-gibbs", "svi")) < 1.3 * error["smc"]
     assert figures(notebook) == 2
+    # the answers of the exercises
+    assert all(one == other for one, other in re.findall(r"of one step: (\S+) here, (\S+) of the Ornst", text))
+    assert float(re.search(r"differ by (\S+) at most", text)[1]) < 1e-9
+    assert re.search(r"standard deviation of (\S+); σ is 0.3", text)[1] == "0.3000"
 
 
 def test_the_variant_is_under_forty_lines():
@@ -110,7 +130,7 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert "joint: shoulder 0.0" in friction
     pair = {name: float(p) for p, name in first.findall(twins)}
     assert min(pair["gravity_tilt"], pair["camera_roll"]) > 0.2
-    assert "plumb line" in twins
+    assert "encoders" in twins
     assert "regime: unknown_torque" in twins  # printed before "gap: "
     assert "viscous_friction.elbow" in unknown.split("could not have been seen: ")[1].splitlines()[0]
     assert float(re.search(r"d' +(\S+)  soft_tissue.wrist", unknown)[1]) > 10
@@ -122,3 +142,13 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert first.findall(explained)[0][1].startswith("belt_drag")
     assert abs(float(re.search(r"damping (\S+)", explained)[1]) - 0.1) < 0.01
     assert figures(notebook) == 1
+    assert "outside the catalogue, the sum of these: 0.31" in text  # an exercise: 0.7 × 0.1 + 0.3 × 0.8
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("0[1-4]_*.py")), ids=lambda file: file.stem)
+def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
+    cells = jupytext.read(file).cells
+    assert "**You will learn**" in cells[0].source
+    answers = [cell for cell in cells if "hide-cell" in cell.metadata.get("tags", ())]
+    assert len(answers) >= 2
+    assert all(cell.metadata["jupyter"] == {"source_hidden": True, "outputs_hidden": True} for cell in answers)

@@ -36,7 +36,7 @@ from invdyn.diagnosis.assessment.result import (
     Shrinkage,
     Visibility,
 )
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
@@ -168,10 +168,10 @@ def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
     """Only of those of which that is known."""
     d = ambiguous()
     (sentence,) = left(d)
-    assert sentence.endswith("remain probable: this recording does not tell them apart surely.")
+    assert sentence.endswith("all remain probable: this recording cannot tell them apart.")
     keys = d.ambiguity_set[0]
     (sentence,) = left(replace(d, overlaps=((*keys, 0.973), ("payload", "armature.elbow", 0.1))))
-    assert "(the changes that two of them predict overlap by 97\u00a0%)" in sentence
+    assert "(the changes that they predict are 97\u00a0% alike)" in sentence
 
 
 def test_verdict_does_not_claim_what_was_not_reached():
@@ -241,9 +241,9 @@ def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
 
 def test_what_cannot_be_seen_is_by_one_measure():
     """What `not_identifiable` counts as hidden is not said to show faintly."""
-    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * FAINT),))
+    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * RULE.faint),))
     text = render(found)
-    assert f"Under {FAINT:.1f} it cannot be seen" in text
+    assert f"Under {RULE.faint:.1f} it cannot be seen" in text
     assert _visible(found)["faintly"] == []
     assert len(_visible(found)["no"]) == 1
 
@@ -312,12 +312,12 @@ def test_what_each_of_several_effects_closes_is_told():
     friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
     told = f"Leaving out {friction} would cost {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
     assert told in page
-    assert f"Data held out from the fit do not surely bear out {deadzone}." in page
+    assert f"Data held out from the fit do not confirm {deadzone}." in page
     assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
     alone = {"viscous_friction.shoulder": Part(0.91, (0.88, 0.94))}
     for fewer in (render(replace(case, shrinkage=replace(case.shrinkage, by_effect=alone))), render(case)):
         assert "Leaving out" not in fewer
-        assert "bear out" not in fewer
+        assert "do not confirm" not in fewer
 
 
 def test_residuals_are_told_before_and_after():

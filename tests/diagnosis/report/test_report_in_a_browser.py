@@ -2,11 +2,9 @@
 
 import base64
 import json
-import os
-import shutil
-from importlib.util import find_spec
 
 import pytest
+from browsing import chromium, opened, requests
 from pendulum import FRICTION, MANY, PENDULUM, recording_of
 from reported import KINDS, Page, diagnosis, hostile
 
@@ -18,37 +16,9 @@ from invdyn.inference import load_posterior
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    """A headless Chromium; INVDYN_REQUIRE_BROWSER=1 makes its absence a failure."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (chromium and driver and find_spec("selenium")):
-        stop = pytest.fail if os.environ.get("INVDYN_REQUIRE_BROWSER") == "1" else pytest.skip
-        stop("needs the programs chromium and chromedriver, and the package selenium")
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    flags = (
-        "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
-        "disable-component-update disable-sync disable-dev-shm-usage"
-    )
-    for flag in (*flags.split(), f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    window = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    try:
+    """A headless Chromium for this file."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as window:
         yield window
-    finally:
-        window.quit()
-
-
-def opened(browser, page, width=1200):
-    browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500},
-    )
-    browser.get_log("browser"), browser.get_log("performance")  # those of the page before
-    browser.get(page.as_uri())
-    return browser
 
 
 def test_in_a_browser(browser, tmp_path):
@@ -72,10 +42,7 @@ def test_in_a_browser(browser, tmp_path):
     assert picture.get_attribute("d") != still
     browser.find_element("id", "replay-play").click()
 
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    requests = [m["params"] for m in events if m["method"] == "Network.requestWillBeSent"]
-    asked = [r["request"]["url"] for r in requests if r["documentURL"] == page.as_uri()]  # not the browser's own
-    assert {url for url in asked if not url.startswith("data:")} == {page.as_uri()}
+    assert requests(browser, page) == {page.as_uri()}
     assert browser.get_log("browser") == []
     printed = base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", {})["data"])
     assert printed.startswith(b"%PDF-")

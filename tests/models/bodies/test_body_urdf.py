@@ -65,7 +65,7 @@ def test_the_numbers_of_the_file(tmp_path):
 
 WRONG = {
     "broken": ("</robot>", "", "broken XML"),
-    "a slide": ("continuous", "prismatic", "'shoulder' is of type prismatic"),
+    "a slide": ("continuous", "prismatic", "'shoulder' is of type slide"),
     "nobody": ('child link="fore"', 'child link="nobody"', "has 'nobody' as its child"),
     "two of a name": ('<link name="tool"/>', '<link name="fore"/>', "a name of its own for each link, got 'fore'"),
     "two roots": (

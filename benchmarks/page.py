@@ -1,0 +1,92 @@
+"""The page of benchmarks: runs their scripts, and puts the table that each one prints into benchmarks/README.md.
+
+In the page a table stands between `<!-- NAME -->` and `<!-- end -->`, below a line that says which command made it, by
+which commit, when, and on which machine. So whoever doubts a number runs one command, and the page has theirs.
+
+    python benchmarks/page.py planar_paper walker     these two
+    python benchmarks/page.py                         all of them: hours, on a machine that nothing else uses
+"""
+
+import datetime
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "benchmarks" / "README.md"
+COMMANDS = {
+    "planar_paper": "planar_paper.py",
+    "cost": "cost.py",
+    "calibration": "calibration.py",
+    "dfki_torque": "dfki_torque.py",
+    "filters": "filters.py",
+    "ladder": "ladder.py",
+    "spatial_dynamics": "spatial_dynamics.py",
+    "projection": "projection.py",
+    "walker": "walker.py",
+    "vsmc_bound": "vsmc.py bound",
+    "vsmc_learn": "vsmc.py learn",
+    "diagnose_speed": "diagnose_speed.py",
+    "diagnose_growth": "diagnose_speed.py --growth",
+}
+"""Script and arguments of each table."""
+
+
+def tables(printed: str) -> str:
+    """Rows of Markdown tables in what a script printed; a blank line between two tables."""
+    blocks = re.findall(r"(?:^\|.*\|[ ]*\n?)+", printed, re.MULTILINE)
+    return "\n\n".join(block.strip() for block in blocks)
+
+
+def replaced(page: str, name: str, text: str) -> str:
+    """The page with other text at a name's place; raises ValueError if it has no such place."""
+    place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+    if not place.search(page):
+        raise ValueError(f"expected <!-- {name} --> … <!-- end --> in the page, found none")
+    return place.sub(lambda found: f"{found[1]}{text}\n{found[2]}", page, count=1)
+
+
+def stamp(command: str) -> str:
+    """One line: command, commit, day and machine."""
+    git = ("git", "-C", str(ROOT))
+    commit = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+    changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", "*.py"], capture_output=True).returncode
+    return (
+        f"*`python benchmarks/{command}`, commit {commit or 'unknown'}{' with changes' if changed else ''}, "
+        f"{datetime.date.today():%d %B %Y}, {machine()}, torch {torch.__version__.split('+')[0]}*"
+    )
+
+
+def machine() -> str:
+    """The processor's name, the number of cores, and how busy they were."""
+    information = Path("/proc/cpuinfo")
+    told = re.search(r"^model name\s*:\s*(.+)$", information.read_text() if information.exists() else "", re.MULTILINE)
+    name = told[1] if told else platform.processor() or platform.machine()
+    busy = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"{name}, {os.cpu_count()} cores{busy}"
+
+
+def main() -> None:
+    wanted = sys.argv[1:] or list(COMMANDS)
+    if unknown := set(wanted) - set(COMMANDS):
+        sys.exit(f"no table {', '.join(sorted(unknown))}; expected any of {', '.join(COMMANDS)}")
+    for name in wanted:
+        said = stamp(COMMANDS[name])  # before, as the load is then that of others
+        script, *options = shlex.split(COMMANDS[name])
+        command = [sys.executable, str(ROOT / "benchmarks" / script), *options]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+        found = tables(done.stdout)
+        if done.returncode or not found:
+            sys.exit(f"{name}: no table; {COMMANDS[name]} ended with {done.returncode}")
+        PAGE.write_text(replaced(PAGE.read_text("utf-8"), name, f"{said}\n\n{found}"), "utf-8")
+        print(f"{name}: done", flush=True)
+
+
+if __name__ == "__main__":
+    main()
