@@ -63,5 +63,5 @@ $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
-	$(PIP) -e '.[dev,docs,robots,fast,video,tracks,cameras,cluster,checkpoint]'
+	$(PIP) -e '.[dev,docs,robots,logs,fast,video,tracks,tracking,cameras,cluster,checkpoint]'
 	@touch $(VENV)/.use $@

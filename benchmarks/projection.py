@@ -9,13 +9,16 @@ pass is projection and likelihood with a bias; `gradient` is that pass and its d
 import argparse
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 
-from invdyn.models.observation.pinhole import PinholeCameras, project
-from invdyn.models.observation.pixels import pixel_log_likelihood
-from invdyn.recordings.cameras import projection
+from invdyn.inference.posterior.cameras import pinhole
+from invdyn.models import Observation, Pixels
+from invdyn.models.observation.pinhole import project
+from invdyn.models.observation.view import View
+from invdyn.recordings.cameras import Calibration, projection
 from invdyn.recordings.cameras.camera import Camera
 
 SECONDS = 0.5
@@ -35,18 +38,6 @@ def cameras_around(count: int) -> list[Camera]:
     return cameras
 
 
-def tensors(cameras: list[Camera], dtype: torch.dtype) -> PinholeCameras:
-    columns = [
-        [camera.focal for camera in cameras],
-        [camera.center for camera in cameras],
-        [camera.distortion for camera in cameras],
-        [camera.rotation for camera in cameras],
-        [camera.translation for camera in cameras],
-        [projection.Lens.of(camera).limit for camera in cameras],
-    ]
-    return PinholeCameras(*(torch.tensor(np.stack(column), dtype=dtype) for column in columns))
-
-
 def seconds(run: Callable[[], object]) -> float:
     """CPU seconds of a call: the least of as many as fit into half a second, three at least."""
     run()
@@ -61,15 +52,21 @@ def seconds(run: Callable[[], object]) -> float:
 
 def passes(cameras: list[Camera], states: int, points: int, dtype: torch.dtype) -> dict[str, Callable[[], object]]:
     torch.manual_seed(0)
-    cams = tensors(cameras, dtype)
+    names, size = tuple(camera.name for camera in cameras), torch.tensor([[1280.0, 960.0]] * len(cameras))
+    pinholes = pinhole(Calibration(tuple(cameras), metric=True))
+    sensor = Pixels(pinholes, names, size, tuple(range(points)))
+    observation = Observation(sensor, family="student_t")
+    parameters = {name: value.to(dtype) for name, value in observation.defaults(1.0).items()}
+    cams = pinholes.to("cpu", dtype)
     where = (0.3 * torch.randn(states, points, 3)).to(dtype)
-    pixels = project(cams, where[0])[0] + torch.randn(len(cameras), points, 2, dtype=dtype)
-    scale, bias = torch.full((len(cameras), points), 5.0, dtype=dtype), torch.zeros_like(pixels)
-    area = torch.full((len(cameras),), 1280 * 960.0, dtype=dtype)
+    pixels = project(cams, where[0])[0].flatten() + torch.randn(sensor.states, dtype=dtype)
+    bias = torch.zeros(states, sensor.states, dtype=dtype)
     free = where.clone().requires_grad_()
+    nothing: Any = None
 
     def likelihood(at: torch.Tensor) -> torch.Tensor:
-        return pixel_log_likelihood(pixels, project(cams, at)[0], scale, 4.0, area, bias).sum((-2, -1))
+        view = View(nothing, nothing, at, nothing, nothing, nothing, nothing, nothing, nothing, nothing, memory=bias)
+        return observation.predict(view, 0, parameters).log_prob(pixels)
 
     def gradient() -> torch.Tensor:
         return torch.autograd.grad(likelihood(free).sum(), free)[0]

@@ -18,13 +18,13 @@ from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, by_effect, closed, unseen
-from invdyn.diagnosis.assessment.matters import TOLERANCE
+from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
@@ -56,7 +56,7 @@ def diagnose(
     seed: int = 0,
     workers: int = 1,
     budget: float | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = RULE.tolerance,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
@@ -74,7 +74,8 @@ def diagnose(
         workers: processes that may work side by side; this one is one of them.
         budget: seconds that the search may take; the result then depends on the machine. By default the search
             counts its work instead (:mod:`.budget`), and the result does not.
-        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`).
+        tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
+            nor does what a cause leaves.
         progress: called with (done, total, what).
 
     Raises:
@@ -141,7 +142,7 @@ def diagnose(
 
     likely = found.ranked[0]
     # What is likely may fail there, and not be the best.
-    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed, tolerance), partial(attempt, held, likely)]
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
@@ -153,11 +154,13 @@ def diagnose(
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
-        weighed = only(bound, found, none, weighed.log_evidence)
+        weighed = only(bound, found, none, weighed.log_evidence, tolerance)
         shares, there = held(none)
     best = weighed.best
     if len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
+        if not borne_out(best, parts):
+            weighed = in_part_only(weighed)
     else:
         parts = {key(effect): shares for effect in best.effects}
     report(4, "describe")

@@ -22,6 +22,8 @@ from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
 from .infer import infer as infer
+from .kinematics import infer_kinematics as infer_kinematics
+from .kinematics import learned_lengths as learned_lengths
 from .methods.differentiate import differentiate as differentiate
 from .methods.laplace import laplace as laplace
 from .methods.nuts import nuts as nuts

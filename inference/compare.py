@@ -42,7 +42,7 @@ from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.errors import first_line
@@ -101,7 +101,7 @@ def measured(
 
 def compare(
     recording: Recording,
-    body: Body,
+    body: ArticulatedBody,
     methods: Sequence[str],
     *,
     truth: Truth | None = None,

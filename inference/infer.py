@@ -1,6 +1,6 @@
 """The main job: from a recording and a body to the posterior of the torques."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.task import prepare
-from invdyn.models import Body, TorqueProcess
+from invdyn.models import ArticulatedBody, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 
 def infer(
     recording: Recording,
-    body: Body,
+    body: ArticulatedBody,
     *,
     method: str = "smc",
     num_filters: int = 64,
@@ -38,11 +38,12 @@ def infer(
     filters_per_task: int | None = None,
     executor: Executor | None = None,
     checkpoint: str | Path | None = None,
+    learn_cameras: Sequence[str] = (),
 ) -> az.InferenceData:
     """Infer the torques that moved a recorded body.
 
     Args:
-        recording: planar keypoints, encoders, or both.
+        recording: keypoints, encoders, or both; of several cameras (:class:`.cameras.Filmed`) their pixels.
         body: in the recording's length unit; its priors and uncertainties are integrated out, its
             learned scalars learned ("differentiate" takes nominal values).
         method: a key of ``METHODS``.
@@ -63,6 +64,7 @@ def infer(
             uncertain, its draws; the result is the same to the bit. None: this process.
         checkpoint: folder of this run, made when missing: the fit, the guide and the filters that are done are kept
             there, so that the same call goes on where it was interrupted.
+        learn_cameras: what is not known of a film's cameras, see :func:`arm_problem`.
 
     Returns:
         InferenceData as :mod:`.posterior` lays it out.
@@ -92,5 +94,6 @@ def infer(
         hide_torque=hide_torque,
         passive=passive,
         checkpoint=checkpoint,
+        learn_cameras=learn_cameras,
     )
     return task.run(method, progress, executor, learn=True)

@@ -19,13 +19,15 @@ from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody
+from invdyn.models import ArmModel, ArticulatedBody, Body
 from invdyn.recordings import InputError, Recording, Truth
 
 SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
 """Methods that spread over an executor and keep what is done; others do so over draws of an uncertain body."""
 KEPT = SPREAD | {"vsmc"}
 """Methods that keep what is done; of VSMC that is its training."""
+CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
+"""s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
 DROP, LITTLE = "emission.confidence_drop", 0.02
 """The noise's growth between the surest and the least sure rows, and the least that its fit starts from."""
 
@@ -45,9 +47,14 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]
     learned = dict(body.learned)
-    if learn_lengths:
+    if learn_lengths and isinstance(body, Body):  # a tree says itself which of its lengths are learned
         learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
     wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
+    if (pixels := problem.model.observation.pixels) is not None:
+        # The first camera is where it is, and its clock is right: all others' are told from it.
+        clocks, poses = (tuple(range(n, n * len(pixels.camera_names))) for n in (1, 3))
+        wanted += [Free("camera.offset", sd=1.0, entries=clocks, unit=CLOCK)]
+        wanted += [Free(f"camera.{way}", sd=1.0, entries=poses, unit=unit) for way, unit in POSE.items()]
     return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
 
 

@@ -105,7 +105,9 @@ def triangulate(
     )
     from invdyn.recordings.cameras.reprojection import csv_text, table
 
-    offsets = dict(map(_offset, offset or ()))
+    from .filmed import camera_offset
+
+    offsets = dict(map(camera_offset, offset or ()))
     if offsets and find is not None:
         raise InputError("--offset states what --find-offsets looks for: choose one")
     lengths = [_length(text, body) for text in length or ()]
@@ -114,8 +116,8 @@ def triangulate(
     check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
     with ProgressBar() as progress:
         films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
-        if find is not None:
-            offsets = find_offsets(films, cameras, find, progress)
+        clocks = {} if find is None else find_offsets(films, cameras, find, progress)
+        offsets |= {name: clock.seconds for name, clock in clocks.items() if clock.sure}
         views = at_one_time(films, cameras, offsets)
         progress(0, 1, "triangulate")
         scene = reconstruct(
@@ -150,7 +152,14 @@ def triangulate(
     known = _share_known(recording.keypoints)
     typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
     for name, seconds in offsets.items():
-        typer.echo(f"times of {name} run ahead by {seconds:+.4f} s")
+        spread = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
+        typer.echo(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
+    for name, clock in clocks.items():
+        if not clock.sure:
+            typer.echo(
+                f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, not "
+                "surely a clock, as a tracker's lasting errors look alike; --offset states a known one"
+            )
     if scene.factor != 1:
         typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
     typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
@@ -169,26 +178,15 @@ def _length(text: str, body: str | None) -> Any:
 
     name, equals, number = text.partition("=")
     if body is not None and ":" not in name:
+        from invdyn.models import Tree
+
         from .inputs import load_body
 
-        links = {link.name: link for link in load_body(body).links}
+        read = load_body(body)
+        if isinstance(read, Tree):
+            raise InputError(f"--length {text}: in space write two keypoints, such as shoulder:elbow=0.28")
+        links = {link.name: link for link in read.links}
         if name not in links:
             raise InputError(f"--length {text}: the body has no link {name!r}, but {', '.join(links)}")
         text = f"{links[name].joint}:{links[name].tip}{equals}{number}"
     return Length.parse(text)
-
-
-def _offset(text: str) -> tuple[str, float]:
-    """Read "cam2=0.02". Raises InputError for anything else."""
-    import math
-
-    from invdyn.recordings import InputError
-
-    name, _, number = text.partition("=")
-    try:
-        seconds = float(number)
-    except ValueError:
-        seconds = math.nan
-    if not (name and math.isfinite(seconds)):
-        raise InputError(f"an offset is CAMERA=SECONDS, such as cam2=0.02, got {text!r}")
-    return name, seconds

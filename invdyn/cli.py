@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | infer | compare | diagnose | blind | plot | demo`.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras, films.
 
 Each command checks, then works, then writes.
 """
@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from . import camera_commands
+from . import camera_commands, film_commands, robot_commands
 from .console import Commands, ProgressBar, check_outputs
+from .film_commands import ArmSide, NetworkFile, PersonSeen
 from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
@@ -28,6 +29,8 @@ app = typer.Typer(
 )
 
 camera_commands.register(app)
+robot_commands.register(app)
+film_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
@@ -61,6 +64,9 @@ def simulate(
     duration: Annotated[float, typer.Option(min=0, help="s.")] = 6.0,
     fps: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 30.0,
     noise: Annotated[float, typer.Option(min=1e-9, help="Standard deviation of a keypoint, m.")] = 0.005,
+    encoders: Annotated[
+        float | None, typer.Option(min=1e-9, help="Record encoders too, with this standard deviation, rad.")
+    ] = None,
     torque_scale: Annotated[
         float | None,
         typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body."),
@@ -80,6 +86,7 @@ def simulate(
         duration=duration,
         fps=fps,
         noise=noise,
+        encoder_noise=encoders,
         torque_scale=torque_scale,
         commanded=commanded,
         seed=seed,
@@ -98,6 +105,9 @@ def infer(
     given: Inference,
     out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
     method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
+    kinematic: Annotated[
+        bool, typer.Option("--kinematic", help="Motion and lengths alone: no forces, no masses; smc or laplace.")
+    ] = False,
     figure: FigureOut = None,
     film: FilmOut = None,
     sto: StoOut = None,
@@ -105,22 +115,40 @@ def infer(
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
     ] = None,
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the posterior.")
+    ] = None,
 ) -> None:
-    """Infer the torques that moved a recorded body."""
+    """Infer the torques that moved a recorded body; a film is tracked first, with --network or --arm."""
     from invdyn.inference import infer as run
+    from invdyn.inference import infer_kinematics
 
     from .outputs import Outputs
     from .summary import summary_text
+    from .tracked_film import TrackedFilm
 
     given.check(method)
+    if kinematic:
+        given.check_kinematic(sto=sto, checkpoint=checkpoint)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
-    outputs.check(*given.files)
+    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.with_suffix(".tracks.csv"))
+    outputs.check(*given.files, *([] if filmed is None else filmed.files))
+    if filmed is not None:
+        check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])
+        with ProgressBar() as progress:
+            given = filmed.track(checkpoint, progress)
     arguments = given.load()
     with given.executor() as executor, ProgressBar() as progress:
-        idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
-        outputs.write(idata, progress)
+        if kinematic:
+            idata = infer_kinematics(**given.kinematic(arguments), method=method, progress=progress)
+        else:
+            idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
+        outputs.write(idata, progress, None if filmed is None else filmed.overlay)
     typer.echo(summary_text(idata))
-    typer.echo(outputs.listing())
+    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 @app.command()
@@ -166,20 +194,32 @@ def compare(
 def diagnose(
     given: Diagnosed,
     out: Annotated[Path, typer.Option(help="Folder for report, JSON and posterior; made when missing.")],
+    write_back: Annotated[
+        Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
+    ] = None,
 ) -> None:
     """Find where simulation and recording part, which effect causes it, and how far the gap closes."""
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, verdict
+    from invdyn.diagnosis.write_back.write_back import check_write_back
+    from invdyn.diagnosis.write_back.write_back import write_back as corrected
 
     from .outputs import DiagnosisOutputs
 
     given.check()
     outputs = DiagnosisOutputs(out)
     outputs.check(*given.files)
+    if write_back is not None:
+        check_outputs([write_back], given.files)
+        check_write_back(given.body, write_back)
     arguments = given.load()
     with ProgressBar() as progress:
         diagnosis = run(**arguments, progress=progress)
+    if write_back is not None:
+        held_out, recordings = arguments["held_out"], arguments["recording"]
+        shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
+        diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
     out.mkdir(parents=True, exist_ok=True)
     save(diagnosis, out, workers=arguments["workers"])
     typer.echo(verdict(diagnosis))
@@ -279,6 +319,7 @@ def demo(
 ) -> None:
     """Simulate an arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
+    from invdyn.models import Body
     from invdyn.recordings import write_keypoint_csv, write_truth
 
     from .inputs import load_body
@@ -295,6 +336,7 @@ def demo(
     outputs.check()
     check_outputs([arm_file, recording_file, truth_file])
     arm = load_body("paper_planar_arm")
+    assert isinstance(arm, Body)  # as its file says
     recording, truth = record(paper_arm(arm), seed, "planar arm")
     arm.to_toml(arm_file)
     write_keypoint_csv(recording, recording_file)

@@ -1,5 +1,8 @@
 """A film of the arm: observed and predicted joints above, the torques with a moving time line below.
 
+In space it is seen from two sides, x and z from the front, y and z from the side. Lines join the points as the body
+has them. In the plane it may lie over the film that was tracked.
+
 The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
 so that it costs milliseconds. The film plays at the recording's own speed. GIF by Pillow, MP4 by
 imageio-ffmpeg (extra `video`).
@@ -7,7 +10,7 @@ imageio-ffmpeg (extra `video`).
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import arviz as az
 import matplotlib
@@ -25,18 +28,27 @@ from invdyn.recordings import InputError, atomic_path
 
 from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles
 
+if TYPE_CHECKING:
+    from .overlay import Overlay
+
 FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
 MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
 ARMS = 30  # posterior draws shown as faint arms
-PLANE = ("x", "y")
+VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
+"""Of each number of coordinates: which two each picture shows."""
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
 def save_film(
-    idata: az.InferenceData, path: str | Path, progress: Callable[[int, int, str], None] | None = None
+    idata: az.InferenceData,
+    path: str | Path,
+    progress: Callable[[int, int, str], None] | None = None,
+    overlay: "Overlay | None" = None,
 ) -> None:
     """Write the film as `path` says (.gif or .mp4), whole or not at all; `progress(done, total, what)`.
+
+    With an `overlay`, the arm is drawn over the pictures of another film.
 
     Raises:
         InputError: another suffix, or .mp4 without imageio-ffmpeg.
@@ -45,7 +57,7 @@ def save_film(
     check_film(path)
     time = idata["posterior"]["time"].values
     shown = shown_frames(time)
-    frames = film_frames(idata, shown, progress)
+    frames = film_frames(idata, shown, progress, overlay)
     with atomic_path(path) as temporary:
         write = write_gif if temporary.suffix == ".gif" else write_mp4
         write(frames, time[shown], temporary)
@@ -72,42 +84,50 @@ def shown_frames(time: np.ndarray) -> np.ndarray:
 
 
 def film_frames(
-    idata: az.InferenceData, shown: np.ndarray, progress: Callable[[int, int, str], None] | None = None
+    idata: az.InferenceData,
+    shown: np.ndarray,
+    progress: Callable[[int, int, str], None] | None = None,
+    overlay: "Overlay | None" = None,
 ) -> Iterator[np.ndarray]:
     """Yield an image (height, width, 3) uint8 for each frame in `shown`; height and width are even."""
-    arms = arm_points(idata)
+    arms, lines = arm_points(idata), skeleton(idata)
     mean = arms.mean(axis=0)
     arms = arms[np.linspace(0, len(arms) - 1, min(ARMS, len(arms)), dtype=int)]
-    time = idata["posterior"]["time"].values
+    time, views = idata["posterior"]["time"].values, VIEWS[arms.shape[-1]]
     if "position" in idata["observed_data"]:
         observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
-        observed = np.full((len(time), 1, 2), np.nan)
+        observed = np.full((len(time), 1, arms.shape[-1]), np.nan)
+    if overlay is not None:
+        arms, mean, observed = map(overlay.pixels, (arms, mean, observed))
+    dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
     with matplotlib.rc_context(STYLE):
         figure, arm_axes, torque_axes = still_parts(idata, arms, observed)
         canvas = FigureCanvasAgg(figure)
-        draws = LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5)
-        arm_axes.add_collection(draws)
-        (trail,) = arm_axes.plot([], [], color=VERMILION, alpha=0.5, linewidth=1)
-        (arm,) = arm_axes.plot([], [], "o-", color=BLUE, linewidth=2, markersize=5)
-        (dots,) = arm_axes.plot([], [], "o:", color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6)
-        clock = arm_axes.text(0.99, 0.98, "", transform=arm_axes.transAxes, ha="right", va="top", fontsize=9)
-        lines = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
-        moving: list[Any] = [draws, trail, arm, dots, clock, *lines]
+        pictures = [Picture(axes, list(view), dotted) for axes, view in zip(arm_axes, views, strict=True)]
+        clock = arm_axes[-1].text(0.99, 0.98, "", transform=arm_axes[-1].transAxes, ha="right", va="top", fontsize=9)
+        cursors = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
+        moving: list[Any] = [*(artist for picture in pictures for artist in picture.artists), clock, *cursors]
+        if overlay is not None:
+            height, width = overlay.size
+            film, axes = overlay.pictures(shown), arm_axes[0]
+            beneath = axes.imshow(np.zeros((1, 1, 3)), extent=(-0.5, width - 0.5, height - 0.5, -0.5), zorder=0)
+            axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u (px)", ylabel="v (px)")
+            moving.insert(0, beneath)
         for artist in moving:
             artist.set_animated(True)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
         for number, frame in enumerate(shown):
             canvas.restore_region(still)
-            draws.set_segments(list(arms[:, frame]))
+            if overlay is not None:
+                beneath.set_data(next(film))
             recent = (time > time[frame] - TRAIL) & (time <= time[frame])
-            trail.set_data(*observed[recent, -1].T)
-            arm.set_data(*mean[frame].T)
-            dots.set_data(*observed[frame].T)
+            for picture in pictures:
+                picture.show(arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1])
             clock.set_text(f"{time[frame]:.2f} s")
-            for line in lines:
-                line.set_xdata([time[frame], time[frame]])
+            for cursor in cursors:
+                cursor.set_xdata([time[frame], time[frame]])
             for artist in moving:
                 artist.axes.draw_artist(artist)
             yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
@@ -116,43 +136,91 @@ def film_frames(
 
 
 def arm_points(idata: az.InferenceData) -> np.ndarray:
-    """Base and tips (sample, time, 1 + K, 2) of posterior draws, the filters weighted by their evidence.
+    """Base and sites (sample, time, 1 + S, d) of posterior draws, the filters weighted by their evidence.
 
-    Raises InputError for a motion that is not in the plane.
+    Raises InputError for a motion neither in the plane nor in space.
     """
-    tips = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
-    if tips.shape[-1] != len(PLANE):
-        raise InputError(f"a film shows a motion in the plane, this one has {tips.shape[-1]} coordinates: leave it out")
-    constants = idata["constant_data"]
-    base = constants["base"].values if "base" in constants else np.zeros(2)
-    return np.concatenate([np.broadcast_to(base, (*tips.shape[:2], 1, 2)), tips], axis=2)
+    sites = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
+    if sites.shape[-1] not in VIEWS:
+        raise InputError(f"a film shows a motion in the plane or in space, not in {sites.shape[-1]} dimensions")
+    base = idata["constant_data"].get("base", np.zeros(sites.shape[-1]))
+    return np.concatenate([np.broadcast_to(base, (*sites.shape[:2], 1, sites.shape[-1])), sites], axis=2)
 
 
-def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray) -> tuple[Figure, Axes, list[Axes]]:
-    """Figure with the arm's axes and each joint's torque over time; everything but what moves."""
+def skeleton(idata: az.InferenceData) -> list[list[int]]:
+    """Lines, as numbers of the `arm_points` along each: as the body says, or one through all of them."""
+    if "skeleton" not in idata["constant_data"]:
+        return [list(range(idata["posterior"].sizes["keypoint"] + 1))]
+    lines: list[list[int]] = []
+    for start, end in (idata["constant_data"]["skeleton"].values + 1).tolist():
+        line = next((line for line in lines if line[-1] == start), None)
+        if line is None:
+            lines.append(line := [start])
+        line.append(end)
+    return lines
+
+
+class Picture:
+    """One view of the arm, with what moves in it: faint arms of posterior draws, their mean, what was observed."""
+
+    def __init__(self, axes: Axes, view: list[int], dotted: str):
+        self.view = view
+        self.draws = LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5)
+        (self.trail,) = axes.plot([], [], color=VERMILION, alpha=0.5, linewidth=1)
+        self.arm = LineCollection([], colors=BLUE, linewidths=2)
+        (self.joints,) = axes.plot([], [], "o", color=BLUE, markersize=5)
+        (self.dots,) = axes.plot(
+            [], [], "o", linestyle=dotted, color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6
+        )
+        for collection in (self.draws, self.arm):
+            axes.add_collection(collection)
+        self.artists: list[Any] = [self.draws, self.trail, self.arm, self.joints, self.dots]
+
+    def show(
+        self, draws: np.ndarray, mean: np.ndarray, lines: list[list[int]], observed: np.ndarray, recent: np.ndarray
+    ) -> None:
+        """One frame: `draws` (sample, 1 + S, d), `mean` (1 + S, d), `observed` (P, d), the last one's past (t, d)."""
+        self.draws.set_segments([arm for line in lines for arm in draws[:, line][..., self.view]])
+        self.arm.set_segments([mean[line][:, self.view] for line in lines])
+        self.joints.set_data(*mean[sorted({place for line in lines for place in line})][:, self.view].T)
+        self.dots.set_data(*observed[:, self.view].T)
+        self.trail.set_data(*recent[:, self.view].T)
+
+
+def still_parts(
+    idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray
+) -> tuple[Figure, list[Axes], list[Axes]]:
+    """Figure with the arm's axes, one a view, and each joint's torque over time; everything but what moves."""
     joints = idata["posterior"]["joint"].values
     time = idata["posterior"]["time"].values
-    columns = 1 if len(joints) <= 3 else 2
+    unit, views = idata["posterior"]["position"].attrs["units"], VIEWS[arms.shape[-1]]
+    columns = max(1 if len(joints) <= 3 else 2, len(views))
     rows = -(-len(joints) // columns)
     figure = Figure(figsize=(6.4, 4.6 + 1.2 * rows), dpi=100, layout="constrained")
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[4.2] + [1.2] * rows)
-    arm_axes = figure.add_subplot(grid[0, :])
     # a tracker's outlier must not shrink the arm to a dot
-    far = np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else np.empty((0, 2))
-    arm_axes.update_datalim(np.concatenate([arms.reshape(-1, 2), far]))
-    arm_axes.margins(0.06)
-    arm_axes.set_aspect("equal", adjustable="datalim")
-    arm_axes.autoscale_view()
-    unit = idata["posterior"]["position"].attrs["units"]
-    arm_axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    bands, known = quantiles(idata, "torque"), idata["constant_data"]
+    none, drawn = np.empty((0, arms.shape[-1])), sorted({place for line in skeleton(idata) for place in line})
+    far = np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else none
+    points = np.concatenate([arms[:, :, drawn].reshape(-1, arms.shape[-1]), far])
+    arm_axes = []
+    for number, view in enumerate(views):
+        axes = figure.add_subplot(grid[0, :] if len(views) == 1 else grid[0, number])
+        axes.update_datalim(points[:, list(view)])
+        axes.margins(0.06)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.autoscale_view()
+        across, up = ("xyz"[place] for place in view)
+        axes.set(xlabel=f"{across} ({unit})", ylabel=f"{up} ({unit})")
+        arm_axes.append(axes)
+    shown = "torque" if "torque" in idata["posterior"] else "angle"  # a kinematic model knows no forces
+    bands, known = quantiles(idata, shown), idata["constant_data"]
     torque_axes = []
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
-        if "truth_torque" in known:
-            draw_truth(axes, time, known["truth_torque"].values[:, number])
-        axes.set_title(f"{joint} torque ({idata['posterior']['torque'].attrs['units']})", loc="left")
+        if f"truth_{shown}" in known:
+            draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
+        axes.set_title(f"{joint} {shown} ({idata['posterior'][shown].attrs['units']})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")
@@ -164,7 +232,7 @@ def still_parts(idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray)
         Line2D([], [], color=BLUE, marker="o", label="predicted"),
         Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
     ]
-    if "truth_torque" in known:
+    if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.models import Body
+from invdyn.models import Body, Tree
+from invdyn.models import load_body as read_body
+from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.recordings import (
     FORMATS,
     InputError,
@@ -28,26 +31,41 @@ from invdyn.recordings import (
 )
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
+from invdyn.recordings.logs import LogMap, recordings_of
+from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import nearest
 from invdyn.recordings.plane import FLAT
 
+from .inputs_in_space import load_in_space
 
-def load_body(name: str) -> Body:
+
+def load_body(name: str) -> Body | Tree:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
     if resolved(name).exists():
-        return Body.load(check_readable(name))
+        return read_body(check_readable(name))
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
     if name not in ours:
         raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
     with as_file(ours[name]) as path:
-        return Body.from_toml(path)
+        return read_body(path)
+
+
+def load_planar(name: str, what: str) -> Body:
+    """As :func:`load_body`; raises InputError, which says ``what`` wants a planar chain, for a body in space."""
+    body = load_body(name)
+    if isinstance(body, Tree):
+        raise InputError(
+            f"{name}: {what} takes a chain of hinges in the plane so far, and this body moves in space; "
+            "infer and compare take it"
+        )
+    return body
 
 
 def load_recording(
     name: str,
-    body: Body,
+    body: Body | Tree,
     base: str | None,
     body_lengths: bool,
     as_filmed: bool = False,
@@ -61,7 +79,8 @@ def load_recording(
         body: says which keypoints and joints, and their order.
         base: the keypoint at the first joint; by default the one with the joint's name. Where the file has it, all
             others are taken relative to it, and moved to the body's own base.
-        body_lengths: take the scale from the body's own length, and warn. The base must be tracked.
+        body_lengths: take the scale from the body's own length, and warn unless the body is in body lengths itself. The
+            base must be tracked. Of planar bodies alone.
         as_filmed: leave keypoints as they are, if the file is in metres and `base` is not given. Subtracting the base
             would hide a tilted camera, and add the base's noise to all keypoints.
         frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
@@ -72,6 +91,8 @@ def load_recording(
         InputError: the file, or the file beside the body, makes no sense.
         OSError: the file cannot be opened.
     """
+    if isinstance(body, Tree):
+        return load_in_space(name, body, base, body_lengths, slice(*frame_range(frames)), **options)
     options["plane"] = options.get("plane") or FLAT
     lengths = [link.nominal("length") for link in body.links]
     units = parse_units(options.get("units"))
@@ -116,6 +137,71 @@ def load_recording(
         return bridged(recording.select(start, stop), sum(lengths), first)
 
 
+def load_logs(
+    name: str, body: Body, mapping: str | None = None, episodes: Sequence[int] | None = None, frames: str = ":"
+) -> list[Recording]:
+    """A robot's own log, an episode each, as recordings of ``body``: angles and commands as its file counts them.
+
+    Joints' angles become the body's (θ = zero + sign · q), torques take the sign along, and a servo's targets become
+    the torque that they ask for by themselves, which is what a model is told.
+
+    Raises InputError for a log, a mapping or episodes that make no sense, and targets of a joint without a servo.
+    """
+    given = None if mapping is None else LogMap.load(check_readable(mapping))
+    start, stop = frame_range(frames)
+    return [
+        _in_the_bodys_terms(logged, body).select(start, stop)
+        for logged in recordings_of(name, body.joint_names, given, episodes)
+    ]
+
+
+def _in_the_bodys_terms(logged: Logged, body: Body) -> Recording:
+    recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
+    parts = [own or NOTHING for own in body.joint_parts]
+    sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])
+    if recording.torques is not None:
+        commands = sign * recording.torques
+    for k, (joint, own) in enumerate(zip(body.joint_names, parts, strict=True)):
+        target = logged.targets[:, k]
+        if not np.isfinite(target).any():
+            continue
+        if own.servo is None:
+            raise InputError(
+                f"{recording.name}: targets of joint {joint!r}, which has no servo in the robot's file: give it one "
+                '(<position> in MJCF, motor = {kind = "position", …} in TOML), or its torques'
+            )
+        commands[:, k] = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
+    angles = None if recording.angles is None else zero + sign * recording.angles
+    told = commands if np.isfinite(commands).any() else None
+    return replace(recording, angles=angles, torques=told)
+
+
+def is_log(name: str) -> bool:
+    """Whether a file is a robot's log by its kind, and no table of keypoints."""
+    return kind_of(Path(name)) not in (None, "csv")
+
+
+def load_log(
+    name: str,
+    body: Body,
+    units: str | None = None,
+    frames: str = ":",
+    mapping: str | None = None,
+    episode: int | None = None,
+) -> Recording:
+    """A robot's log as it stands, for a check: numbers are taken to be SI, whatever their size, unless ``units`` say.
+
+    Raises as readers do.
+    """
+    if mapping is not None or is_log(name):
+        return load_logs(name, body, mapping, [episode or 0], frames)[0]
+    said = parse_units(units)
+    own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
+    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=FLAT)
+    start, stop = frame_range(frames)
+    return recording.select(start, stop)
+
+
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     """Only the keypoints of those numbers."""
     places, confidence = list(order), recording.confidence
@@ -127,7 +213,7 @@ def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:
     )
 
 
-def load_known(name: str, body: Body) -> Truth:
+def load_known(name: str, body: Body | Tree) -> Truth:
     """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
     known = load_truth(name) if not resolved(name).exists() and name in names() else read_truth(name)
     if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:

@@ -16,6 +16,8 @@ BodyFile = Annotated[
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
+FORCES = ("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task")
+"""Options that a kinematic model takes none of."""
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -23,8 +25,18 @@ TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .c
 class Recorded:
     """What every command on a recording is given: the recording, how to read it, and a body."""
 
-    recording: Annotated[str, typer.Argument(help="File of keypoints, or the name of a known recording.")]
+    recordings: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RECORDING…",
+            help="File of keypoints, or the name of a known recording; with --calibration one file of pixels a camera.",
+        ),
+    ]
     body: BodyFile
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(help="Of several cameras, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
+    ] = None
     units: Annotated[
         str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
     ] = None
@@ -51,6 +63,17 @@ class Recorded:
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
 
+    @property
+    def recording(self) -> str:
+        """The one that is given. Raises InputError for several, which only cameras are."""
+        from invdyn.recordings import InputError
+
+        if len(self.recordings) > 1:
+            raise InputError(
+                f"expected one recording, got {len(self.recordings)}: tracks of several cameras need --calibration"
+            )
+        return self.recordings[0]
+
     def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording
@@ -76,12 +99,21 @@ class Inference(Recorded):
     """What `infer` and `compare` are given: a recording, a body, the model that joins them, sampler sizes."""
 
     truth: TruthFile = None
+    offset: Annotated[
+        list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+    ] = None
+    learn_cameras: Annotated[
+        str, typer.Option(help="What is not known of cameras but the first: offset (of clocks), pose, or both.")
+    ] = ""
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[
         str,
         typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
     ] = "ornstein_uhlenbeck"
-    noise: Annotated[str, typer.Option(help="Observation noise: gaussian or student_t.")] = "gaussian"
+    noise: Annotated[
+        str | None,
+        typer.Option(help="Observation noise: gaussian or student_t; default: gaussian, of pixels student_t."),
+    ] = None
     filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
     draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
@@ -104,25 +136,72 @@ class Inference(Recorded):
         from invdyn.recordings import InputError
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
-        named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.noise, FAMILIES)]
+        named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.family, FAMILIES)]
         for what, given, known in named:
             if given not in known:
                 raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
 
+    def check_kinematic(self, **others: Path | None) -> None:
+        """Raise InputError for options, of this group and `others`, that a motion without forces has no use for."""
+        from invdyn.recordings import InputError
+
+        own = {field.name: field.default for field in fields(self) if field.name in FORCES}
+        given = [name for name, default in own.items() if getattr(self, name) != default]
+        given += [name for name, value in others.items() if value is not None]
+        if given:
+            raise InputError(f"--{given[0].replace('_', '-')}: has no part in --kinematic; leave one of them out")
+
+    @staticmethod
+    def kinematic(arguments: dict[str, Any]) -> dict[str, Any]:
+        """Of what `load` returns that which `inference.infer_kinematics` takes."""
+        return {name: value for name, value in arguments.items() if name not in FORCES}
+
     @property
     def files(self) -> list[Path]:
         """What is read, and must not be written over."""
-        return [Path(name) for name in (self.recording, self.body, self.truth) if name is not None]
+        given = (name.rpartition("=")[2] if self.calibration else name for name in self.recordings)
+        named = [Path(name) for name in (*given, self.body, self.truth) if name is not None]
+        return [*named, *(self.calibration or [])]
+
+    @property
+    def family(self) -> str:
+        """Of the noise: a tracker's pixels stray."""
+        return self.noise or ("student_t" if self.calibration else "gaussian")
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
         from invdyn.models import TORQUE_PROCESSES
 
+        from .filmed import film_of
         from .inputs import load_body, load_known
 
-        body = load_body(self.body)
+        recording: Any
+        body: Any
+        if self.calibration:
+            recording, body = film_of(
+                self.recordings,
+                self.calibration,
+                self.body,
+                self.frames,
+                self.offset or (),
+                {
+                    "--units": self.units,
+                    "--scale": self.scale,
+                    "--base": self.base,
+                    "--plane": self.plane,
+                    "--body-lengths": self.body_lengths,
+                    "--learn-lengths": self.learn_lengths,
+                },
+                fps=self.fps,
+                format=self.format,
+                individual=self.individual,
+            )
+        else:
+            self._check_no_cameras()
+            body = load_body(self.body)
+            recording = self.read(self.recording, body, frames=self.frames)
         return {
-            "recording": self.read(self.recording, body, frames=self.frames),
+            "recording": recording,
             "body": body,
             "truth": None if self.truth is None else load_known(self.truth, body),
             "num_filters": self.filters,
@@ -131,12 +210,20 @@ class Inference(Recorded):
             "seed": self.seed,
             "learn_lengths": self.learn_lengths,
             "torque": TORQUE_PROCESSES[self.torque](),
-            "family": self.noise,
+            "family": self.family,
+            "learn_cameras": tuple(word.strip() for word in self.learn_cameras.split(",") if word.strip()),
             "passive": self.passive,
             "hide_torque": self.hide_torque,
             "device": self.device,
             "filters_per_task": self.filters_per_task,
         }
+
+    def _check_no_cameras(self) -> None:
+        from invdyn.recordings import InputError
+
+        if self.offset or self.learn_cameras:
+            option = "--offset" if self.offset else "--learn-cameras"
+            raise InputError(f"{option} is of several cameras: give their --calibration, and one file of pixels each")
 
     def executor(self) -> AbstractContextManager:
         """Executor asked for, or None, for the time of a block. Raises InputError when there is none to be had."""
@@ -165,6 +252,13 @@ class Diagnosed(Recorded):
     tolerance: Annotated[
         float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
     ] = 0.005
+    mapping: Annotated[
+        str | None,
+        typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
+    ] = None
+    episodes: Annotated[
+        str, typer.Option(help="Of a log of several: which to diagnose together, such as 0,1; default: the first.")
+    ] = "0"
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -181,6 +275,10 @@ class Diagnosed(Recorded):
         for name in self.struck:
             if name not in EFFECTS:
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
+        if self.calibration:
+            raise InputError(
+                "a diagnosis takes one recording in metres, so far: `invdyn triangulate` makes it of several cameras"
+            )
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
         given: set[Path] = set()
@@ -201,6 +299,16 @@ class Diagnosed(Recorded):
         return [Path(name) for name in (self.recording, *self.others, self.body, self.held_out) if name is not None]
 
     @property
+    def numbers(self) -> list[int]:
+        """Numbers of `episodes`. Raises InputError for what is none."""
+        from invdyn.recordings import InputError
+
+        try:
+            return [int(number) for number in self.episodes.split(",")]
+        except ValueError:
+            raise InputError(f"--episodes is a list of numbers, such as 0,1, got {self.episodes!r}") from None
+
+    @property
     def others(self) -> tuple[str, ...]:
         """Names of `also`."""
         return tuple(name.strip() for name in (self.also or "").split(",") if name.strip())
@@ -209,20 +317,27 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from .inputs import load_body
+        from .inputs import is_log, load_log, load_logs, load_planar
 
-        body = load_body(self.body)
+        body = load_planar(self.body, "a diagnosis")
 
         def read(name: str, frames: str = ":") -> Any:
-            recording = self.read(name, body, as_filmed=True, frames=frames)
+            if self.mapping is not None or is_log(name):
+                recording = load_log(name, body, None, frames, self.mapping)
+            else:
+                recording = self.read(name, body, as_filmed=True, frames=frames)
             if self.hide_torque and recording.torques is not None:
                 joints = recording.joint_names if recording.angles is not None else ()
                 recording = replace(recording, torques=None, joint_names=joints)
             return recording
 
         recording = read(self.recording, self.frames)
+        more = [*map(read, self.others)]
+        if self.mapping is not None or is_log(self.recording):
+            recording, *rest = load_logs(self.recording, body, self.mapping, self.numbers, self.frames)
+            more = [*rest, *more]
         return {
-            "recording": [recording, *map(read, self.others)] if self.others else recording,
+            "recording": [recording, *more] if more else recording,
             "body": body,
             "held_out": None if self.held_out is None else read(self.held_out),
             "passive": self.passive,

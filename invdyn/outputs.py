@@ -13,6 +13,7 @@ from invdyn.recordings import InputError, write_moments, write_table, write_text
 
 from .console import check_outputs
 from .film import check_film, save_film
+from .overlay import Overlay
 from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure
 
 
@@ -26,9 +27,14 @@ class Outputs:
     sto: Path | None = None
     csv: Path | None = None
 
+    @property
+    def paths(self) -> tuple[Path | None, ...]:
+        """All of them."""
+        return astuple(self)
+
     def check(self, *inputs: Path) -> None:
         """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
-        check_outputs(astuple(self), inputs)
+        check_outputs(self.paths, inputs)
         if self.figure is not None and self.figure.suffix not in FIGURE_SUFFIXES:
             raise InputError(
                 f"{self.figure}: a figure ends in {', '.join(FIGURE_SUFFIXES)}, got '{self.figure.suffix}'"
@@ -36,8 +42,18 @@ class Outputs:
         if self.film is not None:
             check_film(self.film)
 
-    def write(self, idata: az.InferenceData, progress: Callable[[int, int, str], None] | None = None) -> None:
-        """Write what is wanted, each file whole or not at all; the posterior first, as it took longest."""
+    def write(
+        self,
+        idata: az.InferenceData,
+        progress: Callable[[int, int, str], None] | None = None,
+        overlay: Callable[[az.InferenceData], Overlay] | None = None,
+    ) -> None:
+        """Write what is wanted, each file whole or not at all; the posterior first, as it took longest.
+
+        `overlay` makes what the film is laid over.
+        """
+        if self.sto is not None and "torque" not in idata["posterior"]:
+            raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
         if self.posterior is not None:
             save_posterior(idata, self.posterior)
         if self.csv is not None:
@@ -49,7 +65,7 @@ class Outputs:
         if self.figure is not None:
             save_figure(plot_posterior(idata), self.figure)
         if self.film is not None:
-            save_film(idata, self.film, progress)
+            save_film(idata, self.film, progress, None if overlay is None else overlay(idata))
 
     def listing(self) -> str:
         """What lies where: an empty line, then one each."""
@@ -130,9 +146,9 @@ def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) 
 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
-    """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, angle, velocity."""
+    """Columns of a table: time, then median, 5 and 95 % quantile of each joint's torque, if any, angle, velocity."""
     columns = {"time": idata["posterior"]["time"].values}
-    for quantity in ("torque", "angle", "velocity"):
+    for quantity in [name for name in ("torque", "angle", "velocity") if name in idata["posterior"]]:
         low, _, median, _, high = quantiles(idata, quantity)
         for number, joint in enumerate(idata["posterior"]["joint"].values):
             for suffix, values in (("", median), ("_q05", low), ("_q95", high)):

@@ -1,7 +1,8 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands, and the filters' health.
 
-One row a joint: the keypoint at its link's tip (observed and predicted, in the recording's length unit), its
-angle (rad), its torque (N·m); below, the effective sample size of the filters over time, resampling marked.
+One row a joint: its angle (rad) and its torque (N·m); beside them one row a keypoint that was tracked, or, where none
+was, a point of the body (observed and predicted, in the recording's length unit); below, the effective sample size of
+the filters over time, resampling marked.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
@@ -60,9 +61,11 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     """
     posterior, observed, known = idata["posterior"], idata["observed_data"], idata["constant_data"]
     time = posterior["time"].values
-    joints, keypoints = posterior["joint"].values, posterior["keypoint"].values
-    group = "posterior_predictive" if "posterior_predictive" in idata.groups() else "posterior"
-    tips = quantiles(idata, "position", group)
+    joints = posterior["joint"].values
+    predicted = "posterior_predictive" in idata.groups() and "position" in idata["posterior_predictive"]
+    group = "posterior_predictive" if predicted else "posterior"
+    shown = slice(None) if predicted else slice(-len(joints), None)  # a robot's file may name many points
+    keypoints, tips = idata[group]["keypoint"].values[shown], quantiles(idata, "position", group)[:, :, shown]
     rows = max(len(joints), len(keypoints))
     filtered = "ess" in idata["sample_stats"]  # else there are no particles whose number could be drawn
     with matplotlib.rc_context(STYLE):
@@ -76,7 +79,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 draw_bands(axes, time, tips[:, :, row, space], color)
                 if "position" in observed:
                     draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
-        for column, (name, color) in enumerate((("angle", GREEN), ("torque", PURPLE)), 1):
+        last = "torque" if "torque" in posterior else "velocity"  # a kinematic model knows no forces
+        for column, (name, color) in enumerate((("angle", GREEN), (last, PURPLE)), 1):
             bands = quantiles(idata, name)
             for row, joint in enumerate(joints):
                 axes = figure.add_subplot(grid[row, column])
@@ -94,7 +98,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
             place = axes.get_subplotspec()
-            if place is not None and place.rowspan.stop >= rows:
+            lowest = len(keypoints) if place is not None and place.colspan.stop == 1 else rows
+            if place is not None and place.rowspan.stop >= lowest:
                 axes.set_xlabel("time (s)")
             else:
                 axes.tick_params(labelbottom=False)

@@ -5,8 +5,20 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import minimize
 
-from invdyn.models import ArmModel, Body, Keypoints, Observation, OrnsteinUhlenbeck
+from invdyn.models import (
+    ArmModel,
+    Body,
+    Encoders,
+    Keypoints,
+    Observation,
+    OrnsteinUhlenbeck,
+    Sensor,
+    Tree,
+    dynamics_for,
+)
+from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
@@ -25,24 +37,43 @@ PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: expl
     },
 }
 
+PAPER_IN_SPACE: dict[str, Any] = {  # the same of its arm in space, as its code has them (test/run-3d-arm.ipynb)
+    "torque": OrnsteinUhlenbeck("printed", decay=2.0),
+    "integrator": "euler",
+    "settings": {
+        "torque.scale": 2.0,
+        "torque.decay": 2.0,
+        "noise.angle": 4e-5,
+        "noise.velocity": 4e-5,
+        "initial.angle": 0.0,
+        "initial.angle_scale": math.sqrt(0.001),
+        "initial.velocity": 0.0,
+        "initial.velocity_scale": math.sqrt(0.001),
+        "emission.keypoint_scale": math.sqrt(0.01),
+    },
+}
+
 
 def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Recording, Truth]:
-    """Draw one recording of `model`'s keypoints, and the states behind it; same seed, same recording.
+    """Draw one recording of `model`'s keypoints and encoders, and the states behind it; same seed, same recording.
 
-    The model must observe every tip and nothing else, as `random_arm`'s does.
+    Raises Diverged where it runs away.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         states, observations = model.simulate()
+    check_finite(states)
     body, time = model.body, model.time.numpy()
     _, angle, velocity = (part.numpy() for part in model.split(states))
     command = None if model.command is None else model.command.numpy()
+    observation, encoders = model.observation, model.observation.encoders
     recording = Recording(
         time=time,
-        keypoints=model.observation.points(observations).numpy(),
-        keypoint_names=body.keypoint_names,
+        keypoints=observation.points(observations).numpy(),
+        keypoint_names=observation.keypoints.names if observation.keypoints else (),
+        angles=observation.of(encoders, observations).numpy() if encoders else None,
         torques=command,
-        joint_names=() if command is None else body.joint_names,
+        joint_names=body.joint_names if encoders or command is not None else (),
         name=name,
     )
     torque = model.net_torque(states).numpy()
@@ -50,11 +81,12 @@ def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Rec
 
 
 def random_arm(
-    body: Body,
+    body: Body | Tree,
     *,
     duration: float = 6.0,
     fps: float = 30.0,
     noise: float = 0.005,
+    encoder_noise: float | None = None,
     torque_scale: float | None = None,
     commanded: bool = False,
     seed: int = 0,
@@ -66,6 +98,7 @@ def random_arm(
         duration: s.
         fps: frames a second.
         noise: standard deviation of each keypoint coordinate, m.
+        encoder_noise: standard deviation of encoders, rad (m of a slide), which are then recorded, too.
         torque_scale: standard deviation of each joint's torque, N·m; by default a fraction of what holds the
             body level (without gravity: of what turns it briskly).
         commanded: the torques are a command, known and held from frame to frame, instead of unknown.
@@ -79,6 +112,7 @@ def random_arm(
         "duration": (duration, 1e6),
         "fps": (fps, 1e6),
         "noise": (noise, 1e3),
+        "encoders": (encoder_noise, 1e3),
         "torque_scale": (torque_scale, 1e6),
     }.items():
         if value is not None and not 0 <= value <= largest:
@@ -92,19 +126,26 @@ def random_arm(
         raise InputError(f"{duration:g} s at {fps:g} frames a second are {num_frames} frames; at least 2 are needed")
     torque = OrnsteinUhlenbeck()
 
+    sensors: list[Sensor] = [Keypoints(body.keypoint_names)] if body.keypoint_names else []
+    own = {"emission.keypoint_scale": noise} if sensors else {}
+    if encoder_noise is not None or not sensors:
+        sensors.append(Encoders())
+        own["emission.angle_scale"] = 1e-4 if encoder_noise is None else encoder_noise
+    rest = resting(body)
+
     def model(command: np.ndarray | None = None) -> ArmModel:
         return ArmModel(
             body,
             np.arange(num_frames) / fps,
-            Observation(Keypoints(body.keypoint_names)),
+            Observation(*sensors),
             torque=torque,
             command=command,
             substeps=math.ceil(1 / (fps * STEP)),
             parameters={
-                "emission.keypoint_scale": noise,
+                **own,
                 "noise.angle": 0.0,
                 "noise.velocity": 0.0,
-                "initial.angle": body.hanging,
+                "initial.angle": rest,
                 "initial.angle_scale": 0.3,
                 "initial.velocity_scale": 0.1,
             },
@@ -122,13 +163,37 @@ def random_arm(
     return model(plan.torque).replace(**{"torque.scale": torch.zeros_like(scale)})
 
 
-def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
-    """The planar arm that Biderman et al. (2020) simulate, all of it at `PAPER`'s settings."""
+def resting(body: Body | Tree) -> list[float]:
+    """Coordinates in which a body hangs: of a tree the least potential energy near 0, its shifts being 0, (K,)."""
+    if isinstance(body, Body):
+        return body.hanging
+    dynamics, numbers = dynamics_for(body), body.parameters()
+    turning = [motion.turns for _, motion in body.motions() if motion.name not in body.driven_names]
+    places = torch.tensor([place for place, turns in enumerate(turning) if turns])
+
+    def energy(angles: np.ndarray) -> tuple[float, np.ndarray]:
+        q = torch.zeros(body.num_joints, dtype=torch.float64)
+        q[places] = torch.as_tensor(angles)
+        q.requires_grad_()
+        value = dynamics.potential_energy(q, numbers)
+        (slope,) = torch.autograd.grad(value, q)
+        return value.item(), slope[places].numpy()
+
+    found = torch.zeros(body.num_joints, dtype=torch.float64)
+    if len(places) and any(body.gravity):
+        # a little off, as upright is a rest, too, but none that lasts
+        found[places] = torch.as_tensor(minimize(energy, np.full(len(places), 0.1), jac=True, method="L-BFGS-B").x)
+    return found.tolist()
+
+
+def paper_arm(body: Body | Tree, num_frames: int = 200) -> ArmModel:
+    """The arm that Biderman et al. (2020) simulate, in the plane at `PAPER`'s settings or in space at the others."""
+    paper, step = (PAPER, 0.03) if body.space == 2 else (PAPER_IN_SPACE, 0.01)
     return ArmModel(
         body,
-        0.03 * np.arange(num_frames),
+        step * np.arange(num_frames),
         Observation(Keypoints(body.keypoint_names)),
-        torque=PAPER["torque"],
-        integrator=PAPER["integrator"],
-        parameters=PAPER["settings"],
+        torque=paper["torque"],
+        integrator=paper["integrator"],
+        parameters=paper["settings"],
     )

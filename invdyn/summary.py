@@ -9,26 +9,31 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
-from invdyn.inference import Comparison
+from invdyn.inference import Comparison, learned_lengths
 
 from .plots import quantiles
 
 
 def torque_table(idata: az.InferenceData) -> pd.DataFrame:
-    """One row a joint: size of its torque, width of the interval, and, with a truth, how far from it.
+    """One row a joint: see `quantity_table`."""
+    return quantity_table(idata, "torque")
+
+
+def quantity_table(idata: az.InferenceData, quantity: str) -> pd.DataFrame:
+    """One row a joint: size of its torque, or another quantity, width of the interval, and how far from a truth.
 
     Columns: `rms` and `peak` of the posterior median; `± 90 %`, half the 90 % interval's mean width; and over
-    the frames whose true torque is known, `error rms`, `correlation`, and `90 % covers`, the share of them
+    the frames whose true value is known, `error rms`, `correlation`, and `90 % covers`, the share of them
     whose interval holds the truth.
     """
-    low, _, median, _, high = quantiles(idata, "torque")
+    low, _, median, _, high = quantiles(idata, quantity)
     table = pd.DataFrame(index=pd.Index(idata["posterior"]["joint"].values, name="joint"))
     table["rms"] = np.sqrt((median**2).mean(axis=0))
     table["peak"] = np.abs(median).max(axis=0)
     table["± 90 %"] = ((high - low) / 2).mean(axis=0)
-    if "truth_torque" not in idata["constant_data"]:
+    if f"truth_{quantity}" not in idata["constant_data"]:
         return table
-    truth = idata["constant_data"]["truth_torque"].transpose("time", "joint").values
+    truth = idata["constant_data"][f"truth_{quantity}"].transpose("time", "joint").values
     for joint, true, *ours in zip(table.index, truth.T, low.T, median.T, high.T, strict=True):
         known = np.isfinite(true)
         if known.sum() > 1:
@@ -42,7 +47,8 @@ def torque_table(idata: az.InferenceData) -> pd.DataFrame:
 def summary_text(idata: az.InferenceData) -> str:
     """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
     filters, frames = idata["sample_stats"].sizes["chain"], idata["posterior"].sizes["time"]
-    table = torque_table(idata).to_string(float_format=lambda value: f"{value:.3g}")
+    quantity = "torque" if "torque" in idata["posterior"] else "angle"
+    table = quantity_table(idata, quantity).to_string(float_format=lambda value: f"{value:.3g}")
     evidence, outer = idata.attrs["log_evidence"], idata.attrs["outer_ess"]
     known = []
     if math.isfinite(evidence):
@@ -50,8 +56,12 @@ def summary_text(idata: az.InferenceData) -> str:
         known.append(f"{bound}log evidence {evidence:.2f}")
     if "ess" in idata["sample_stats"]:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
-    unit = idata["posterior"]["torque"].attrs["units"]
-    return f"Joint torques ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()
+    unit = idata["posterior"][quantity].attrs["units"]
+    lines = [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
+    length = idata["posterior"]["position"].attrs["units"]
+    lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
+    lines += [str(idata.attrs[note]) for note in ("charts", "unseen") if note in idata.attrs]
+    return "\n".join(lines)
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}

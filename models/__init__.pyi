@@ -5,7 +5,9 @@ from .bodies.body import BodyParameters as BodyParameters
 from .bodies.body import Learned as Learned
 from .bodies.body import Link as Link
 from .bodies.dh import from_dh as from_dh
+from .bodies.in_space import load_body as load_body
 from .bodies.joints import Joint as Joint
+from .bodies.mjcf_writer import write_mjcf as write_mjcf
 from .bodies.protocol import ArticulatedBody as ArticulatedBody
 from .bodies.protocol import BodyBase as BodyBase
 from .bodies.tree import SpatialLink as SpatialLink
@@ -16,11 +18,14 @@ from .dynamics.planar_recursive import RecursiveDynamics as RecursiveDynamics
 from .dynamics.planar_symbolic import SymbolicDynamics as SymbolicDynamics
 from .dynamics.registry import dynamics_for as dynamics_for
 from .dynamics.registry import planar_dynamics as planar_dynamics
+from .kinematic import KinematicModel as KinematicModel
 from .linear_gaussian import LinearGaussian as LinearGaussian
 from .observation.encoders import Encoders as Encoders
 from .observation.keypoints import Keypoints as Keypoints
 from .observation.observation import FAMILIES as FAMILIES
 from .observation.observation import Observation as Observation
+from .observation.pinhole import PinholeCameras as PinholeCameras
+from .observation.pixels import Pixels as Pixels
 from .observation.sensor import NoisySensor as NoisySensor
 from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel

@@ -20,6 +20,21 @@ class Singular(Diverged):
     """A matrix that had to be factorised or inverted is singular, or no covariance."""
 
 
+def ran_away(row: int) -> str:
+    """What to say of a simulation whose state is no number from a row on, rather than blame what was observed there."""
+    return (
+        f"the simulation ran away: its state is no number at row {row}; more sub-steps, smaller torques, or a joint "
+        "whose motion stays away from the poles of its angles (a pitch of 90°) keep it finite"
+    )
+
+
+def check_finite(path: torch.Tensor) -> None:
+    """Raise :class:`Diverged` with the first row at which a path (…, T, D) is no number."""
+    lost = ~torch.isfinite(path).all(-1).reshape(-1, path.shape[-2]).all(0)
+    if bool(lost.any()):
+        raise Diverged(ran_away(int(lost.int().argmax())))
+
+
 @contextmanager
 def diverging() -> Iterator[None]:
     """Raise :class:`Singular` for what NumPy and torch say of a matrix without factors.

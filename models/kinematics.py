@@ -1,6 +1,7 @@
 """Angles from what was observed, as a start for linearisation and for the first frame's prior.
 
-Encoders tell the joints' coordinates of any body. Of a chain in the plane keypoints do too: with tip k−1
+Encoders tell the joints' coordinates of any body. Of a tree in space :mod:`.inverse_kinematics` finds them. Of a chain
+in the plane keypoints do too: with tip k−1
 and tip k both seen, link k points along their difference, so its absolute angle φ_k is
 an arctangent, known up to whole turns; joints are taken to begin within half a turn. A Kalman filter
 with nearly constant angular velocity,
@@ -25,6 +26,8 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.tree import Tree, TreeParameters
+from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.models.observation.observation import Observation
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
@@ -146,6 +149,18 @@ def _(
         firm = smooth_angles(time, absolute, sd, wrap=wrapped, gate=GATE)
         smooth = np.where(whirls & ~_whirls(firm), firm, smooth)
     return within_half_a_turn(np.diff(smooth, axis=-1, prepend=0.0), wrapped)
+
+
+@joint_angle_candidates.register
+def _(
+    body: Tree,
+    time: np.ndarray,
+    observations: Tensor,
+    observation: Observation,
+    numbers: TreeParameters,
+    sd: np.ndarray,
+) -> np.ndarray | None:
+    return pose_candidates(body, time, observations, observation, numbers, sd, AGILITY)
 
 
 def _whirls(angles: np.ndarray) -> np.ndarray:

@@ -72,6 +72,15 @@ class StateSpaceModel(ABC):
         """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
         return self
 
+    @property
+    def lone(self) -> tuple[list[int], list[int]] | None:
+        """States by number, and the entry of a row that each of them shows in, its own; or None.
+
+        Each goes on by itself, linearly, moves no other state, and is added to what its entry shows: their slopes are
+        a number each, which one nudge of all of them tells.
+        """
+        return None
+
     jumping: slice | None = None
     """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""

@@ -19,6 +19,7 @@ from .opensim import write_sto as write_sto
 from .pace import bridged as bridged
 from .paths import check_readable as check_readable
 from .paths import resolved as resolved
+from .plausible import check_in_space as check_in_space
 from .plausible import check_plausible as check_plausible
 from .recording import Recording as Recording
 from .tables import read_table as read_table

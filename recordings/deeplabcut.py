@@ -61,25 +61,36 @@ def choose_individual(names: list[str], individual: str | None) -> str:
     return names[0]
 
 
+def assembled(
+    columns: list[tuple[str, ...]], numbers: np.ndarray, individual: str | None
+) -> tuple[tuple[str, ...], dict[str, np.ndarray]]:
+    """Body parts of one animal, and (T, P) of each coordinate, from columns ([individual,] bodypart, coordinate).
+
+    Raises InputError for an animal that was not chosen, and a body part without one of the coordinates.
+    """
+    owners = [column[0] if len(column) == 3 else "" for column in columns]
+    owner = choose_individual(list(dict.fromkeys(owners)), individual if any(owners) else "")
+    place = {column[-2:]: i for i, column in enumerate(columns) if owners[i] == owner}
+    points = tuple(dict.fromkeys(point for point, _ in place))
+    present = {coordinate for _, coordinate in place}
+    tracks = {}
+    for coordinate in ("x", "y", *sorted(present & {"z", "likelihood"})):
+        if missing := [point for point in points if (point, coordinate) not in place]:
+            raise InputError(f"{missing[0]} has no column {coordinate!r}")
+        tracks[coordinate] = numbers[:, [place[point, coordinate] for point in points]]
+    return points, tracks
+
+
 def _assemble(
-    columns: list[tuple[str, ...]],  # ([individual,] bodypart, coordinate)
+    columns: list[tuple[str, ...]],
     numbers: np.ndarray,
     frames: np.ndarray,
     fps: float,
     individual: str | None,
     name: str,
 ) -> Recording:
-    owners = [column[0] if len(column) == 3 else "" for column in columns]
-    owner = choose_individual(list(dict.fromkeys(owners)), individual if any(owners) else "")
-    place = {column[-2:]: i for i, column in enumerate(columns) if owners[i] == owner}
-    points = tuple(dict.fromkeys(point for point, _ in place))
-    present = {coordinate for _, coordinate in place}
-    axes = "xyz" if "z" in present else "xy"  # a triangulated file has z and no likelihood
-    tracks = {}
-    for coordinate in (*axes, *(present & {"likelihood"})):
-        if missing := [point for point in points if (point, coordinate) not in place]:
-            raise InputError(f"{missing[0]} has no column {coordinate!r}")
-        tracks[coordinate] = numbers[:, [place[point, coordinate] for point in points]]
+    points, tracks = assembled(columns, numbers, individual)
+    axes = "xyz" if "z" in tracks else "xy"  # a triangulated file has z and no likelihood
     return Recording(
         time=frames / fps,
         keypoints=np.stack([tracks[axis] for axis in axes], axis=-1),

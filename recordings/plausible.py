@@ -4,7 +4,7 @@ A wrong unit is off by a factor of 10 or far more; what is refused here is off b
 What was declared (`--units`) is believed where nothing but its size speaks against it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -72,16 +72,62 @@ def check_plausible(
     else:
         chain, names = _chain(recording, len(lengths), base)
         for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
-            if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= WORST_LINK_RATIO:
-                raise InputError(
-                    f"{names[k]} and {names[k + 1]} lie {observed:.3g} {recording.length_unit} apart (median), but the "
-                    f"body's link is {length:.3g} {recording.length_unit} long: check --units, or the body's lengths"
-                )
+            _check_length(names[k], names[k + 1], observed, length, recording.length_unit)
     if recording.length_unit == "m":  # elsewhere g is not known
         _check_speeds(recording, chain, lengths, units)
     angles = recording.angles
     if chain is not None and angles is not None and angles.shape[1] == len(lengths):
         _check_agreement(chain, angles, units)
+
+
+def check_in_space(
+    recording: Recording,
+    reach: float,
+    distances: Mapping[tuple[str, str], float],
+    levers: Mapping[str, float],
+    units: Units | None = None,
+) -> None:
+    """Compare a recording with a body of any shape: distances that no motion changes, its clock, its pace.
+
+    Args:
+        recording: keypoints and angles, any of the body's.
+        reach: of the body, m.
+        distances: by two keypoints' names, m, of points that keep it.
+        levers: by joint, m, how far a turn of it by a radian moves some point; none of joints that shift.
+        units: what the file's numbers were declared to be.
+
+    Raises:
+        InputError: as `check_plausible`.
+    """
+    units = units or Units()
+    if units.time is None:
+        check_interval(recording, reach)
+    known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
+    for (one, other), length in distances.items():
+        if one in known and other in known:
+            apart = np.linalg.norm(known[one] - known[other], axis=-1)
+            _check_length(one, other, float(np.nanmedian(apart)) if np.isfinite(apart).any() else np.nan, length)
+    if recording.angles is not None and units.angle is None:
+        for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
+            if name in levers:
+                _check_turning(name, angle, recording.time, levers[name])
+
+
+def _check_length(one: str, other: str, observed: float, length: float, unit: str = "m") -> None:
+    if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= WORST_LINK_RATIO:
+        raise InputError(
+            f"{one} and {other} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} {unit} "
+            "long: check --units, or the body's lengths"
+        )
+
+
+def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float) -> None:
+    if (number := froude(length * angle[:, None], time, length)) > FASTEST:
+        raise InputError(
+            f"joint {joint} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
+            f"{number:.3g} times gravity. These look like degrees: pass --units deg. If they are radians, "
+            "check that times are seconds; --units rad accepts them"
+        )
 
 
 def _chain(recording: Recording, links: int, base: Sequence[float] | None) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -100,12 +146,7 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
     angles = recording.angles
     if angles is not None and angles.shape[1] == len(lengths) and units.angle is None:
         for name, angle, length in zip(recording.joint_names, angles.T, lengths, strict=True):
-            if (number := froude(length * angle[:, None], recording.time, length)) > FASTEST:
-                raise InputError(
-                    f"joint {name} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
-                    f"{number:.3g} times gravity. These look like degrees: pass --units deg. If they are radians, "
-                    "check that times are seconds; --units rad accepts them"
-                )
+            _check_turning(name, angle, recording.time, length)
     if chain is not None and units.time is None:
         for k, length in enumerate(lengths):
             if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:

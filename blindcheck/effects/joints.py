@@ -124,20 +124,21 @@ def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: floa
 
 
 def _joint_coupling(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {
-        "stiffness": a * between(rng, 0.1, 0.4) * s.torque[k],
-        "ratio": sign(rng) * rng.uniform(0.4, 1.2),
-    }
+    stiffness, ratio = a * between(rng, 0.1, 0.4) * s.torque[k], sign(rng) * rng.uniform(0.4, 1.2)
+    middle = s.plan.centre[k] - ratio * s.plan.centre[k - 1]
+    return {"stiffness": stiffness, "ratio": ratio, "rest_angle": middle + rng.uniform(-0.8, 0.8)}
 
 
-@mechanism(units={"stiffness": "N·m/rad", "ratio": "1"}, needs=("two joints",), size=_joint_coupling)
-def joint_coupling(world: World, joint: int, stiffness: float, ratio: float) -> None:
-    """A spring on θᵢ − r θⱼ, with i the joint and j the one before it: on i, −k (θᵢ − r θⱼ);
-    on j, r times the opposite.
+@mechanism(
+    units={"stiffness": "N·m/rad", "ratio": "1", "rest_angle": "rad"}, needs=("two joints",), size=_joint_coupling
+)
+def joint_coupling(world: World, joint: int, stiffness: float, ratio: float, rest_angle: float) -> None:
+    """A spring on θᵢ − r θⱼ − θ₀, with i the joint and j the one before it: on i, −k times that; on j, r times the
+    opposite.
     """
 
     def change(spec: Any) -> None:
-        tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[0.0, 0.0])
+        tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[rest_angle, rest_angle])
         set_part(tendon, {"stiffness": stiffness})
         tendon.wrap_joint(world.segments[world.hinge(joint)].hinge, 1.0)
         tendon.wrap_joint(world.segments[world.hinge(joint - 1)].hinge, -ratio)

@@ -13,7 +13,7 @@ from invdyn.diagnosis.assessment.confusability import overlaps
 from invdyn.diagnosis.assessment.findings import finding, key
 from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
-from invdyn.diagnosis.assessment.matters import TOLERANCE, matters, tolerated
+from invdyn.diagnosis.assessment.matters import matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed
 from invdyn.diagnosis.assessment.result import (
     Cause,
@@ -28,9 +28,9 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
@@ -39,9 +39,6 @@ from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models import ArmModel, Body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
-
-CREDIBLE = 0.95
-"""Probability that the ambiguity set holds."""
 
 
 def assembled(
@@ -55,7 +52,7 @@ def assembled(
     follows: Sequence[str],
     seed: int,
     held_out: str,
-    tolerance: float = TOLERANCE,
+    tolerance: float = RULE.tolerance,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
@@ -183,7 +180,7 @@ def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     """
     unknown, body = bound.regime == "unknown_torque", bound.model.body
     shown = added(found.first)
-    unseen = {key(s.effect) for s in shown if s.dprime < FAINT or (unknown and imitable(s.effect))}
+    unseen = {key(s.effect) for s in shown if s.dprime < RULE.faint or (unknown and imitable(s.effect))}
     if bound.regime != "commanded":
         everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
         unseen |= {key(e.bound(body)) for e in everything if e.needs_command or (unknown and imitable(e))}
@@ -215,7 +212,7 @@ def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
         return ()
     held, rivals = 0.0, []
     for cause in named:
-        if total <= 0 or held > CREDIBLE * total:
+        if total <= 0 or held > RULE.credible * total:
             break
         rivals.append("+".join(f.key for f in cause.effects))
         held += cause.probability

@@ -25,6 +25,7 @@ from pyro.infer.smcfilter import SMCFailed
 from scipy.stats import multivariate_t
 from torch import Tensor
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -47,9 +48,9 @@ FILTERS, PARTICLES = 8, 20
 """Filters of a run, particles of each filter."""
 DRAWS = 4
 """Paths of each filter in the posterior."""
-CLEAR, SURE, TOO_UNSURE = 0.2, 0.7, 0.9
-"""Nats: a standard error with which no further run is needed, once tempered; one up to which the evidence by SMC is
-taken for more certain than the linearised one; and one of filters among which a single one counts."""
+CLEAR, TOO_UNSURE = 0.2, 0.9
+"""Nats: a standard error with which no further run is needed, once tempered; and one of filters among which a single
+one counts."""
 TAIL = 8.0
 """Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
@@ -82,7 +83,7 @@ def confirm_all(
     runs = side_by_side([partial(confirm, problem, cause, derived(seed, 0)) for cause in causes], workers)
     if len(runs) < 2 or any(not run.log_evidence_sd < TOO_UNSURE for run in runs):
         return runs
-    unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, SURE)]
+    unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, RULE.sure)]
     again = [partial(confirm, problem, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
     both = dict(zip(unclear, side_by_side(again, workers), strict=True))
     return [both.get(i, run) for i, run in enumerate(runs)]

@@ -10,7 +10,7 @@ noise does. With the refined precision Λ and the prior's S⁻¹,
 import numpy as np
 import torch
 
-from invdyn.diagnosis.assessment.result import Estimate, Finding
+from invdyn.diagnosis.assessment.result import Change, Estimate, Finding
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched, log_spread
@@ -56,7 +56,13 @@ def finding(
         # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
         mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
         estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit)
-    return Finding(effect.name, effect.side, place(effect), estimates)
+    changes = {}
+    for name, quantity in effect.filed.items():
+        if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
+            e = estimates[name]
+            low, high = (before + end for end in e.interval_90)
+            changes[name] = Change(before, Estimate(before + e.mean, e.sd, (low, high), e.unit))
+    return Finding(effect.name, effect.side, place(effect), estimates, changes)
 
 
 def _draws(

@@ -15,7 +15,7 @@ The interval comes from a bootstrap of the rows in blocks, as neighbouring error
 the first and last rows count as often as others (Politis & Romano 1992).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,8 +25,9 @@ import torch
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
 from invdyn.diagnosis.budget import Spent
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, others
 from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
@@ -37,13 +38,7 @@ from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
 
-BLOCK = 0.4
-"""s, length of the bootstrap's blocks; half of the rows, if those are fewer."""
 DRAWS = 1000
-LATER = 4.0
-"""Factor by which a parameter's standard deviation grows where the rows that show it are missing; by 1.2 elsewhere."""
-SHARE = 2 / 3
-"""Of the rows, to fit on, where the rest is held out."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class Closed:
 def split(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, np.ndarray]:
     """The problem before its last rows, and which rows (T,) those are."""
     seen = np.flatnonzero((~torch.isnan(problem.observations)).any(-1).numpy())
-    first = int(seen[int(SHARE * len(seen))])
+    first = int(seen[int(RULE.share * len(seen))])
     return problem.until(first), np.arange(len(problem.observations)) >= first
 
 
@@ -123,6 +118,18 @@ def by_effect(
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 
+def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed]) -> bool:
+    """Whether held-out rows speak for each effect of a cause of ``several``, stray detections not counted.
+
+    Several together imitate what the catalogue lacks, and what does that closes nothing where the arm moves on. The
+    90 % interval of what each closes, by its key in ``parts``, must not reach down to nothing; where it was not
+    measured there is nothing to say.
+    """
+    asked = [parts.get(key(effect)) for effect in others(cause)]
+    measured = [part.interval for part in asked if part is not None and part.interval is not None]
+    return len(asked) < RULE.several or all(low > 0 for low, _ in measured)
+
+
 def _apart(
     problem: DiagnosisProblem, other: DiagnosisProblem | None
 ) -> tuple[DiagnosisProblem, np.ndarray, Callable[[FittedHypothesis], FittedHypothesis]]:
@@ -153,7 +160,7 @@ def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: Di
 def _shown_later(cause: FittedHypothesis, fitted: FittedHypothesis) -> bool:
     """Whether the rows that a cause is ``fitted`` on say next to nothing of some parameter of its effects."""
     mine = np.array([not name.startswith("body.") for name in cause.names], dtype=bool)
-    return bool((fitted.sd[mine] > LATER * cause.sd[mine]).any())
+    return bool((fitted.sd[mine] > RULE.later * cause.sd[mine]).any())
 
 
 def closed(
@@ -176,7 +183,7 @@ def closed(
     if gap.sum() <= 0:
         return Closed(None, None, per_frame)
     count = len(gain)
-    longest = BLOCK / np.median(np.diff(time[use])) if count > 1 else 1
+    longest = RULE.block / np.median(np.diff(time[use])) if count > 1 else 1
     length = max(1, min(round(longest), count // 2))
     starts = np.random.default_rng(seed).integers(count, size=(DRAWS, -(-count // length)))
     index = ((starts[..., None] + np.arange(length)) % count).reshape(DRAWS, -1)

@@ -5,46 +5,58 @@ in an acceleration by half of what that changes in one step of h seconds (Hairer
 
     |τ_k| ≲ I_k h/2 |d³θ_k/dt³|,        h = 2 ms, or as short as rows are, I_k the inertia that joint k carries,
 
-and that, too, is no gap. A torque counts as large as it is in its worst second: a push is over soon. Where detections
-are louder than their noise whatever the torque does, or only the noise itself is otherwise, no torque tells, and the
-gap matters. An unknown torque has no tolerance.
+and that, too, is no gap. The third derivative is the motion's, of cubics through a tenth of a second of its velocity
+(Savitzky & Golay 1964): from row to row a path is as rough as the torque that the simulation lacks, and a gap may not
+raise the tolerance that it is held against.
+
+A torque counts as large as it is in its worst second: a push is over soon. Where detections are louder than their noise
+whatever the torque does, or only the noise itself is otherwise, no torque tells, and the gap matters. An unknown torque
+has no tolerance.
 
 Shapes: T rows, K joints.
 """
 
 import numpy as np
+from scipy.signal import savgol_filter
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.pool import LOUD
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 
-TOLERANCE = 0.005
-"""Of a typical torque, by default."""
-STEP = 0.002
-"""s: the usual step of simulators of robots."""
-WORST = 1.0
-"""s over which a torque counts in the mean."""
+SMOOTH, POINTS = 0.1, 11
+"""s over which a motion's third derivative is one of a cubic, and points in so long."""
 
 
-def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = TOLERANCE) -> np.ndarray:
+def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = RULE.tolerance) -> np.ndarray:
     """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
     model = problem.model
     time, velocity = model.time.numpy(), path[:, -model.body.num_joints :].numpy()
-    jerk = np.gradient(np.gradient(velocity, time, axis=0), time, axis=0)
-    step = min(STEP, float(np.median(np.diff(time))))
+    starts = [*problem.starts]
+    stretches = zip(np.split(time, starts), np.split(velocity, starts), strict=True)
+    jerk = np.concatenate([_jerk(*stretch) for stretch in stretches])
+    step = min(RULE.step, float(np.median(np.diff(time))))
     own = model.dynamics.typical_inertia(model.scale.body).numpy() * step / 2 * np.sqrt((jerk**2).mean(0))
     return np.maximum(share * np.array(model.scale.torque), own)
+
+
+def _jerk(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """The second derivative (…, K) rad/s³ of a velocity (T, K), on an even grid of its own."""
+    first, last = float(time[0]), float(time[-1])
+    count = max(round((POINTS - 1) * (last - first) / SMOOTH) + 1, POINTS)
+    even, step = np.linspace(first, last, count, retstep=True)
+    columns = [np.interp(even, time, column) for column in velocity.T]
+    return savgol_filter(np.stack(columns, -1), POINTS, 3, deriv=2, delta=step, axis=0)
 
 
 def matters(
     problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
 ) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    if problem.regime == "unknown_torque" or none.kappa > LOUD or any(is_noise(effect) for effect in best.effects):
+    if problem.regime == "unknown_torque" or none.kappa > RULE.loud or any(is_noise(effect) for effect in best.effects):
         return True
-    rows = max(round(WORST / float(problem.model.dt[1:].median())), 1)
+    rows = max(round(RULE.worst / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))
     total = np.concatenate([np.zeros((1, missing.shape[1])), (missing**2).cumsum(0)])
     worst = np.sqrt((total[rows:] - total[:-rows]).max(0) / rows)

@@ -1,8 +1,8 @@
 """Probabilities of causes: the best confirmed by SMC, all weighed by tempered evidence, prior and what they leave.
 
-Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`). Within it, s_c is the probability
-that next to nothing is left once the cause is in. Sets of many effects have a smaller s_c, because they may imitate an
-effect that the catalogue lacks (:func:`.prior.believed`; stray detections do not count). "No gap" is one of the causes.
+Each cause has a posterior probability p_c by evidence and prior (:mod:`.prior`). Within it, s_c is the share of
+residuals that do not matter: under a stated tolerance, or a tenth of the one that the simulation without it needs.
+"No gap" is one of the causes.
 
     P(c and nothing else) = p_c s_c,    P(c in part) = p_c (1 − s_c),    P(outside the catalogue) = Σ_c p_c (1 − s_c).
 
@@ -13,9 +13,11 @@ A cause explains only a part, s_c = 0, in any of these cases:
 - errors are larger than the noise that the recording shows;
 - parameters are such that an effect would not bear its name (:meth:`Effect.credible`), as two stops that meet;
 - a residual still gains evidence: L_c = max_size log p − log p(spike) exceeds a hundredth of what it gains without a
-  cause by five nats (:meth:`.pool.HypothesisPool.leaves`). It is small then, but surely there.
+  cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but surely
+  there.
 
-The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`).
+The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`). Of three effects or more,
+held-out rows have to bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
 
 If s_c = 0, another effect is at work beside c. In the choice between causes it costs what a named one does
 (:mod:`.prior`): p_c falls by P(n + 1)/P(n), where c has n ≥ 1 effects. What a held-out recording shows is exempt.
@@ -30,23 +32,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.assessment.confirm import SURE, Confirmed, confirm_all
+from invdyn.diagnosis.assessment.confirm import Confirmed, confirm_all
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.credible import credible
-from invdyn.diagnosis.hypotheses.innovation_tests import CHANCE, along_motion, prediction_errors, show_more
-from invdyn.diagnosis.hypotheses.pool import LITTLE, HypothesisPool, others
+from invdyn.diagnosis.hypotheses.innovation_tests import along_motion, prediction_errors, show_more
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import another, believed
+from invdyn.diagnosis.problem.prior import another
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
-NEAR = 3.0
-"""Nats behind the best within which causes are confirmed by SMC, and how many at most."""
-CONFIRMED = 2
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
-ALONG = 0.05
-"""Share of the errors beyond a half, and beyond chance, from which on they lie along the motion."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,10 @@ class Weighed:
         return next(iter(self.causes.values()))[0]
 
 
-def _alone(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> float:
-    """Posterior share of residuals that are nothing, or little beside the one that the simulation needs.
+def _alone(
+    bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, tolerance: float = RULE.tolerance
+) -> float:
+    """Posterior share of residuals under the tolerance, or little beside the one that the simulation needs.
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
@@ -76,34 +76,36 @@ def _alone(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothes
     if bound.regime == "unknown_torque":
         return 1.0
     along, chance = along_motion(errors, cause)
-    if along > 0.5 + ALONG + CHANCE * chance:
+    if along > 0.5 + RULE.along + RULE.chance * chance:
         return 0.0
     levels = sizes(bound.regime)
     prior = log_prior(levels)
-    if found.leaves(cause):
+    if found.leaves(cause) and best_size(bound, cause) > tolerance:
         return 0.0
+    # A torque under the tolerance is nothing to look for a cause of, though "no gap" is less than that.
+    least = max(levels[1], tolerance) if cause.effects else levels[0]
     weight = found.temper * (cause.by_size - prior) + prior
-    # Thousandths of a typical torque are nothing to look for a cause of, though "no gap" is more than that.
-    least = levels[1] if cause.effects else levels[0]
-    little = levels <= max(least, LITTLE * best_size(bound, found.pool[""]))
-    return believed(len(others(cause))) * float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
+    little = levels <= max(least, RULE.little * best_size(bound, found.pool[""]))
+    return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
-def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
-    """Confirm the best by SMC, and turn scores into probabilities."""
+def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: float = RULE.tolerance) -> Weighed:
+    """Confirm the best by SMC, and turn scores into probabilities; torques under a ``tolerance`` are not left."""
     ranked = found.ranked
-    close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - NEAR][:CONFIRMED]
+    close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - RULE.near][: RULE.confirmed]
     runs = confirm_all(bound, close, seed, found.temper, found.workers)
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
     # whole stand beside those that were not confirmed where the linearised evidence has them.
-    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < SURE for run in confirmed.values()):
+    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < RULE.sure for run in confirmed.values()):
         apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
         evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
-    share = np.array([_alone(bound, found, c) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)])
+    share = np.array(
+        [_alone(bound, found, c, tolerance) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)]
+    )
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
     probability = probability * np.where(rest, [another(len(c.effects), found.most) for c in ranked], 1.0)
@@ -123,8 +125,12 @@ def in_part_only(weighed: Weighed) -> Weighed:
 
 
 def only(
-    bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, log_evidence: dict[str, float]
+    bound: DiagnosisProblem,
+    found: HypothesisPool,
+    cause: FittedHypothesis,
+    log_evidence: dict[str, float],
+    tolerance: float = RULE.tolerance,
 ) -> Weighed:
     """The one cause that there is, and what the catalogue lacks beside it."""
-    share = _alone(bound, found, cause)
+    share = _alone(bound, found, cause, tolerance)
     return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

@@ -5,14 +5,10 @@ likely a missing torque of that size is than none. "No gap" is an answer where a
 gap" where none is; in a few frames, or between detections as far apart as the arm is long, both are as likely.
 """
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
-
-LARGE = 0.2
-"""Typical torques that no answer "no gap" may overlook."""
-OUT_OF_QUESTION = 3.0
-"""Nats by which the one must be less likely than the other: twenty to one."""
 
 
 def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
@@ -24,8 +20,8 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
         return None
     levels = sizes(problem.regime)
     by_size = found.pool[""].by_size - log_prior(levels)
-    hidden = levels[(levels >= LARGE) & (by_size > by_size[0] - OUT_OF_QUESTION)]
-    if not len(hidden) or by_size.max() > by_size[0] + OUT_OF_QUESTION:
+    hidden = levels[(levels >= RULE.large) & (by_size > by_size[0] - RULE.out_of_question)]
+    if not len(hidden) or by_size.max() > by_size[0] + RULE.out_of_question:
         return None
     time, torque = problem.model.time, float(hidden.max() * problem.typical.max())
     rows, seconds = len(time), float(time[-1] - time[0])

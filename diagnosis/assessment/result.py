@@ -26,17 +26,46 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A number that the simulation's own file has, and what it is with the effect: from `before` to `after`."""
+
+    before: float
+    after: Estimate
+
+
+@dataclass(frozen=True)
+class Written:
+    """A corrected copy of the simulation's file.
+
+    Attributes:
+        file: its path.
+        changes: numbers of it: place, quantity, from, to, interval_90, unit, effect.
+        unsaid: what the file cannot say, or was not written: words → why.
+        nothing: why there was nothing to write; None where there is a file.
+        rollout: what MuJoCo itself is off by with the file and with the copy; None where it does not read such files.
+    """
+
+    file: str
+    changes: tuple[dict, ...]
+    unsaid: dict[str, str]
+    nothing: str | None = None
+    rollout: dict | None = None
+
+
+@dataclass(frozen=True)
 class Finding:
     """One effect at one place, with its parameters' posterior.
 
     `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name, and
-    "form" to that of an effect that has several; empty for the whole arm.
+    "form" to that of an effect that has several; empty for the whole arm. `changes` has those parameters that add to a
+    number of the simulation's own file.
     """
 
     effect: str
     side: str
     where: dict[str, str]
     parameters: dict[str, Estimate]
+    changes: dict[str, Change] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
@@ -214,6 +243,7 @@ class Diagnosis:
     not_enough_data: str | None = None
     not_looked_at: int = 0
     posterior: az.InferenceData | None = None
+    written: Written | None = None
 
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""
@@ -268,6 +298,7 @@ class Diagnosis:
                 "residual_torque_rms_after": self.shrinkage.residual_torque_rms_after,
                 "by_effect": {name: _closed(part) for name, part in self.shrinkage.by_effect.items()},
             },
+            **({} if self.written is None else {"write_back": vars(self.written)}),
         }
 
 
@@ -286,10 +317,13 @@ def _closed(share: Shrinkage | Part) -> dict:
 
 
 def _finding(finding: Finding) -> dict:
-    parameters = {
+    parameters: dict[str, dict] = {
         name: {"mean": e.mean, "sd": e.sd, "interval_90": list(e.interval_90), "unit": e.unit}
         for name, e in finding.parameters.items()
     }
+    for name, change in finding.changes.items():
+        to = change.after
+        parameters[name] |= {"from": change.before, "to": to.mean, "to_interval_90": list(to.interval_90)}
     return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
 
 

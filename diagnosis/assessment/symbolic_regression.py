@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.assessment.gap_closure import SHARE
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
@@ -179,7 +179,7 @@ def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray)
 def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
     """Nats a frame that the last third of the rows gains, with coefficients from the first two."""
     rows = whitened.columns[size]
-    cut = int(SHARE * len(rows))
+    cut = int(RULE.share * len(rows))
     A, y = rows[:cut, 1 + np.array(chosen)], rows[:cut, 0]
     kappa2 = (y**2).mean()
     precision = A.T @ A / kappa2 + np.diag(1 / sd[chosen] ** 2)
@@ -190,5 +190,5 @@ def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndar
     def score(w: np.ndarray, k2: float) -> float:
         return float(-0.5 * (w**2).sum() / k2 - 0.5 * len(w) * np.log(k2))
 
-    frames = max((whitened.seen > 0).sum() - int(SHARE * (whitened.seen > 0).sum()), 1)
+    frames = max((whitened.seen > 0).sum() - int(RULE.share * (whitened.seen > 0).sum()), 1)
     return (score(rest, after2) - score(before, kappa2)) / frames

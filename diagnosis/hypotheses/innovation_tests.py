@@ -27,7 +27,7 @@ from itertools import combinations
 import numpy as np
 import torch
 
-from invdyn.diagnosis.hypotheses.pool import LOUD
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -38,32 +38,24 @@ from invdyn.models.observation.mixture import MistakenRows
 
 DRAWS = 8
 """Recordings that are drawn for their noise."""
-AMPLE = 3.0
-"""Times its best size, a limb's torque leaves no errors alike by being smoother than its prior is."""
-
-ALIKE, CHANCE = 0.1, 2.0
-"""Correlation of neighbouring errors of prediction from which on they are alike, and what chance may add in its
-standard deviations; a right simulation's have none, but for what reality's effects are otherwise than the
-catalogue's."""
-COMPANY = 0.25
-"""Share of the stray detections that have company, beyond chance, from which on something makes them stray as one."""
 
 
 def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:
     """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
-    if loudness(problem, cause) > LOUD:
+    if loudness(problem, cause) > RULE.loud:
         return True
     alike, chance = correlation(errors)
     company, by_chance = in_concert(problem, cause)
-    return alike > ALIKE + CHANCE * chance or company > COMPANY + CHANCE * by_chance
+    return alike > RULE.alike + RULE.chance * chance or company > RULE.company + RULE.chance * by_chance
 
 
 def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.ndarray:
     """Whitened one-step prediction errors (T, O), NaN where nothing was seen.
 
-    With unknown torque under an ample one: what is then alike in them, no torque can do.
+    With unknown torque under an ample one, which leaves no errors alike by being smoother than its prior is: what is
+    then alike in them, no torque can do.
     """
-    size = best_size(problem, cause) * (AMPLE if problem.regime == "unknown_torque" else 1.0)
+    size = best_size(problem, cause) * (RULE.ample if problem.regime == "unknown_torque" else 1.0)
     rows = whitened(problem, cause, cause.path, [size])
     errors = np.full(problem.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
@@ -101,11 +93,11 @@ def correlation(errors: np.ndarray) -> tuple[float, float]:
 def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, float]:
     """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
 
-    Whatever their sizes and distribution. Of the faster half of all detections: at rest there is no direction. The
-    first coordinates of ``errors`` (T, O) are the tracked tips' x and y.
+    Whatever their sizes and distribution, of ``errors`` (T, O). Of the faster half of all detections: at rest there is
+    no direction.
     """
     tips = seen_tips(cause.model, cause.path)
-    errors = errors[:, : 2 * tips.shape[1]].reshape(tips.shape)
+    errors = cause.model.observation.points(errors)
     velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
     speed = np.hypot(*np.moveaxis(velocity, -1, 0))
     seen = np.isfinite(errors).all(-1)

@@ -7,9 +7,10 @@ from math import log
 import numpy as np
 from torch import Tensor
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import ALPHA_WITHIN, MOST_EFFECTS, another, log_prior_of, tempered
+from invdyn.diagnosis.problem.prior import MOST_EFFECTS, another, log_prior_of, tempered
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
 from invdyn.models.effects import EFFECTS
@@ -17,12 +18,6 @@ from invdyn.models.effects.base import Effect
 
 MISTAKES = ("outliers", "label_swap")
 """Effects that leave stray detections, and are not looked for where there are none."""
-LITTLE = 0.1
-"""Of the residual that the simulation without a cause needs: what is left under a cause that explains the gap."""
-LOUD = 1.5
-"""Errors of prediction to the noise (:func:`.innovation_tests.loudness`), from which on something is left."""
-FEW = 5.0
-"""Nats that a residual may gain by chance."""
 
 
 @dataclass
@@ -66,7 +61,7 @@ class HypothesisPool:
     def temper_within(self, effect: Effect) -> float:
         """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
         beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
-        return tempered(self.top - beside, ALPHA_WITHIN)
+        return tempered(self.top - beside, RULE.alpha_within)
 
     def score(self, cause: FittedHypothesis) -> float:
         """Log posterior but for a constant.
@@ -121,7 +116,7 @@ def others(cause: FittedHypothesis) -> list[Effect]:
 
 
 def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
-    """Whether a residual surely gains evidence beside a cause: ``FEW`` nats, and ``LITTLE``² of those beside ``none``.
+    """Whether a residual surely gains evidence beside a cause: ``few`` nats, and ``little``² of those beside ``none``.
 
     A limb's own torque is always left, and no cause by itself leaves what no cause explains.
     """
@@ -129,7 +124,7 @@ def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
         return False
     prior = log_prior(sizes("commanded"))
     left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
-    return left > FEW + LITTLE**2 * gap
+    return left > RULE.few + RULE.little**2 * gap
 
 
 def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[Effect]:
@@ -137,6 +132,8 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     body = problem.model.body
     observation, commanded = problem.model.observation, problem.regime == "commanded"
     tracked = list(observation.tracked_names)
+    parts = getattr(body, "joint_parts", ())
+    servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
     found = []
     for name, kind in EFFECTS.items():
         if name in without:
@@ -146,9 +143,14 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
         found += [
             effect.bound(body)
             for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, bool(observation.data()))
+            if effect.tellable(commanded, bool(observation.data())) and _told(effect.bound(body), servos)
         ]
     return found
+
+
+def _told(effect: Effect, servos: set[int]) -> bool:
+    """Whether what happens to a command could happen to what the effect's motors are told: ``servos`` get targets."""
+    return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
 
 
 def imitable(effect: Effect) -> bool:

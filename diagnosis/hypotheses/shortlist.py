@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from invdyn.diagnosis.budget import Spent
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -54,9 +55,6 @@ SOFTENED = 0.01
 FAILED = 20.0
 """Nats under its base from which on a refinement has lost its way: a cause contains its base."""
 
-FAINT = 3.0
-"""d′ of an effect of typical size under which the recording could not have shown it."""
-
 
 def refine_promising(
     problem: DiagnosisProblem,
@@ -83,7 +81,7 @@ def refine_promising(
     most = screened[0].log_evidence - nothing
     if problem.regime == "unknown_torque":
         bar = idle(screened)
-        promising = [s for s in promising if s.log_evidence > bar and s.dprime > FAINT]
+        promising = [s for s in promising if s.log_evidence > bar and s.dprime > RULE.faint]
     promising = promising[:width]
     # One that gains far more than the next may leave nothing, and spare the others.
     alone = len(promising) > 1 and promising[1].log_evidence - nothing < HALF * most
@@ -151,7 +149,7 @@ def refine_barred(
     follows at once may explain nothing.
     """
     nothing, bar = next(s.log_evidence for s in screened if s.effect is None), idle(screened)
-    seen = [s for s in added(screened) if not imitable(s.effect) and s.dprime > FAINT]
+    seen = [s for s in added(screened) if not imitable(s.effect) and s.dprime > RULE.faint]
     soft = {s.effect.key for s in seen if s.effect.softened() is not None}
     barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
 

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import FIRM, lifted
 from invdyn.diagnosis.hypotheses.moves import refine_instead, refine_kin, refine_softer
-from invdyn.diagnosis.hypotheses.pool import FEW, HypothesisPool
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, refine_promising
@@ -118,7 +119,7 @@ def _beside_play(problem: DiagnosisProblem, found: HypothesisPool, best: FittedH
         return
     rest = tuple(effect for effect in best.effects if effect is not old)
     singles = [c for c in found.pool.values() if len(c.effects) == 1 and c.key not in taken]
-    near = [c for c in singles if c.log_evidence > alone.log_evidence - FEW and not is_searched(c.effects[0])]
+    near = [c for c in singles if c.log_evidence > alone.log_evidence - RULE.few and not is_searched(c.effects[0])]
     for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:
         other = cause.effects[0]
         own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(problem.model.scale)}

@@ -25,6 +25,7 @@ from invdyn.diagnosis.problem.outliers import calm
 from invdyn.diagnosis.problem.thinned import thinned
 from invdyn.inference.posterior.initialise import Problem, arm_problem, jitter, sufficient_substeps
 from invdyn.models import ArmModel, Body
+from invdyn.models.articulated.as_filed import answered
 from invdyn.models.bodies.scalars import QUANTITIES
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
@@ -211,7 +212,7 @@ def diagnosis_problem(
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime == "commanded":
-        _check_torques(recording.name, model, velocity)
+        _check_torques(recording.name, model, angle, velocity)
     check_conventions(recording.name, model, problem.observations, angle)
     if starts:
         model = model.starting_anew(starts, angle[starts])
@@ -220,8 +221,8 @@ def diagnosis_problem(
     return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
 
 
-def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
-    """Raise InputError for commands far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
+def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor) -> None:
+    """Raise InputError for torques far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
 
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
     """
@@ -230,7 +231,8 @@ def _check_torques(name: str, model: ArmModel, velocity: Tensor) -> None:
         return
     rms = (velocity.diff(dim=0) / model.dt[1:].unsqueeze(-1)).square().mean(0).sqrt()
     needed = (typical_torque(dynamics, body) + dynamics.typical_inertia(body) * rms).norm().item()
-    given = model.command.square().mean(0).sqrt().norm().item()
+    torque = answered(model.body, model.command, angle, velocity)
+    given = torque.square().mean(0).sqrt().norm().item()
     if given > TOO_MUCH * needed:
         raise InputError(
             f"{name}: expected torques in N·m, some {needed:.2g} for body {model.body.name!r} and this motion, got "

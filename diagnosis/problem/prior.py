@@ -9,10 +9,6 @@ The number of effects at work comes first, then which ones, then where each acts
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.whiten`).
 
-Three effects at once are rarer than one that the catalogue lacks, which several together imitate well: of k ≥ 3 that
-are found, a share P(k)/(P(k) + P(lacking)), P(lacking) = .03, is believed; the rest is "outside the catalogue". Stray
-detections and exchanged labels are not counted: they imitate no motion, and stand beside what is lacking, too.
-
 Reality's friction is not quite the catalogue's, and the larger an effect, the more nats that small difference is worth.
 Evidence is therefore raised to a power ζ (a coarsened posterior: Miller & Dunson 2019, "Robust Bayesian inference via
 coarsening"), with G the nats that the best cause gains over none:
@@ -25,7 +21,9 @@ and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
     log p_ζ(y) = ζ log p(y) − ½ Σ_i [log(1 + ζλ_i) − ζ log(1 + λ_i)] − ½ (1 − ζ) |(φ̂ − μ)/s|²
 
 so that parameters which are known well, or far from what was expected, cost what they do without tempering.
-Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are. Stray
+Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are; for the
+parameters of one cause α is larger, by which .90 of 740 intervals of opened blind runs hold the truth, and .936 of 311
+and .904 of 312 of sealed ones after it. Stray
 detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.HypothesisPool.score`).
 """
 
@@ -34,22 +32,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.models.effects.base import Effect
 
-NUMBER = (0.4, 0.5, 0.08, 0.016, 0.004)
-MOST_EFFECTS = len(NUMBER) - 1
+MOST_EFFECTS = len(RULE.number) - 1
 """Effects at once, unless more are asked for: sets of many take long, and imitate what the catalogue lacks."""
-LACKING, IMITATORS = 0.03, 3
-"""P(lacking), and the number of effects from which on they are suspected to imitate it."""
-ALPHA, ALPHA_WITHIN = 1000.0, 8000.0
-"""α, nats, between causes and for the parameters of one. The latter from 740 intervals at 90 % of opened blind runs,
-commanded, whose cause was named: widened or narrowed to it, .90 have the truth, .62 (a Gaussian's: .59) its middle
-half. Sealed runs after it: .936 of 311, .904 of 312."""
 
 
-def tempered(gain: float, alpha: float = ALPHA) -> float:
-    """ζ, for G = ``gain``."""
-    return 1 / (1 + max(gain, 0.0) / alpha)
+def tempered(gain: float, alpha: float | None = None) -> float:
+    """ζ, for G = ``gain`` and α = ``alpha``, that between causes if none is given."""
+    return 1 / (1 + max(gain, 0.0) / (RULE.alpha if alpha is None else alpha))
 
 
 def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: float) -> float:
@@ -60,12 +52,7 @@ def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: floa
 
 def of_number(count: int) -> float:
     """P(n), n = ``count``."""
-    return NUMBER[min(count, MOST_EFFECTS)] / 4.0 ** max(count - MOST_EFFECTS, 0)
-
-
-def believed(count: int) -> float:
-    """Probability that ``count`` effects that explain a gap are at work, and not one that they imitate."""
-    return 1.0 if count < IMITATORS else of_number(count) / (of_number(count) + LACKING)
+    return RULE.number[min(count, MOST_EFFECTS)] / 4.0 ** max(count - MOST_EFFECTS, 0)
 
 
 def another(count: int, most: int = MOST_EFFECTS) -> float:

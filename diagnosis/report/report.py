@@ -15,7 +15,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
@@ -62,7 +62,8 @@ def render(diagnosis: Diagnosis) -> str:
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
-        faint=plain(FAINT, 2),
+        file_changes=_file_changes(diagnosis),
+        faint=plain(RULE.faint, 2),
         clear=plain(CLEAR, 2),
         hidden_torque=diagnosis.regime == "unknown_torque",
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
@@ -132,6 +133,20 @@ def _cause(cause: Cause, best: float) -> dict:
         ],
         "note": f"{evidence} (Monte Carlo error {fixed(cause.log_evidence_sd, 1)})." if known(behind) else "",
     }
+
+
+def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Rows of the corrected file: what, from, to, and the interval."""
+    written = diagnosis.written
+    return [
+        (
+            f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}, {each['unit']}",
+            plain(each["from"], 4),
+            plain(each["to"], 4),
+            f"{plain(each['interval_90'][0], 3)} to {plain(each['interval_90'][1], 3)}",
+        )
+        for each in (written.changes if written else ())
+    ]
 
 
 def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
@@ -219,6 +234,6 @@ def _visible(diagnosis: Diagnosis) -> dict[str, list]:
     """Candidates by whether the recording could have shown them, with d′."""
     groups: dict[str, list] = {"yes": [], "faintly": [], "no": []}
     for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):
-        name = "no" if not v.dprime >= FAINT else "yes" if v.dprime >= CLEAR else "faintly"
+        name = "no" if not v.dprime >= RULE.faint else "yes" if v.dprime >= CLEAR else "faintly"
         groups[name].append((key_words(v.key, diagnosis), plain(v.dprime, 2)))
     return groups

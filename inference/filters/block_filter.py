@@ -30,6 +30,7 @@ from invdyn.inference.filters.controlled import triangular
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.weights import ancestors_where, row_log_prob
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.models.divergence import ran_away
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
 BLOCK = 32
@@ -100,6 +101,8 @@ class BlockFilter:
             total = log_weights.logsumexp(-1)
             if not bool(torch.isfinite(total).all()):
                 row = first + int((~torch.isfinite(total)).any(-1).int().argmax())
+                if not bool(torch.isfinite(states).all(-1)[:, :, row - first].any()):
+                    raise SMCFailed(ran_away(row))
                 raise SMCFailed(f"all particles of a filter have weight zero at row {row}: use a larger noise scale")
             log_weights = log_weights - total.unsqueeze(-1)
             ess = 1 / log_weights.exp().square().sum(-1)

@@ -38,6 +38,7 @@ from invdyn.inference.filters.filter_checkpoint import resumed, save
 from invdyn.inference.filters.particles import FilterResult, FilterState, History, take
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
+from invdyn.models.divergence import ran_away
 
 PATIENCE = 1000
 """Rows after which a filter that must not wait for its device looks whether it is still alive."""
@@ -238,7 +239,7 @@ class ParticleFilter(SMCFilter):
             self.resampled = self._need(last=t == rows - 1)
             history.note(t, total, self.ess, self.resampled)
             if synchronous:
-                self._alive(total[None], t)
+                self._alive(total[None], t, particles["x"])
             elif self.row % PATIENCE == 0 or self.row == rows:
                 first = (t // PATIENCE) * PATIENCE
                 self._alive(history.increment[first : t + 1], first)
@@ -287,12 +288,17 @@ class ParticleFilter(SMCFilter):
         self._log_weights = torch.where(self.resampled.unsqueeze(-1), uniform, self._log_weights)
         return {name: take(value, self.ancestors) for name, value in particles.items()}
 
-    def _alive(self, totals: Tensor, first: int) -> None:
-        """Raise SMCFailed unless the evidence's increments (R, …) of the rows from ``first`` on are finite."""
+    def _alive(self, totals: Tensor, first: int, states: Tensor | None = None) -> None:
+        """Raise SMCFailed unless the evidence's increments (R, …) of the rows from ``first`` on are finite.
+
+        Where the ``states`` (…, N, D) there are no numbers the simulation is at fault, and the message says so.
+        """
         # The sum is finite if all of them are, and one question is asked instead of many.
         if not math.isfinite(totals.sum().item()):
             rows = ~torch.isfinite(totals).reshape(len(totals), -1)
             row = int(rows.any(-1).int().argmax())
+            if states is not None and not bool(torch.isfinite(states).all(-1).any(-1).reshape(-1)[rows[0]].any()):
+                raise SMCFailed(ran_away(first + row))
             raise SMCFailed(
                 f"all particles of {int(rows[row].sum())} filter(s) have weight zero at "
                 f"row {first + row}: the observation is out of the model's reach; use a larger "

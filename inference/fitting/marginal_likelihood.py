@@ -35,13 +35,15 @@ class Free:
     """One parameter to be fitted: its entries separately, or ``tied`` to one common factor.
 
     ``sd`` is the prior's standard deviation of log(θ/θ_start); ``entries`` the flat indices that are
-    free, all of them by default.
+    free, all of them by default. One that may be negative has a ``unit`` instead, in its own measure: it is
+    θ_start + unit φ, and φ has the prior.
     """
 
     name: str
     tied: bool = False
     sd: float = 2.0
     entries: tuple[int, ...] | None = None
+    unit: float | None = None
 
     def indices(self, size: int) -> tuple[int, ...]:
         """Flat indices of the free entries among ``size``."""
@@ -60,7 +62,7 @@ class Fit(Generic[M]):
         model: with the fitted parameters.
         log_evidence: of the linearised model at the optimum.
         path: (T, D) mode, a warm start for what follows.
-        log_sd: per parameter, posterior sd of the log of its entries (Laplace).
+        log_sd: per parameter, posterior sd of the log of its entries (Laplace), or of entries over their unit.
         converged: whether the optimiser met its tolerance.
         phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
         covariance: (P, P) posterior covariance of φ (Laplace).
@@ -108,10 +110,11 @@ class LogParameters(Generic[M]):
             place = own.new_zeros(len(index), start.numel())
             free = list(f.indices(start.numel()))
             place[torch.arange(len(index)) if len(index) > 1 else 0, free] = 1.0
-            factor = (own @ place).exp()
+            change = own @ place
             if phi.ndim == 2:
-                factor = factor.unsqueeze(-2)
-            values[f.name] = start * factor.reshape(*factor.shape[:-1], *start.shape)
+                change = change.unsqueeze(-2)
+            change = change.reshape(*change.shape[:-1], *start.shape)
+            values[f.name] = start * change.exp() if f.unit is None else start + f.unit * change
         return self.model.replace(**values)
 
 
@@ -189,7 +192,7 @@ def fit(
     max_iterations: int = 40,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit[M]:
-    """Fit the ``free`` parameters; all must be positive.
+    """Fit the ``free`` parameters; all but those with a unit must be positive.
 
     Args:
         model: at its starting parameters, which are also the prior's centre.

@@ -26,9 +26,11 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import Body, BodyParameters, Observation
+from invdyn.models import ArmModel, Body, BodyParameters, Observation, Tree
+from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.kinematics import link_angles, within_half_a_turn
+from invdyn.models.inverse_kinematics import row_poses
+from invdyn.models.kinematics import joint_angle_candidates, link_angles, within_half_a_turn
 from invdyn.recordings import InputError
 
 FEWEST_FRAMES = 10
@@ -63,6 +65,27 @@ def joint_angles(
     # A joint's angle is the difference of two links', and has the gaps of both.
     gap[:, 1:] = np.maximum(gap[:, 1:], gap[:, :-1])
     return within_half_a_turn(np.diff(absolute, axis=1, prepend=0.0), wrapped), gap
+
+
+def tree_angles(model: ArmModel, body: Tree, observations: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (T, K) of a tree by inverse kinematics row by row, and gaps (T, K), s, as `joint_angles` has them.
+
+    A row that is not wholly seen is a gap of all joints. Raises InputError where none is.
+    """
+    time, numbers = model.time.numpy(), model.body_parameters()
+    sd = joint_angle_sd(model, numbers)
+    near = joint_angle_candidates(body, time, observations, model.observation, numbers, sd)
+    if near is None:
+        raise InputError("neither a keypoint nor an encoder is ever seen: filter-and-differentiate needs them")
+    poses, whole = row_poses(body, observations, model.observation, numbers, sd, near[len(near) // 2])
+    seen = np.flatnonzero(whole)
+    if not len(seen):
+        raise InputError("no row is wholly seen, as filter-and-differentiate needs it: use another method")
+    poses = np.stack([np.interp(time, time[seen], column[seen]) for column in poses.T], -1)
+    edges = np.concatenate([[-np.inf], time[seen], [np.inf]])
+    place = np.searchsorted(time[seen], time, side="right")
+    gap = np.where(whole, 0.0, edges[np.minimum(place + 1, len(edges) - 1)] - edges[place])
+    return poses, np.broadcast_to(gap[:, None], poses.shape)
 
 
 def derivatives(
@@ -148,17 +171,20 @@ def differentiate(
         progress: called with (done, total, what).
         cutoff: Hz; by residual analysis, joint by joint, when not given.
 
-    Raises InputError for fewer than ten frames, a link that is never seen, or an impossible cut-off, and a body
-    that is no chain in the plane.
+    Raises InputError for fewer than ten frames, a link that is never seen, an impossible cut-off, or a body
+    that is neither a chain in the plane nor a tree in space.
     """
     model, time = problem.model.to(dtype=torch.float64), problem.recording.time
-    if not isinstance(model.body, Body):
-        raise InputError(
-            f"filter-and-differentiate reads angles of a chain in the plane, got body '{model.body.name}': "
-            "use another method"
-        )
     body = model.body_parameters()
-    angle, gap = joint_angles(time, problem.observations, model.observation, body)
+    if isinstance(model.body, Body):
+        angle, gap = joint_angles(time, problem.observations, model.observation, body)
+    elif isinstance(model.body, Tree):
+        angle, gap = tree_angles(model, model.body, problem.observations)
+    else:
+        raise InputError(
+            f"filter-and-differentiate reads angles of a chain in the plane or a tree in space, got body "
+            f"'{model.body.name}': use another method"
+        )
     cutoffs = winter_cutoff(time, angle) if cutoff is None else np.full(angle.shape[1], cutoff)
     q, qd, qdd = derivatives(time, angle, cutoffs)
     for x in (q, qd, qdd):

@@ -10,30 +10,36 @@ All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal li
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
+from invdyn.inference.posterior.charts import chosen, warn_of_poles
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
     Body,
     Encoders,
     Keypoints,
+    Learned,
     Observation,
     Sensor,
     TorqueProcess,
+    Tree,
     dynamics_for,
 )
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
+from invdyn.models.bodies.scalars import nominal
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings.cameras import Filmed
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
@@ -55,12 +61,14 @@ class Problem:
         observations: (T, O) rows of the model's emission, NaN where missing.
         recording: where they come from.
         truth: torques to compare with, or None.
+        notes: what was decided on the way that a reader of the result must know.
     """
 
     model: ArmModel
     observations: Tensor
     recording: Recording
     truth: Truth | None = None
+    notes: tuple[str, ...] = ()
 
 
 def arm_problem(
@@ -76,11 +84,12 @@ def arm_problem(
     hide_torque: bool = False,
     passive: bool = False,
     truth: Truth | None = None,
+    learn_cameras: Sequence[str] = (),
 ) -> Problem:
     """Bind a body to a recording.
 
     Args:
-        recording: keypoints among the body's sites, encoder angles, or both.
+        recording: keypoints among the body's sites, encoder angles, or both; of a film its pixels are observed.
         body: lengths in the recording's length unit.
         torque: torque process; Ornstein–Uhlenbeck by default.
         integrator, substeps: of the dynamics; sub-steps are chosen from the error when not given.
@@ -90,9 +99,14 @@ def arm_problem(
         hide_torque: ignore the recording's commanded torques.
         passive: the commanded torque is zero.
         truth: to compare with.
+        learn_cameras: what of a film's cameras but the first is not known, "offset", "pose" or both.
 
     Raises InputError when the recording does not fit the body.
     """
+    if unknown := [each for each in learn_cameras if each not in LEARNED]:
+        raise InputError(f"of cameras {' and '.join(LEARNED)} may be learned, got {unknown[0]!r}")
+    if learn_cameras and not isinstance(recording, Filmed):
+        raise InputError(f"{recording.name} is no film of several cameras, of which something could be learned")
     sites = _sites(recording, body)
     joints = body.num_joints
     angles = _in_order(recording, body, recording.angles, "angles")
@@ -105,7 +119,10 @@ def arm_problem(
             f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
             "fill it in, or pass --hide-torque to treat torques as unknown"
         )
-    columns = [recording.keypoints[:, p] for p, _ in sites]
+    if isinstance(recording, Filmed) and recording.views is not None:
+        columns = [recording.views.pixels[:, c, p] for c in range(len(recording.views.calibration)) for p, _ in sites]
+    else:
+        columns = [recording.keypoints[:, p] for p, _ in sites]
     rows = [np.concatenate(columns, axis=1)] if columns else []
     if angles is not None:
         rows.append(angles)
@@ -122,12 +139,19 @@ def arm_problem(
     ):
         confidence = None  # a constant confidence says nothing
     sensors: list[Sensor] = [Keypoints([site for _, site in sites], confidence)] if sites else []
+    if isinstance(recording, Filmed) and sites:
+        sensors = [pixels_of(recording, sites, tuple(learn_cameras))]
     sensors += [] if angles is None else [Encoders()]
     observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
-        if not isinstance(body, Body):
-            raise InputError(f"expected a chain in the plane to learn lengths of, got '{body.name}': give its lengths")
-        body = body.with_values(length=observed_lengths(recording, body))
+        body = with_observed_lengths(recording, body)
+    notes: tuple[str, ...] = ()
+    if isinstance(body, Tree):
+        # Where somebody else speaks in its coordinates they stay as they are.
+        spoken = angles is not None or command is not None or truth is not None
+        spoken |= any(name.startswith("initial.") for name in parameters or {})
+        shown, located = observation.in_space(observations)
+        body, notes = _charted(body, recording.time, located, shown, turning=not spoken)
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
@@ -136,7 +160,34 @@ def arm_problem(
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
-    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time))
+    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time), notes)
+
+
+def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> ArticulatedBody:
+    """The body whose links are as long as the median distance between neighbouring joints, in the recording's unit.
+
+    Of a tree in space its sticks are, which begin where another one ends or at a given place of the world, and their
+    lengths are learned from there. A link keeps its own length where an end of it is unseen. Raises InputError for a
+    body that has no lengths.
+    """
+    if isinstance(body, Body):
+        return body.with_values(length=observed_lengths(recording, body))
+    if not isinstance(body, Tree) or all(link.length is None for link in body.links):
+        raise InputError(f"body '{body.name}' has no links of a length that could be learned: leave out learn_lengths")
+    tips = {link.name: link.tip for link in body.links}
+    links = []
+    for link, parent in zip(body.links, body.parents, strict=True):
+        if link.length is None:
+            links.append(link)
+            continue
+        start = np.full((1, 3), np.nan)
+        if parent < 0:
+            start = np.array([[nominal(x) for x in link.origin or (0.0, 0.0, 0.0)]])
+        elif link.origin is None and (tip := tips[link.parent]) in recording.keypoint_names:
+            start = recording.keypoint(tip)
+        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
+        links.append(replace(link, length=Learned(_median_distance(start, end) or nominal(link.length))))
+    return replace(body, links=links)
 
 
 def observed_lengths(recording: Recording, body: Body) -> list[float]:
@@ -145,11 +196,16 @@ def observed_lengths(recording: Recording, body: Body) -> list[float]:
     lengths = []
     for link in body.links:
         end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
-        distance = np.linalg.norm(end - start, axis=-1)
-        seen = np.isfinite(distance)
-        lengths.append(float(np.median(distance[seen])) if seen.any() else link.nominal("length"))
+        lengths.append(_median_distance(start, end) or link.nominal("length"))
         start = end
     return lengths
+
+
+def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
+    """Between points (T, d), where both are seen; None where they never are."""
+    distance = np.linalg.norm(end - start, axis=-1)
+    seen = np.isfinite(distance)
+    return float(np.median(distance[seen])) if seen.any() else None
 
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:
@@ -183,6 +239,35 @@ def _in_order(recording: Recording, body: ArticulatedBody, values: np.ndarray | 
     return values[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
 
+def _charted(
+    tree: Tree, time: np.ndarray, observations: Tensor, observation: Observation, turning: bool
+) -> tuple[Tree, tuple[str, ...]]:
+    """The tree in charts that suit the recording, if they may be chosen, and what to say of them."""
+    if all(len(link.joint.chart) < 2 for link in tree.links):
+        return tree, ()
+
+    def path(tree: Tree) -> np.ndarray | None:
+        numbers, sd = tree.parameters(), _angle_sd(tree, observations, observation)
+        candidates = joint_angle_candidates(tree, time, observations, observation, numbers, sd)
+        return None if candidates is None else candidates[len(candidates) // 2]
+
+    tree, said = chosen(tree, path) if turning else (tree, [])
+    if (own := path(tree)) is not None:
+        warn_of_poles(tree, own)
+    return tree, tuple(said)
+
+
+def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observation) -> np.ndarray:
+    """What one row tells of each angle, sd (K,) in rad, by the jitter of the columns."""
+    rows = observations.numpy()
+    if observation.encoders:
+        return np.maximum(jitter(rows[:, observation.part(observation.encoders)]), 1e-6)
+    if observation.keypoints is None:
+        return np.ones(body.num_joints)
+    noise = jitter(rows[:, observation.part(observation.keypoints)])
+    return np.clip(1.5 * noise.max() / dynamics_for(body).levers(body.parameters()).numpy(), 1e-6, 1.0)
+
+
 def _start_values(
     body: ArticulatedBody, time: np.ndarray, observations: Tensor, observation: Observation
 ) -> dict[str, object]:
@@ -193,23 +278,21 @@ def _start_values(
     values: dict[str, Any] = {}
     for sensor in observation.sensors:
         values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
-    if observation.encoders:
-        sd = values["emission.angle_scale"]
-    elif observation.keypoints:
-        noise = jitter(rows[:, observation.part(observation.keypoints)])
-        sd = np.clip(1.5 * noise.max() / dynamics.levers(numbers).numpy(), 1e-6, 1.0)
-    else:
-        sd = np.ones(body.num_joints)
+    shown, located = observation.in_space(observations)
+    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, located, shown)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
     values["noise.velocity"] = 1e-3
-    candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
+    candidates = joint_angle_candidates(body, time, located, shown, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
         speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])
         values["initial.angle"] = middle[0]
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
+        if (pixels := observation.pixels) is not None:
+            seen = dynamics.keypoints(torch.as_tensor(middle), numbers)[:, list(pixels.sites)]
+            values |= started(pixels, rows[:, observation.part(pixels)], seen.numpy())
         if (keypoints := observation.keypoints) is not None:
             # What rigid links cannot explain is observation noise to begin with.
             sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()

@@ -1,7 +1,8 @@
 """Whether a saved posterior has the layout that :mod:`.posterior` documents: what is read is checked once, here.
 
 Every variable below has these dimensions, finite numbers within ±10¹⁵ (a detection may be missing), and names and
-units that can be printed. What else a file holds is its own affair.
+units that can be printed. What else a file holds is its own affair. A kinematic model, which
+the attribute "model" tells, has no torque.
 """
 
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
     "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
     "observed_data": {"position": TIPS, "angle": JOINTS},
     "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
-    | {"base": ("space",)},
+    | {"base": ("space",), "skeleton": ("edge", "end")},
 }
 MISSING = {"observed_data", "constant_data"}
 """Groups in which a number may be missing."""
@@ -53,8 +54,9 @@ def check_layout(idata: az.InferenceData) -> None:
     """Raise InputError unless a posterior, in memory, has this layout."""
     if missing := [group for group in NEEDED if group not in idata.groups()]:
         raise InputError(f"no posterior of invdyn: it lacks {', '.join(missing)}")
+    without = {"torque"} if idata.attrs.get("model") == "kinematic" else set()
     for group, needed in NEEDED.items():
-        if lacking := [name for name in needed if name not in idata[group]]:
+        if lacking := [name for name in needed if name not in idata[group] and name not in without]:
             raise InputError(f"no posterior of invdyn: it lacks {group}/{lacking[0]}")
     for name in (*NUMBERS, *TEXTS):
         _check_attribute(name, idata.attrs.get(name))
@@ -64,11 +66,13 @@ def check_layout(idata: az.InferenceData) -> None:
         if group == "posterior_predictive" or name == "position":  # of the keypoints that were tracked
             continue
         if wrong := [d for d in dims if d in sizes and idata[group].sizes[d] != sizes[d]]:
-            raise InputError(f"{group}/{name}: expected {sizes[wrong[0]]} of {wrong[0]}, as torque has")
+            raise InputError(f"{group}/{name}: expected {sizes[wrong[0]]} of {wrong[0]}, as angle has")
+    if "skeleton" in idata["constant_data"]:
+        _check_skeleton(idata["constant_data"]["skeleton"].to_numpy(), sizes["keypoint"])
     _check_time(idata["posterior"])
     tracked = idata["observed_data"].get("position")
     if tracked is not None and tracked.sizes["time"] != sizes["time"]:
-        raise InputError(f"observed_data/position: expected {sizes['time']} times, as torque has")
+        raise InputError(f"observed_data/position: expected {sizes['time']} times, as angle has")
     for group, dim in (("posterior", "joint"), ("posterior", "keypoint"), ("observed_data", "keypoint")):
         if dim in idata[group].dims:
             _check_names(f"{group}/{dim}", idata[group])
@@ -92,6 +96,12 @@ def _check_variable(what: str, values: xr.DataArray, dims: tuple[str, ...], may_
         raise InputError(f"{what}: expected finite numbers up to {LARGEST:.0e}, it has others")
     if not _printable(values.attrs.get("units", None if what.startswith("posterior/") else "1")):
         raise InputError(f"{what}: expected its unit as text, in the attribute units")
+
+
+def _check_skeleton(skeleton: np.ndarray, keypoints: int) -> None:
+    whole = skeleton.dtype.kind in "iu" and skeleton.shape[1] == 2
+    if not whole or not ((skeleton >= -1) & (skeleton < keypoints)).all():
+        raise InputError(f"constant_data/skeleton: expected pairs of numbers of the {keypoints} keypoints, −1 the base")
 
 
 def _check_time(posterior: xr.Dataset) -> None:

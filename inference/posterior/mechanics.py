@@ -19,6 +19,7 @@ import torch
 import xarray as xr
 
 from invdyn.models import ArticulatedBody, BodyParameters, dynamics_for, planar_dynamics
+from invdyn.models.bodies.protocol import kept_as
 
 
 def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> xr.Dataset:
@@ -34,14 +35,14 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     frame, joint = ["chain", "draw", "time"], ["chain", "draw", "time", "joint"]
 
     def constant(part: str) -> torch.Tensor:
-        if part in posterior:  # an uncertain body: its scalars differ between draws
+        if part in posterior and "link" in posterior[part].dims:  # an uncertain body: its scalars differ between draws
             return tensor(posterior[part].transpose("chain", "draw", "link", ...)).unsqueeze(2)
         return tensor(constants[part])
 
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
     numbers = BodyParameters if body is None else type(body.parameters())
     dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
-    own = numbers(*(constant(part) for part in numbers._fields))
+    own = numbers(*(constant(kept_as(part)) for part in numbers._fields))
     unit = idata.attrs.get("length_unit", "m")
     si = unit == "m"
     torque, energy = ("N·m", "J") if si else (f"kg·({unit})²/s²",) * 2

@@ -2,7 +2,7 @@
 
 Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothed trajectory of it):
 
-    posterior             torque [chain, draw, time, joint] N·m, angle rad, velocity rad/s,
+    posterior             torque [chain, draw, time, joint] N·m (not of a kinematic model), angle rad, velocity rad/s,
                           position [chain, draw, time, keypoint, space] of the tips;
                           residual_torque if commanded
     posterior_predictive  position and angle with observation noise
@@ -11,7 +11,10 @@ Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothe
                           [chain, time]; attributes: method, bound (1: log_evidence is a lower bound),
                           seconds (see :mod:`.registry`), and the method's own diagnostics
     observed_data         position [time, keypoint, space], angle [time, joint]
-    constant_data         the model's parameters, command, truth
+    constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
+                          tracked sites' Jacobian and unseen [time, joint], 1 where no keypoint tells a
+                          coordinate (:mod:`.visibility`), which the attribute "unseen" says in words; "charts" says
+                          which joints' frames were turned (:mod:`.charts`)
 
 Draws are equally weighted within a chain; chains weigh exp(log_weight). :func:`pooled` resamples
 them to equal weights: what tables and figures use.
@@ -38,6 +41,8 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.layout import check_layout, check_size
+from invdyn.inference.posterior.visibility import unseen_lines, visibility
+from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import about, first_line
@@ -80,8 +85,9 @@ def to_inference_data(
         outer, each = outer_weights(result.log_evidence), result.log_evidence
     units = _units(recording.length_unit)
     _, angle, velocity = model.split(paths)
-    posterior = {
-        "torque": (["chain", "draw", "time", "joint"], model.net_torque(paths)),
+    moved = isinstance(model, ArmModel)
+    torque = {"torque": (["chain", "draw", "time", "joint"], model.net_torque(paths))} if moved else {}
+    posterior = torque | {
         "angle": (["chain", "draw", "time", "joint"], angle),
         "velocity": (["chain", "draw", "time", "joint"], velocity),
         "position": (
@@ -89,7 +95,7 @@ def to_inference_data(
             model.dynamics.keypoints(angle, model.body_parameters()),
         ),
     }
-    if model.command is not None:
+    if moved and model.command is not None:
         residual = paths[..., : body.num_joints]
         posterior["residual_torque"] = (["chain", "draw", "time", "joint"], residual)
     rows = torch.arange(model.num_steps)
@@ -131,17 +137,25 @@ def to_inference_data(
             out["time"].attrs["units"] = "s"
         return out
 
+    constants = _constants(problem)
+    notes: dict[str, Any] = {"charts": "\n".join(problem.notes)} if problem.notes else {}
+    if body.space == 3:
+        smallest, unseen = visibility(model, problem.observations, angle.mean((0, 1)))
+        constants["smallest_singular_value"] = (["time"], smallest)
+        constants["unseen"] = (["time", "joint"], unseen.astype(np.int8))
+        if lines := unseen_lines(unseen, body.joint_names):
+            notes["unseen"] = "\n".join(lines)
     groups: dict[str, Any] = {
         "posterior": dataset(posterior),
         "posterior_predictive": dataset(predictive, seen),
         "sample_stats": dataset(stats),
         "observed_data": dataset(observed, seen),
-        "constant_data": dataset(_constants(problem)),
+        "constant_data": dataset(constants),
     }
     # netCDF knows no booleans.
     groups["sample_stats"].attrs.update({"method": method, "bound": int(bound), **(diagnostics or {})})
     idata = az.InferenceData(**groups)
-    idata.attrs.update(_attributes(problem, outer, method, seed, settings))
+    idata.attrs.update(_attributes(problem, outer, method, seed, settings) | notes)
     return idata
 
 
@@ -156,7 +170,8 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= {"base": length, "gravity": f"{length}/s²", "log_evidence": "nat"}
+    units |= dict.fromkeys(("base", "origin", "sites"), length)
+    units |= {"gravity": f"{length}/s²", "log_evidence": "nat", "smallest_singular_value": f"{length}/rad"}
     units |= {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
     return units | {"log_weight": "nat", "log_evidence_increment": "nat", "ess": "particles"}
 
@@ -164,7 +179,7 @@ def _units(length: str) -> dict[str, str]:
 def _constants(problem: Problem) -> dict:
     model, truth = problem.model, problem.truth
     constants = dict(model.body.described(model.body_parameters()))
-    if model.command is not None:
+    if isinstance(model, ArmModel) and model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
     if truth is not None:
         order = [truth.joint_names.index(name) for name in model.body.joint_names]
@@ -180,6 +195,7 @@ def _attributes(problem: Problem, outer: OuterWeights, method: str, seed: int, s
         "recording": problem.recording.name,
         "body": problem.model.body.name,
         "length_unit": problem.recording.length_unit,
+        "model": "dynamic" if isinstance(problem.model, ArmModel) else "kinematic",
         **_outer_attributes(outer),
         "settings": json.dumps(settings, sort_keys=True),
         "invdyn_version": version("invdyn"),

@@ -27,7 +27,7 @@ from torch import Tensor
 from invdyn.inference.smoothing.banded import chain_mean
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, deviations, linearise, log_joint
 from invdyn.inference.smoothing.square_root import BackwardFactors, backward, forward_covariance, forward_mean
-from invdyn.models.divergence import Diverged, Singular
+from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
@@ -155,6 +155,8 @@ def _ascend(
     here, linear = deviations(model, path, observations), None
     merit = log_joint(here)
     if not np.isfinite(merit).any():
+        check_finite(path)
+        check_finite(torch.as_tensor(np.concatenate([here.m0[..., None, :], here.a], -2)))
         raise Diverged("the starting path has no finite density: check noise scales and units")
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):

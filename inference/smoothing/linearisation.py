@@ -131,23 +131,47 @@ def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
     """
     rows = torch.arange(path.shape[-2])
     scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
-    nudges = torch.diag(NUDGE * torch.where(scale > 0, scale, 1.0))
+    nudges = NUDGE * torch.where(scale > 0, scale, 1.0)
+    lone, shown = model.lone or ([], [])
 
     def transition(x: Tensor) -> Tensor:
         return gaussian_mean(model.transition(x, rows[1:]))
 
-    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges)
+    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown)
     if model.jumping is not None:
-        return _differences(transition, path[..., :-1, :], JUMP * torch.eye(path.shape[-1]).to(path), False), H
-    return _differences(transition, path[..., :-1, :], nudges), H
+        nudges = JUMP * torch.ones(path.shape[-1]).to(path)
+        return _differences(transition, path[..., :-1, :], nudges, lone, lone, central=False), H
+    return _differences(transition, path[..., :-1, :], nudges, lone, lone), H
 
 
-def _differences(function: Callable[[Tensor], Tensor], x: Tensor, nudges: Tensor, central: bool = True) -> Tensor:
-    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by D ``nudges`` (D, D), a multiple of I each."""
-    steps = nudges.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
-    ends = x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])])
-    values, width = function(ends), (1 + central) * nudges.diagonal().reshape(-1, *[1] * x.ndim)
-    return ((values[: len(steps)] - values[len(steps) :]) / width).movedim(0, -1)
+def _differences(
+    function: Callable[[Tensor], Tensor],
+    x: Tensor,
+    nudges: Tensor,
+    lone: list[int],
+    shown: list[int],
+    central: bool = True,
+) -> Tensor:
+    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by ``nudges`` (D,) of one argument after the other.
+
+    The ``lone`` ones are nudged all at once: each changes an entry of its own, which ``shown`` says.
+    """
+    others = [k for k in range(len(nudges)) if k not in set(lone)]
+    steps = torch.diag(nudges)[others]
+    if lone:
+        steps = torch.cat(
+            [steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(lone), nudges[lone][None])]
+        )
+    steps = steps.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
+    values = function(x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])]))
+    change = (values[: len(steps)] - values[len(steps) :]) / (1 + central)
+    own = (change[: len(others)] / nudges[others].reshape(-1, *[1] * x.ndim)).movedim(0, -1)
+    if not lone:
+        return own
+    slopes = own.new_zeros(*own.shape[:-1], len(nudges))
+    slopes[..., others] = own
+    slopes[..., shown, lone] = change[-1][..., shown] / nudges[lone]
+    return slopes
 
 
 def linearise(

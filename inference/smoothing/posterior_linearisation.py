@@ -13,7 +13,7 @@ which is what lowers the variance of log Ẑ in noisy settings.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -72,11 +72,15 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
 def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor) -> Linearisation:
     """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path."""
     rows = torch.arange(path.shape[-2])
-    root = _root(covariance)
+    lone, shown = model.lone or ([], [])
+    others = [k for k in range(path.shape[-1]) if k not in set(lone)]
+    # What lone states add is linear: over them there is nothing to fit, and nothing of them in the rest.
+    root = _root(covariance[..., others, :][..., others] if lone else covariance)
+    transition = model.transition
     predicted, F, V = _regress(
-        lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], root[..., :-1, :, :]
+        lambda x: gaussian_mean(transition(x, rows[1:])), path[..., :-1, :], root[..., :-1, :, :], lone, lone
     )
-    h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root)
+    h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root, lone, shown)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, rows)
@@ -97,10 +101,22 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
 
 
-def _regress(function: Callable[[Tensor], Tensor], mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D)."""
-    dim = mean.shape[-1]
+def _regress(
+    function: Callable[[Tensor], Tensor],
+    mean: Tensor,
+    root: Tensor,
+    lone: Sequence[int] = (),
+    shown: Sequence[int] = (),
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D).
+
+    ``root`` is of all arguments but the ``lone`` ones, each of which changes an entry of its own, ``shown``.
+    """
+    others = [k for k in range(mean.shape[-1]) if k not in set(lone)]
+    dim = len(others)
     columns = root.mT.movedim(-2, 0) * dim**0.5  # (D, …, D)
+    if lone:
+        columns = columns.new_zeros(*columns.shape[:-1], mean.shape[-1]).index_copy(-1, torch.tensor(others), columns)
     with torch.no_grad():
         plus, minus = function(mean + columns), function(mean - columns)
     odd = (plus - minus).movedim(0, -1) / (2 * dim**0.5)
@@ -108,7 +124,15 @@ def _regress(function: Callable[[Tensor], Tensor], mean: Tensor, root: Tensor) -
     average = even.mean(0)
     error = (even - average).movedim(0, -1) / dim**0.5
     slope = torch.linalg.solve_triangular(root, odd, upper=False, left=False)
-    return average, slope, error
+    if not lone:
+        return average, slope, error
+    unit = mean.new_zeros(mean.shape[-1]).index_fill(0, torch.tensor(lone), 1.0)
+    with torch.no_grad():
+        change = (function(mean + unit) - function(mean - unit))[..., list(shown)] / 2
+    whole = slope.new_zeros(*slope.shape[:-1], mean.shape[-1])
+    whole[..., others] = slope
+    whole[..., list(shown), list(lone)] = change
+    return average, whole, error
 
 
 def _root(covariance: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.models.articulated.as_filed import filed
 from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
 from invdyn.models.articulated.sight import Sight
@@ -94,10 +95,10 @@ class ArmModel(StateSpaceModel):
         self.body, self.dynamics = body, dynamics_for(body)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
-        self.effects = Composition()
+        self.effects = Composition((), filed(body))
         self.integrator, self.substeps = integrator, substeps
-        self.abrupt = 1
         self.timeline = Timeline.of(time)
+        self.abrupt = self._abrupt(self.effects)
         self.num_steps = len(self.timeline.time)
         self.drive = Drive.held(command, (self.num_steps, body.num_joints))
         self.experience = Experience()
@@ -113,7 +114,8 @@ class ArmModel(StateSpaceModel):
     def layout(self) -> StateLayout:
         """What a state is made of."""
         hidden = sum(each.states for each in self.effects.hidden)
-        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal)
+        memory = self.observation.states
+        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal, memory)
 
     @cached_property
     def mechanics(self) -> Mechanics:
@@ -127,7 +129,10 @@ class ArmModel(StateSpaceModel):
     @cached_property
     def chain(self) -> Transition:
         """How its states go on."""
-        return Transition(self.mechanics, self._motors, self.timeline, self.torque, self.layout, self.substeps_taken)
+        parts = self.substeps_taken
+        return Transition(
+            self.mechanics, self._motors, self.timeline, self.torque, self.layout, parts, self.observation
+        )
 
     @cached_property
     def sight(self) -> Sight:
@@ -164,12 +169,14 @@ class ArmModel(StateSpaceModel):
         """What is large and small for this body, which effects' priors follow."""
         command = None if self.command is None else self.command.cpu()
         seen = self.experience
-        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range)
+        parts = getattr(self.body, "joint_parts", ())
+        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range, parts)
 
     @property
     def unconstrained(self) -> frozenset[str]:
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
+        mine |= {name for name in self.parameters if name.startswith("camera.")}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
         return self.torque.unconstrained | mine | signed
 
@@ -178,7 +185,7 @@ class ArmModel(StateSpaceModel):
         return self.mechanics.body_parameters()
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
+        """State (..., D) → torque state z and hidden ones (..., Z + H + M), angles (..., K), velocities (..., K)."""
         return self.layout.split(state)
 
     def net_torque(self, path: Tensor) -> Tensor:
@@ -210,6 +217,10 @@ class ArmModel(StateSpaceModel):
     def late(self, t: Row) -> Tensor | None:
         """Sd (..., K), N·m, of what late motors still do in the step into row ``t``; see :meth:`.Transition.late`."""
         return self.chain.late(t)
+
+    def _abrupt(self, effects: Composition) -> int:
+        """Sub-steps of a row that forces which jump take; 1 where none does."""
+        return math.ceil(self.timeline.dt.median().item() / effects.longest) if effects.abrupt else 1
 
     # -- the same body under other circumstances -------------------------------------------------
     def _with(self, **parts: Any) -> Self:
@@ -255,12 +266,12 @@ class ArmModel(StateSpaceModel):
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
         check_tracked(bound, self.observation.tracked_names)
-        every = Composition((*self.effects, *bound))
+        every = Composition((*self.effects, *bound), self.effects.filed)
         starts, priors = parameters_of(bound, self.scale, self.dtype, self.device)
         starts |= hidden_scales(bound, self.scale, self.dtype, self.device)
         other = self._with(
             effects=every,
-            abrupt=math.ceil(self.dt.median().item() / every.longest) if every.abrupt else self.abrupt,
+            abrupt=self._abrupt(every) if every.abrupt else self.abrupt,
             parameters={**self.parameters, **starts},
             priors={**self.priors, **priors},
         )
@@ -309,6 +320,14 @@ class ArmModel(StateSpaceModel):
         """Paths (C, T, D) through smoothed inverse kinematics; see :mod:`.start`."""
         paths = kinematic_paths(self, observations)
         return super().initial_paths(observations) if paths is None else paths
+
+    @property
+    def lone(self) -> tuple[list[int], list[int]] | None:
+        """The sensors' own states; see :attr:`.StateSpaceModel.lone`."""
+        if not self.layout.memory:
+            return None
+        begun = self.layout.torque + self.layout.hidden
+        return list(range(begun, begun + self.layout.memory)), self.observation.remembered
 
     @property
     def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say

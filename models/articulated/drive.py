@@ -104,6 +104,7 @@ class RowDrive:
         clock: of the row in which it begins.
         interval, dt: s, (..., 1), what the row is said to last, and what it lasts.
         parts: sub-steps.
+        unknown, drift: of start and change the torque process's part; None, where servos need not be told.
     """
 
     start: Tensor
@@ -113,6 +114,13 @@ class RowDrive:
     interval: Tensor
     dt: Tensor
     parts: int
+    unknown: Tensor | None = None
+    drift: Tensor | float = 0.0
+
+    def told(self, s: float | Tensor) -> Tensor:
+        """Of :meth:`motor` what was commanded."""
+        torque = self.motor(s)
+        return torque if self.unknown is None else torque - self.unknown - s * self.drift
 
     def motor(self, s: float | Tensor) -> Tensor:
         """The torque a share ``s`` of the row after it has begun."""

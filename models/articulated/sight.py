@@ -48,10 +48,11 @@ class Sight:
 
     def view(self, state: Tensor, t: Row) -> View:
         """Row ``t`` as effects leave it to the sensors."""
-        z, q, qd = self.layout.split(state)
+        unseen, q, qd = self.layout.split(state)
+        _, hidden, memory = self.layout.parted(unseen)
         effects, parameters, dynamics = self.mechanics.effects, self.mechanics.parameters, self.mechanics.dynamics
         body = self.mechanics.body_parameters()
-        points = effects.sites(parameters, dynamics, q, z[..., self.layout.torque :], body)
+        points = effects.sites(parameters, dynamics, q, hidden, body)
 
         def angles_after(seconds: Tensor) -> Tensor:
             return self._ahead(state, t, body, seconds)
@@ -66,6 +67,7 @@ class Sight:
             return self.timeline.elapsed[t].to(state).unsqueeze(-1)
 
         view = View(q, qd, points, q, body, dynamics, acceleration, angles_after, ahead, clock)
+        view.memory = memory if self.layout.memory else None
         return self._as_seen(view, parameters, t) if effects.seen else view
 
     def _as_seen(self, view: View, parameters: Mapping[str, Tensor], t: Row) -> View:
@@ -93,9 +95,10 @@ class Sight:
 
     def _under(self, state: Tensor, t: Row, body: Any, command: Tensor | None) -> Tensor:
         """θ̈ at row ``t`` in ``state`` under a ``command``, (..., K); no hidden hinge moves."""
-        z, q, qd = self.layout.split(state)
-        torque = z[..., : self.layout.joints]
-        torque = torque if command is None else torque + command
+        unseen, q, qd = self.layout.split(state)
+        z, hidden, _ = self.layout.parted(unseen)
+        unknown = z[..., : self.layout.joints]
+        torque = unknown if command is None else unknown + command
         interval, clock = self.timeline.interval(t, self.motors.dtype), self.timeline.clock(t, self.motors.dtype)
-        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts)
-        return self.mechanics.under(drive, z[..., self.layout.torque :], q, qd)
+        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts, unknown)
+        return self.mechanics.under(drive, hidden, q, qd)

@@ -17,14 +17,19 @@ from invdyn.models.observation.observation import Observation
 from invdyn.models.torques import TorqueProcess
 
 
-class Articulated(Protocol):
-    """What is asked of a model here; :class:`.arm.ArmModel` is one."""
+class Watched(Protocol):
+    """A body before its sensors."""
 
     body: ArticulatedBody
     dynamics: Dynamics
     observation: Observation
-    torque: TorqueProcess
     parameters: dict[str, Tensor]
+
+
+class Articulated(Watched, Protocol):
+    """What is asked of a model here; :class:`.arm.ArmModel` is one."""
+
+    torque: TorqueProcess
 
     @property
     def layout(self) -> StateLayout:
@@ -56,18 +61,22 @@ def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
     numbers = type(numbers)(*(value.detach().cpu().double() for value in numbers))
     time = model.time.cpu()
     sd = joint_angle_sd(model, numbers)
-    candidates = joint_angle_candidates(model.body, time.numpy(), observations, model.observation, numbers, sd)
+    shown, rows = model.observation.in_space(observations)
+    candidates = joint_angle_candidates(model.body, time.numpy(), rows, shown, numbers, sd)
     if candidates is None:
         return None
     return torch.stack([_path_through(model, torch.as_tensor(angles), time, numbers) for angles in candidates])
 
 
-def joint_angle_sd(model: Articulated, numbers: Any) -> np.ndarray:
+def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:
     """Standard deviation (K,) with which one row tells each joint's, in the plane each link's, angle, rad."""
     if model.observation.encoders:
         sd = model.parameters["emission.angle_scale"]
     elif model.observation.keypoints:
         sd = 1.5 * model.parameters["emission.keypoint_scale"].max() / model.dynamics.levers(numbers)
+    elif pixels := model.observation.pixels:
+        noise = pixels.resolution * model.parameters["emission.pixel_scale"].median()
+        sd = 1.5 * noise.detach().cpu() / model.dynamics.levers(numbers)
     else:
         sd = torch.ones(model.body.num_joints)
     return sd.detach().cpu().double().clamp(max=1.0).numpy()
@@ -83,5 +92,5 @@ def _path_through(model: Articulated, q: Tensor, time: Tensor, numbers: Any) -> 
     if model.command is not None:
         torque = torque - model.command.cpu()
     z = model.torque.path(torque, time)
-    path = torch.cat([z, z.new_zeros(len(z), model.layout.hidden), q, qd], -1)
+    path = torch.cat([z, z.new_zeros(len(z), model.layout.hidden + model.layout.memory), q, qd], -1)
     return path.to(dtype=model.dtype, device=model.device)

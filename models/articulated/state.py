@@ -1,9 +1,9 @@
 """What a state of an articulated body is made of, and its Gaussian law.
 
-    x = (z, hidden states of effects, θ, θ̇),     x ~ N(mean, diag(L Lᵀ, sds²))
+    x = (z, hidden states of effects, of sensors, θ, θ̇),     x ~ N(mean, diag(L Lᵀ, sds²))
 
 z is the torque process's state, L the square root of its covariance or, where that is diagonal, its deviations.
-Shapes: z (..., Z), hidden (..., H), joints (..., K), states (..., D) with D = Z + H + 2 K.
+Shapes: z (..., Z), hidden (..., H), sensors' memory (..., M), joints (..., K), states (..., D), D = Z + H + M + 2 K.
 """
 
 from dataclasses import dataclass
@@ -17,30 +17,41 @@ from invdyn.models.shapes import common, join
 
 @dataclass(frozen=True)
 class StateLayout:
-    """Z, H and K, and whether the torque process's noise is ``diagonal``."""
+    """Z, H and K, whether the torque process's noise is ``diagonal``, and M."""
 
     torque: int
     hidden: int
     joints: int
     diagonal: bool
+    memory: int = 0
 
     @property
     def size(self) -> int:
         """D."""
-        return self.torque + self.hidden + 2 * self.joints
+        return self.unseen + 2 * self.joints
+
+    @property
+    def unseen(self) -> int:
+        """Z + H + M: what is before the angles."""
+        return self.torque + self.hidden + self.memory
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """State (..., D) → torque state z and any hidden ones (..., Z + H), angles (..., K), velocities (..., K)."""
-        z, angle, velocity = torch.split(state, [self.torque + self.hidden, self.joints, self.joints], -1)
+        """State (..., D) → all before the angles (..., Z + H + M), angles (..., K), velocities (..., K)."""
+        z, angle, velocity = torch.split(state, [self.unseen, self.joints, self.joints], -1)
         return z, angle, velocity
+
+    def parted(self, unseen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What is before the angles → torque state (..., Z), effects' hidden states (..., H), sensors' (..., M)."""
+        z, hidden, memory = torch.split(unseen, [self.torque, self.hidden, self.memory], -1)
+        return z, hidden, memory
 
     def at_rest(self, angle: Tensor, velocity: Tensor) -> Tensor:
         """The state (..., D) in which the torque process and all hidden states are zero."""
-        still = angle.new_zeros(*common(angle.shape[:-1], velocity.shape[:-1]), self.torque + self.hidden)
+        still = angle.new_zeros(*common(angle.shape[:-1], velocity.shape[:-1]), self.unseen)
         return join(still, angle, velocity)
 
     def gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
-        """The law of states with this mean (..., D), L of z and deviations (..., H + 2 K) of the rest."""
+        """The law of states with this mean (..., D), L of z and deviations (..., H + M + 2 K) of the rest."""
         if self.diagonal:
             return Normal(mean, join(root, sds), validate_args=False).to_event(1)
         shape = common(root.shape[:-2], sds.shape[:-1])

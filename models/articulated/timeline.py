@@ -38,7 +38,7 @@ class Timeline:
     @classmethod
     def of(cls, time: Sequence[float] | np.ndarray | Tensor) -> Self:
         """The grid of increasing times (T,), s. Raises ValueError for others."""
-        grid = torch.as_tensor(np.asarray(time, dtype=np.float64))
+        grid = torch.as_tensor(np.ascontiguousarray(time, dtype=np.float64))
         if grid.ndim != 1 or len(grid) < 2 or bool((grid.diff() <= 0).any()):
             raise ValueError("expected at least two strictly increasing times, in seconds")
         intervals, elapsed = grid.diff(), grid - grid[0]

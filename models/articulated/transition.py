@@ -2,12 +2,14 @@
 
     z' = E[z_t | z],   (hidden, θ, θ̇)' = one row of the mechanics,   x_t ~ N(·, diag(L Lᵀ, sds²))
 
-with L of the torque process, and sds "noise.hidden.<effect>", "noise.angle" and "noise.velocity". Where another
+with L of the torque process, and sds "noise.hidden.<effect>", "noise.angle" and "noise.velocity". Sensors' states go on
+as those say (:class:`.sensor.Remembering`). Where another
 recording starts, x_t does not follow from the row before.
 
 Shapes: states (..., D), torques z (..., Z), joint quantities (..., K).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +21,7 @@ from invdyn.models.articulated.drive import Motors, RowDrive
 from invdyn.models.articulated.state import StateLayout
 from invdyn.models.articulated.step import Mechanics
 from invdyn.models.articulated.timeline import Row, Timeline
+from invdyn.models.observation.observation import Observation
 from invdyn.models.shapes import by_column, join
 from invdyn.models.torques import TorqueProcess
 
@@ -30,6 +33,7 @@ class Transition:
     Attributes:
         layout: of its states.
         parts: sub-steps that a row is integrated in.
+        observation: whose sensors may have states.
     """
 
     mechanics: Mechanics
@@ -38,6 +42,7 @@ class Transition:
     torque: TorqueProcess
     layout: StateLayout
     parts: int
+    observation: Observation
 
     def initial(self) -> Distribution:
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
@@ -50,7 +55,8 @@ class Transition:
         root = self.torque.noise(self._lasts(t), p)
         if (late := self.late(t)) is not None:
             root = torch.hypot(root, late)
-        sds = self._with_hidden("noise.hidden", p["noise.angle"], p["noise.velocity"])
+        memory = self.observation.strayed(self._lasts(t), p) if self.layout.memory else []
+        sds = self._with_hidden("noise.hidden", memory, p["noise.angle"], p["noise.velocity"])
         moved = self.layout.gaussian(self.mean(state, t), root, sds)
         if self.timeline.anew is None or self.timeline.middle is None:
             return moved
@@ -61,10 +67,13 @@ class Transition:
 
     def mean(self, state: Tensor, t: Row) -> Tensor:
         """E[x_t | x_{t−1} = state]."""
-        z, q, qd = self.layout.split(by_column(state))
-        z, hidden = z[..., : self.layout.torque], z[..., self.layout.torque :]
+        unseen, q, qd = self.layout.split(by_column(state))
+        z, hidden, memory = self.layout.parted(unseen)
         z_next = self.torque.mean(z, self._lasts(t), self.mechanics.parameters)
-        return join(z_next, *self.mechanics.step(self._driven(z, z_next, t), hidden, q, qd))
+        *bent, q_next, qd_next = self.mechanics.step(self._driven(z, z_next, t), hidden, q, qd)
+        if self.layout.memory:
+            bent += self.observation.onward(memory, self._lasts(t), self.mechanics.parameters)
+        return join(z_next, *bent, q_next, qd_next)
 
     def late(self, t: Row) -> Tensor | None:
         """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t`` and nobody was told.
@@ -79,17 +88,17 @@ class Transition:
 
     def _driven(self, z: Tensor, z_next: Tensor, t: Row) -> RowDrive:
         joints, dtype = self.layout.joints, self.motors.dtype
-        start, change = z[..., :joints], (z_next - z)[..., :joints]
+        start, change = unknown, drift = z[..., :joints], (z_next - z)[..., :joints]
         if self.motors.commanded:
             mean, slope = (row.to(z) for row in self.motors.made.row(t))
             start, change = start + mean - slope / 2, change + slope
         times = self.timeline.clock(t - 1, dtype), self.timeline.interval(t, dtype), self._lasts(t)
-        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts)
+        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts, unknown, drift)
 
     def _begun(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
         p = self.mechanics.parameters
         root = self.torque.stationary(self.timeline.interval(0, self.motors.dtype), p)
-        sds = self._with_hidden("initial.hidden", angle_scale, p["initial.velocity_scale"])
+        sds = self._with_hidden("initial.hidden", self.observation.begun(p), angle_scale, p["initial.velocity_scale"])
         return self.layout.gaussian(self.layout.at_rest(angle, velocity), root, sds)
 
     def _lasts(self, t: Row) -> Tensor:
@@ -97,6 +106,6 @@ class Transition:
         dt, effects = self.timeline.interval(t, self.motors.dtype), self.mechanics.effects
         return effects.interval(self.mechanics.parameters, dt) if effects else dt
 
-    def _with_hidden(self, name: str, angle: Tensor, velocity: Tensor) -> Tensor:
+    def _with_hidden(self, name: str, memory: Sequence[Tensor], angle: Tensor, velocity: Tensor) -> Tensor:
         own = (self.mechanics.parameters[f"{name}.{each.key}"] for each in self.mechanics.effects.hidden)
-        return join(*own, angle, velocity)
+        return join(*own, *memory, angle, velocity)

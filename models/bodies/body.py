@@ -23,7 +23,9 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_mjcf, body_toml, body_urdf, body_xml
+from invdyn.models.bodies import body_chain, body_mjcf, body_toml, body_urdf, body_xml, joint_parts_toml, robot_file
+from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.parts import Robot
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
     KNOWN,
@@ -72,6 +74,8 @@ class BodyParameters(NamedTuple):
 class Link:
     """One rigid link. Each of its scalars is a number, a scalar Pyro distribution (its prior) or `Learned`.
 
+    `parts` are what its joint has besides the hinge: friction, a spring, a motor; None for nothing.
+
     Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive, a negative
     inertia, a prior that allows such, a centre of mass more than three lengths from the joint, and a link
     that has neither com nor inertia to resist a torque.
@@ -84,6 +88,7 @@ class Link:
     mass: Scalar
     com: Scalar | None = None
     inertia: Scalar | None = None
+    parts: JointParts | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "joint", "tip"):
@@ -173,6 +178,11 @@ class Body(BodyBase):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the K joints, from the base outwards."""
         return tuple(link.joint for link in self.links)
+
+    @property
+    def joint_parts(self) -> tuple[JointParts | None, ...]:
+        """What each joint has besides its hinge."""
+        return tuple(link.parts for link in self.links)
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -354,8 +364,12 @@ class Body(BodyBase):
     @classmethod
     def from_xml(cls, content: bytes, path: str | Path) -> Self:
         """The body of the content of a file of MJCF or URDF; see `load`."""
-        root = body_xml.parse(content, str(path))
-        return cls._of((body_mjcf if root.tag == "mujoco" else body_urdf).of(root, str(path)), path)
+        return cls.from_robot(robot_file.of(content, str(path)), path)
+
+    @classmethod
+    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
+        """The body of a file's parts; see `load`."""
+        return cls._of(body_chain.tables(robot, str(path)), path)
 
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
@@ -373,12 +387,12 @@ class Body(BodyBase):
 
         Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
         """
-        return cls._of(body_mjcf.read(path), path)
+        return cls.from_robot(body_mjcf.read(path), path)
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Self:
         """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
-        return cls._of(body_urdf.read(path), path)
+        return cls.from_robot(body_urdf.read(path), path)
 
     @classmethod
     def _of(cls, tables: dict, path: str | Path) -> Self:
@@ -392,5 +406,8 @@ class Body(BodyBase):
 
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
-        links = [{key: getattr(link, key) for key in body_toml.LINK_KEYS} for link in self.links]
+        links = [
+            {key: getattr(link, key) for key in body_toml.LINK_KEYS} | joint_parts_toml.told(link.parts)
+            for link in self.links
+        ]
         body_toml.write(path, {key: getattr(self, key) for key in body_toml.BODY_KEYS} | {"links": links})

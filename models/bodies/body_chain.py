@@ -1,7 +1,6 @@
-"""From rigid parts in space to the tables of a planar chain: what MJCF and URDF have in common.
+"""From rigid parts in space (`parts.py`) to the tables of a planar chain.
 
-Parts stand in the file's reference pose, in world coordinates. With the hinges' common axis n, what moves together is
-one link, of
+With the hinges' common axis n, what moves together is one link, of
 
     length    from its hinge to the next one, in the plane across n; the last one's to its tip
     mass      Σ m,        com = that of all its parts, along the line from hinge to tip
@@ -10,20 +9,23 @@ one link, of
 No other moment is looked at: a tensor may break the triangle inequality in directions that the plane never uses. The
 plane is (x, z) for hinges about y, (x, y) about z, (y, z) about x: the recording's x and y. Angles need no conversion:
 ours are Denavit–Hartenberg, seen in the picture, whatever pose the file calls zero. Where a robot's own angles are
-wanted, q = ±(θ − θ₀), with θ₀ the angle of the link in the file's reference pose, and − for a hinge about the axis that
-points away from the viewer; torques then change their sign too, and a warning says so.
+wanted, q = ±(θ − θ₀), with θ₀ the angle of the link where the file's own angles are 0, and − for a hinge about the axis
+that points away from the viewer; torques then change their sign too, and a warning says so.
 
 Of the last link's marked points the one farthest from its hinge is the tip; else the farthest frame of what is fixed to
 it; else the far end of a shape. What a file has and a rigid body lacks is named in a warning: a diagnosis may find it.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from invdyn.models.bodies import parts as rigid
+from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.parts import PARALLEL, Part, PartJoint, Robot, check_finite
 from invdyn.models.bodies.scalars import BodyError
 
 PLANES = {"x": ("y", "z"), "y": ("x", "z"), "z": ("x", "y")}
@@ -31,56 +33,27 @@ ASIDE = 1e-3
 """Of a length: what is nearer to a line is on it."""
 
 
-@dataclass(frozen=True)
-class Hinge:
-    """A hinge's name, a point on its axis (3,) m, and the axis (3,) of length 1."""
+def tables(robot: Robot, where: str) -> dict:
+    """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of a robot.
 
-    name: str
-    anchor: np.ndarray
-    axis: np.ndarray
-
-
-@dataclass(frozen=True)
-class Part:
-    """A rigid part: mass kg, com (3,) m, inertia (3, 3) kg·m² about it, origin of its frame (3,) m, all in the world.
-
-    `parent` is the number of the part that it hangs on, an earlier one, or −1 for the world; `hinge` None where it is
-    fixed to it. `marks` are named points (3,), `ends` the ends of its shapes.
-    """
-
-    name: str
-    parent: int
-    mass: float
-    com: np.ndarray
-    inertia: np.ndarray
-    origin: np.ndarray
-    hinge: Hinge | None = None
-    marks: Sequence[tuple[str, np.ndarray]] = ()
-    ends: Sequence[np.ndarray] = ()
-
-
-def tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str) -> dict:
-    """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of parts and the gravity (3,), m/s².
-
-    Warns (UserWarning) of `left_out`, of centres of mass aside, and of hinges that turn clockwise. Raises `BodyError`,
-    which begins with `where`, for what is no planar chain of hinges, and for a link without length or mass.
+    Warns (UserWarning) of what is left out, of centres of mass aside, and of hinges that turn clockwise. Raises
+    `BodyError`, which begins with `where`, for what is no planar chain of hinges, and a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
-        return _tables(parts, gravity, left_out, where)
+        return _tables(robot, where)
 
 
-def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str], where: str) -> dict:
-    groups = _groups(parts, where)
-    hinges = [hinge for group in groups if (hinge := group[0].hinge) is not None]
+def _tables(robot: Robot, where: str) -> dict:
+    groups, hinges = _chain(robot.parts, where)
     axis, signs = _axis(hinges, where)
     u, v, normal = _frame(axis)
     plane = np.stack([u, v])
     anchors = [plane @ hinge.anchor for hinge in hinges]
     tip_name, tip = _tip(groups[-1], plane, where)
     ends = [*anchors[1:], tip]
-    tips = [*(hinge.name for hinge in hinges[1:]), tip_name]
-    links, notes = [], []
-    for group, hinge, shown, start, end in zip(groups, hinges, tips, anchors, ends, strict=True):
+    tips = [*(_shown(group, hinge, plane) for group, hinge in zip(groups, hinges[1:], strict=False)), tip_name]
+    links, notes, before = [], [], 0.0
+    for group, hinge, sign, shown, start, end in zip(groups, hinges, signs, tips, anchors, ends, strict=True):
         name = group[0].name
         length = float(np.linalg.norm(end - start))
         if not length > 0:
@@ -92,10 +65,15 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
             notes.append(f"that the centre of mass of {name} is {aside:.3g} m beside the line of its joints")
         # about the hinge the inertia stays what it is
         given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside * aside}
-        if not np.isfinite(list(given.values())).all():
-            raise BodyError(f"{where}: link '{name}': its length or inertia is no finite number; are the units SI?")
+        check_finite(list(given.values()), f"{where}: link '{name}'")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
-    if found := [*notes, *left_out]:
+        heading = math.atan2(along[1], along[0])
+        zero = math.remainder(heading - before, math.tau)
+        parts_here = robot.joint_parts.get(hinge.name, NOTHING).turned(float(sign * normal[axis]), zero)
+        if parts_here != NOTHING:
+            links[-1]["parts"] = parts_here
+        before = heading
+    if found := [*notes, *robot.unplayed]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
     if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:
         warnings.warn(
@@ -106,39 +84,32 @@ def _tables(parts: Sequence[Part], gravity: np.ndarray, left_out: Sequence[str],
         )
     return {
         "name": Path(where).stem,
-        "gravity": [float(g) for g in plane @ gravity],
+        "gravity": [float(g) for g in plane @ robot.gravity],
         "base": [float(b) for b in anchors[0]],
         "links": links,
     }
 
 
-def listed(words: str, names: Sequence[str]) -> list[str]:
-    """One entry of what is left out, "words (names)"; none without names. A long list is cut."""
-    shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-    return [f"{words} ({shown})"] if names else []
-
-
-def _groups(parts: Sequence[Part], where: str) -> list[list[Part]]:
+def _chain(parts: Sequence[Part], where: str) -> tuple[list[list[Part]], list[PartJoint]]:
     """What moves together, from the base outwards; the first of each group has the hinge."""
-    group_of: list[int] = []
-    groups: list[list[Part]] = []
     for part in parts:
-        parent = group_of[part.parent] if part.parent >= 0 else -1
-        if part.hinge is None:
-            group_of.append(parent)
-            if parent >= 0:
-                groups[parent].append(part)
-            continue
-        if parent != len(groups) - 1:
-            raise BodyError(f"{where}: expected a chain, but it branches at body '{part.name}'")
-        group_of.append(len(groups))
-        groups.append([part])
+        if strange := [joint for joint in part.joints if joint.type != "hinge"]:
+            raise BodyError(
+                f"{where}: expected hinges alone, joint '{strange[0].name}' is of type {strange[0].type}; "
+                "invdyn.models.Tree takes it"
+            )
+        if len(part.joints) > 1:
+            raise BodyError(f"{where}: expected one hinge a body, '{part.name}' has {len(part.joints)}")
+    groups, parents = rigid.groups(parts)
+    for place, parent in enumerate(parents):
+        if parent != place - 1:
+            raise BodyError(f"{where}: expected a chain, but it branches at body '{groups[place][0].name}'")
     if not groups:
         raise BodyError(f"{where}: expected a chain of hinges, got a body without joints")
-    return groups
+    return groups, [group[0].joints[0] for group in groups]
 
 
-def _axis(hinges: Sequence[Hinge], where: str) -> tuple[int, np.ndarray]:
+def _axis(hinges: Sequence[PartJoint], where: str) -> tuple[int, np.ndarray]:
     """The number of the common axis (0 x, 1 y, 2 z), and along or against it for each hinge."""
     axes = np.array([hinge.axis for hinge in hinges])
     nearest = np.abs(axes).argmax(1)
@@ -146,7 +117,7 @@ def _axis(hinges: Sequence[Hinge], where: str) -> tuple[int, np.ndarray]:
     counts = np.bincount(nearest, minlength=3)
     axis = int(nearest[0] if counts[nearest[0]] == counts.max() else counts.argmax())
     for hinge, own in zip(hinges, axes, strict=True):
-        if not abs(own[axis]) >= 1 - 1e-5:
+        if not abs(own[axis]) >= PARALLEL:
             raise BodyError(
                 f"{where}: expected all hinges about one of the axes x, y and z, so that the chain moves in a plane; "
                 f"joint '{hinge.name}' turns about ({', '.join(f'{a:.3g}' for a in own)}); "
@@ -165,24 +136,26 @@ def _inertial(
     group: Sequence[Part], plane: np.ndarray, normal: np.ndarray, where: str
 ) -> tuple[float, np.ndarray, float]:
     """Mass, centre of mass (2,) and moment about it of parts that move together."""
-    mass = np.array([part.mass for part in group])
-    total = float(mass.sum())
-    if not total > 0:
+    mass, com, inertia = rigid.lumped(group)
+    if not mass > 0:
         raise BodyError(
             f"{where}: link '{group[0].name}' moves, but neither it nor what is fixed to it has a mass; "
             "give it an inertial element"
         )
-    com = np.array([part.com for part in group]) @ plane.T
-    centre = mass @ com / total
-    own = sum(normal @ part.inertia @ normal for part in group)
-    return total, centre, float(own + mass @ ((com - centre) ** 2).sum(-1))
+    return mass, plane @ com, float(normal @ inertia @ normal)
+
+
+def _shown(group: Sequence[Part], hinge: PartJoint, plane: np.ndarray) -> str:
+    """What the next hinge's place is called: as a marked point of the link there, or as the hinge."""
+    there = plane @ hinge.anchor
+    reach = np.linalg.norm(there - plane @ group[0].joints[0].anchor)
+    names = [name for part in group for name, at in part.marks if np.linalg.norm(plane @ at - there) <= ASIDE * reach]
+    return hinge.name if not names or hinge.name in names else names[0]
 
 
 def _tip(group: Sequence[Part], plane: np.ndarray, where: str) -> tuple[str, np.ndarray]:
     """Name and place (2,) of the end of the last link."""
-    name, hinge = group[0].name, group[0].hinge
-    assert hinge is not None  # a group begins with one
-    anchor = hinge.anchor
+    name, anchor = group[0].name, group[0].joints[0].anchor
     points = [mark for part in group for mark in part.marks]
     points = points or [(part.name, part.origin) for part in group[1:]]
     points = points or [(f"{name}_tip", end) for part in group for end in part.ends]

@@ -1,8 +1,9 @@
-"""Bodies out of MJCF: a planar chain of hinges, read by MuJoCo's own compiler, then :mod:`.body_chain`.
+"""Rigid parts out of MJCF, read by MuJoCo's own compiler.
 
-Everything is taken from the compiled model in its reference pose (qpos0), in world coordinates, so that no default, no
-frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`). What
-the model has and a rigid body lacks is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
+Everything is taken from the compiled model with all hinges and slides at 0, in world coordinates, so that no default,
+no frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`).
+Friction, springs and motors of its joints are read as they stand (:mod:`.joint_parts_mjcf`). What the model has
+besides is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
 import warnings
@@ -14,24 +15,24 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from invdyn.models.bodies import body_mjcf_left_out, body_xml
-from invdyn.models.bodies.body_chain import Hinge, Part, listed, tables
+from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
+from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole
 
 
-def read(path: str | Path) -> dict:
-    """Return name, gravity, base and links of an MJCF file, as :func:`.body_toml.read` does.
+def read(path: str | Path) -> Robot:
+    """The parts of an MJCF file.
 
-    Warns (UserWarning) of what is left out. Raises `BodyError` for what MuJoCo cannot read, files outside the folder,
-    what is no planar chain of hinges, and a missing MuJoCo; `OSError` when the file cannot be read.
+    Raises `BodyError` for what MuJoCo cannot read, files outside the folder, and a missing MuJoCo; `OSError` when the
+    file cannot be read.
     """
     return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
 
 
-def of(root: Element, where: str) -> dict:
-    """The tables of a parsed MJCF; see :func:`read`."""
+def of(root: Element, where: str) -> Robot:
+    """The parts of a parsed MJCF; see :func:`read`."""
     text, meshes, dropped = one_text(root, where)
     mujoco = _engine(where)
     with _own_warnings(mujoco, where):
@@ -40,17 +41,22 @@ def of(root: Element, where: str) -> dict:
         except ValueError as error:
             raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
         data = mujoco.MjData(model)
+        hinges_and_slides = np.isin(model.jnt_type, [mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE])
+        data.qpos[model.jnt_qposadr[hinges_and_slides]] = 0  # where "ref" says otherwise
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-    hinges = _hinges(mujoco, model, data, where)
+    joints = _joints(mujoco, model, data)
     sites: dict[int, list[int]] = {}
     for site, body in enumerate(model.site_bodyid):
         sites.setdefault(int(body), []).append(site)
-    parts = [_part(mujoco, model, data, b, hinges.get(b), sites.get(b, ())) for b in range(1, model.nbody)]
-    left_out = body_mjcf_left_out.named(mujoco, model, {h.name: j for j, h in enumerate(hinges.values())})
-    left_out += [entry for words, names in dropped.items() for entry in listed(words, names)]
+    parts = [_part(mujoco, model, data, b, joints.get(b, ()), sites.get(b, ())) for b in range(1, model.nbody)]
+    names = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
+    joint_parts, motors = joint_parts_mjcf.read(mujoco, model, names)
+    beyond = [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
+    left_out = body_mjcf_left_out.named(mujoco, model, names) + beyond
+    unplayed = body_mjcf_left_out.named(mujoco, model, names, motors) + beyond
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    return tables(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, where)
+    return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts, unplayed)
 
 
 def _engine(where: str) -> Any:
@@ -75,22 +81,17 @@ def _own_warnings(mujoco: Any, where: str) -> Iterator[None]:
         warnings.warn(f"{where}: MuJoCo: {' '.join(str(line).split())}", UserWarning, stacklevel=5)
 
 
-def _hinges(mujoco: Any, model: Any, data: Any, where: str) -> dict[int, Hinge]:
-    """Body → its hinge, in the order of the joints."""
-    found: dict[int, Hinge] = {}
+def _joints(mujoco: Any, model: Any, data: Any) -> dict[int, list[PartJoint]]:
+    """Body → its joints, in the order of the model's."""
+    found: dict[int, list[PartJoint]] = {}
     for j in range(model.njnt):
-        body = int(model.jnt_bodyid[j])
-        if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
-            kind = mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower()
-            raise BodyError(f"{where}: expected hinges alone, joint '{model.joint(j).name}' is of type {kind}")
-        if body in found:
-            count = int(model.body_jntnum[body])
-            raise BodyError(f"{where}: expected one hinge a body, '{model.body(body).name}' has {count}")
-        found[body] = Hinge(model.joint(j).name or f"joint{j + 1}", data.xanchor[j].copy(), data.xaxis[j].copy())
+        kind = mujoco.mjtJoint(int(model.jnt_type[j])).name.removeprefix("mjJNT_").lower()
+        own = PartJoint(model.joint(j).name or f"joint{j + 1}", data.xanchor[j].copy(), data.xaxis[j].copy(), kind)
+        found.setdefault(int(model.jnt_bodyid[j]), []).append(own)
     return found
 
 
-def _part(mujoco: Any, model: Any, data: Any, body: int, hinge: Hinge | None, sites: Sequence[int]) -> Part:
+def _part(mujoco: Any, model: Any, data: Any, body: int, joints: Sequence[PartJoint], sites: Sequence[int]) -> Part:
     turn = data.ximat[body].reshape(3, 3)  # principal axes are its columns
     name = model.body(body).name or f"link{body}"
     first = int(model.body_geomadr[body])
@@ -102,7 +103,8 @@ def _part(mujoco: Any, model: Any, data: Any, body: int, hinge: Hinge | None, si
         com=data.xipos[body].copy(),
         inertia=turn @ np.diag(model.body_inertia[body]) @ turn.T,
         origin=data.xpos[body].copy(),
-        hinge=hinge,
+        turn=data.xmat[body].reshape(3, 3).copy(),
+        joints=joints,
         marks=[(model.site(s).name or f"{name}_tip", data.site_xpos[s].copy()) for s in sites],
         ends=[end for geom in geoms for end in _ends(mujoco, model, data, geom)],
     )

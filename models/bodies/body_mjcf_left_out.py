@@ -1,37 +1,52 @@
-"""What a compiled MuJoCo model has and a rigid planar chain lacks, each with the names of the parts that have it.
+"""What a compiled MuJoCo model has and rigid links lack, each with the names of the parts that have it.
 
 A recording of that simulation differs from the body by these, so whoever diagnoses it wants them named. An actuator's
 force is gain(…)·act + bias(…), act = control through its own dynamics, clipped, times the gear, through a joint, tendon
 or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from invdyn.models.bodies.body_chain import listed
+from invdyn.models.bodies.parts import listed
 
 AT_JOINTS = {
-    "dof_damping": "damping",
-    "dof_frictionloss": "dry friction",
-    "dof_armature": "armature",
-    "jnt_stiffness": "a spring",
-    "jnt_limited": "limits",
-    "jnt_actfrclimited": "limits of the actuators' torque",
+    "damping": ("dof_damping",),
+    "damping that is no straight line": ("dof_dampingpoly",),
+    "dry friction": ("dof_frictionloss",),
+    "armature": ("dof_armature",),
+    "a spring": ("jnt_stiffness",),
+    "a spring that is no straight line": ("jnt_stiffnesspoly",),
+    "limits": ("jnt_limited",),
+    "limits of the actuators' torque": ("jnt_actfrclimited",),
 }
+"""Words, and the model's arrays, of which older MuJoCos lack some: a row a joint, or a degree of freedom."""
+OF_PARTS = ("damping", "dry friction", "armature", "a spring", "limits of the actuators' torque")
 
 
-def named(mujoco: Any, model: Any, joints: dict[str, int]) -> list[str]:
-    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and its joints by name."""
+def named(mujoco: Any, model: Any, joints: Sequence[str], motors: Collection[int] | None = None) -> list[str]:
+    """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and the names of its joints.
+
+    Where hinges and slides have their parts (:mod:`.joint_parts_mjcf`), ``motors`` are the actuators among them; None
+    where joints are bare.
+    """
     found = []
-    for attribute, words in AT_JOINTS.items():
-        values = getattr(model, attribute)
-        # of a chain of hinges, joint j has the degree of freedom j; newer MuJoCos have several coefficients each
-        found += listed(words, [name for name, j in joints.items() if np.any(values[j])])
+    one_way = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
+    for words, attributes in AT_JOINTS.items():
+        having: set[int] = set()
+        for attribute in attributes:
+            values = np.asarray(getattr(model, attribute, ()))
+            if values.size:
+                rows = np.flatnonzero(values.reshape(len(values), -1).any(1))
+                having |= set((model.dof_jntid[rows] if attribute.startswith("dof") else rows).tolist())
+        if motors is not None and words in OF_PARTS:
+            having -= set(np.flatnonzero(one_way).tolist())
+        found += listed(words, [name for j, name in enumerate(joints) if j in having])
     found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
     found += _fluid(model.opt)
-    found += _actuators(mujoco, model)
+    found += _actuators(mujoco, model, motors or ())
     found += listed("tendons", _of(model.tendon, range(model.ntendon)))
     found += listed("equality constraints", [_equality(mujoco, model, e) for e in range(model.neq)])
     return found + listed("contacts", _touching(mujoco, model))
@@ -50,7 +65,9 @@ def _fluid(option: Any) -> list[str]:
     return found
 
 
-def _actuators(mujoco: Any, model: Any) -> list[str]:
+def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
+    open_ones = ~np.isin(np.arange(model.nu), list(motors))
+    targets = model.actuator_biasprm[:, 1:3].any(1)
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
     affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -73,8 +90,11 @@ def _actuators(mujoco: Any, model: Any) -> list[str]:
     return [
         entry
         for words, having in kinds.items()
-        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu])))
-    ]
+        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu] & open_ones)))
+    ] + listed(
+        "limits of servos' targets",
+        _of(model.actuator, np.flatnonzero((model.actuator_ctrllimited != 0) & targets & ~open_ones)),
+    )
 
 
 def _equality(mujoco: Any, model: Any, e: int) -> str:

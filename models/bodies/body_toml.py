@@ -27,6 +27,7 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
+from invdyn.models.bodies import joint_parts_toml
 from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
 from invdyn.models.bodies.whole_file import read_whole, write_whole
@@ -88,11 +89,13 @@ def write(path: str | Path, tables: dict) -> None:
 
 
 def _read_link(link: dict, where: str) -> dict:
-    check_keys(link, LINK_KEYS, where)
+    parts = joint_parts_toml.taken(link, where)
+    check_keys(link, (*LINK_KEYS, *joint_parts_toml.KEYS), where)
     missing = [key for key in REQUIRED if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")
-    return {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
+    scalars = {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
+    return scalars if parts is None else scalars | {"parts": parts}
 
 
 def scalar_from_table(value: object, what: str) -> object:
@@ -130,7 +133,7 @@ def literal(value: object) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON's escapes are TOML's
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{literal(key)} = {literal(item)}" for key, item in value.items()) + "}"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):

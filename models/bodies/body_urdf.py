@@ -1,4 +1,4 @@
-"""Bodies out of URDF: links and joints as the format defines them (wiki.ros.org/urdf/XML), then :mod:`.body_chain`.
+"""Rigid parts out of URDF: links and joints as the format defines them (wiki.ros.org/urdf/XML).
 
     frame of a child = frame of its parent · origin of the joint,    origin = (xyz, Rz(yaw) Ry(pitch) Rx(roll))
     inertia in the world = R I Rᵀ, with R from the world to the inertial element's own origin
@@ -7,6 +7,7 @@ A mass comes from `<inertial>` alone: shapes say how a link looks and what it to
 frame, lumped with what it is fixed to. Gravity is 9.81 m/s² downwards along z, which URDF leaves open.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -14,12 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies import body_xml
-from invdyn.models.bodies.body_chain import Hinge, Part, listed, tables
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
+from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.whole_file import read_whole
 
+OF_PARTS = ("damping", "dry friction", "limits of torque")
+"""Of what is left out, what a joint's parts are."""
 GRAVITY = np.array([0.0, 0.0, -9.81])
-HINGES = ("revolute", "continuous")
+TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 TENSOR = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 KNOWN = ("link", "joint", "material")
 
@@ -27,17 +31,16 @@ Frame = tuple[np.ndarray, np.ndarray]
 """Rotation (3, 3) and place (3,)."""
 
 
-def read(path: str | Path) -> dict:
-    """Return name, gravity, base and links of a URDF file, as :func:`.body_toml.read` does.
+def read(path: str | Path) -> Robot:
+    """The parts of a URDF file.
 
-    Warns (UserWarning) of what is left out. Raises `BodyError` for what is no URDF, or no planar chain of hinges, and
-    `OSError` when the file cannot be read.
+    Raises `BodyError` for what is no URDF or has a planar joint, and `OSError` when the file cannot be read.
     """
     return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
 
 
-def of(robot: Element, where: str) -> dict:
-    """The tables of a parsed URDF; see :func:`read`."""
+def of(robot: Element, where: str) -> Robot:
+    """The parts of a parsed URDF; see :func:`read`."""
     body_xml.check_root(robot, "robot", where)
     if any(each.tag.startswith("xacro:") for each in robot.iter()):
         raise BodyError(f"{where}: a xacro template is not read; expand it first: xacro FILE.xacro > FILE.urdf")
@@ -45,15 +48,16 @@ def of(robot: Element, where: str) -> dict:
     joints = _named(robot, "joint", where)
     root, below = _tree(links, joints, where)
     parts: list[Part] = []
-    todo: list[tuple[str, int, Hinge | None, tuple[np.ndarray, np.ndarray]]]
-    todo = [(root, -1, None, (np.eye(3), np.zeros(3)))]
-    for name, parent, hinge, frame in todo:  # parents come before their children
-        parts.append(_part(links[name], name, parent, hinge, frame, where))
+    todo: list[tuple[str, int, list[PartJoint], Frame]] = [(root, -1, [], (np.eye(3), np.zeros(3)))]
+    for name, parent, moves, frame in todo:  # parents come before their children
+        parts.append(_part(links[name], name, parent, moves, frame, where))
         for joint, child in below.get(name, ()):
             own = _moved(frame, joint, where)
-            todo.append((child, len(parts) - 1, _hinge(joint, own, where), own))
+            todo.append((child, len(parts) - 1, _moves(joint, own, where), own))
     moving = [joint for joint in joints.values() if joint.get("type") != "fixed"]
-    return tables(parts, GRAVITY, _left_out(robot, moving, where), where)
+    left_out = _left_out(robot, moving)
+    unplayed = [entry for entry in left_out if not entry.startswith(OF_PARTS)]
+    return Robot(parts, GRAVITY, left_out, _joint_parts(moving, where), unplayed)
 
 
 def _named(robot: Element, tag: str, where: str) -> dict[str, Element]:
@@ -81,7 +85,9 @@ def _tree(links: dict, joints: dict, where: str) -> tuple[str, dict[str, list[tu
         below.setdefault(ends[0], []).append((joint, ends[1]))
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
-        told = f"got {', '.join(roots[:4])}" if roots else "but the joints form a loop"
+        told = (
+            f"got {', '.join(roots[:4])}" if roots else "but the joints form a loop" if links else "got no link at all"
+        )
         raise BodyError(f"{where}: expected one link that is no joint's child, {told}")
     reached = {root := roots[0]}
     todo = [root]
@@ -120,20 +126,23 @@ def _moved(frame: Frame, element: Element, where: str) -> Frame:
     return turn @ Rotation.from_euler("xyz", rpy).as_matrix(), place + turn @ xyz
 
 
-def _hinge(joint: Element, frame: Frame, where: str) -> Hinge | None:
+def _moves(joint: Element, frame: Frame, where: str) -> list[PartJoint]:
+    """The joint, none where it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind == "fixed":
-        return None
-    if kind not in HINGES:
-        raise BodyError(f"{where}: expected hinges alone (revolute, continuous), joint '{name}' is of type {kind:.60}")
+        return []
+    if kind not in TYPES:
+        raise BodyError(f"{where}: expected joints of type {', '.join(TYPES)} or fixed, '{name}' is of type {kind:.60}")
+    if TYPES[kind] == "free":
+        return [PartJoint(name, frame[1], np.zeros(3), "free")]
     axis = _numbers(joint.find("axis"), "xyz", "1 0 0", f"{where}: axis of joint '{name}'")
     size = np.linalg.norm(axis)
     if not 0 < size < np.inf:
         raise BodyError(f"{where}: joint '{name}' has an axis without direction")
-    return Hinge(name, frame[1], frame[0] @ (axis / size))
+    return [PartJoint(name, frame[1], frame[0] @ (axis / size), TYPES[kind])]
 
 
-def _part(link: Element, name: str, parent: int, hinge: Hinge | None, frame: Frame, where: str) -> Part:
+def _part(link: Element, name: str, parent: int, joints: list[PartJoint], frame: Frame, where: str) -> Part:
     told = f"{where}: link '{name}'"
     inertial = link.find("inertial")
     mass, (turn, com), tensor = 0.0, frame, np.zeros((3, 3))
@@ -146,7 +155,9 @@ def _part(link: Element, name: str, parent: int, hinge: Hinge | None, frame: Fra
         tensor = np.array([[_numbers(own, key, "0", told)[0] for key in row] for row in TENSOR])
         if mass < 0:
             raise BodyError(f"{told}: expected no negative mass, got {mass:g} kg")
-    return Part(name, parent, mass, com, turn @ tensor @ turn.T, frame[1], hinge, ends=_ends(link, frame, told))
+    return Part(
+        name, parent, mass, com, turn @ tensor @ turn.T, frame[1], frame[0], joints, ends=_ends(link, frame, told)
+    )
 
 
 def _ends(link: Element, frame: Frame, where: str) -> list[np.ndarray]:
@@ -167,14 +178,42 @@ def _ends(link: Element, frame: Frame, where: str) -> list[np.ndarray]:
     return found
 
 
-def _left_out(robot: Element, moving: list[Element], where: str) -> list[str]:
+def _joint_parts(moving: Sequence[Element], where: str) -> dict[str, JointParts]:
+    """Damping and friction of `<dynamics>`, and the limit of `<limit effort>`, of each joint that has any."""
+    found = {}
+    for joint in moving:
+        name = joint.get("name", "")
+        told = f"{where}: joint '{name}'"
+        damping, friction = (
+            float(_numbers(joint.find("dynamics"), key, "0", told)[0]) for key in ("damping", "friction")
+        )
+        effort = float(_numbers(joint.find("limit"), "effort", "0", told)[0])
+        motor = Motor(low=-effort, high=effort) if effort > 0 else None
+        try:
+            parts = JointParts(damping, friction, motor=motor)
+        except BodyError as error:
+            raise BodyError(f"{told}: {error}") from error
+        if parts != NOTHING:
+            found[name] = parts
+    return found
+
+
+def _is_said(text: str) -> bool:
+    """Whether a number is any but 0; what is left out may be too large, or none."""
+    try:
+        return float(text) != 0
+    except ValueError:
+        return True
+
+
+def _left_out(robot: Element, moving: list[Element]) -> list[str]:
     """What the file says and a rigid body lacks."""
 
     def having(tag: str, *keys: str) -> list[str]:
         found = []
         for joint in moving:
-            element, told = joint.find(tag), f"{where}: joint '{joint.get('name')}'"
-            if element is not None and (not keys or any(_numbers(element, key, "0", told)[0] for key in keys)):
+            element = joint.find(tag)
+            if element is not None and (not keys or any(_is_said(element.get(key, "0")) for key in keys)):
                 found.append(joint.get("name", ""))
         return found
 

@@ -8,21 +8,24 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies import body_toml, body_xml, tree_toml
+from invdyn.models.bodies import body_toml, body_xml, robot_file, tree_toml
 from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.parts import is_planar_chain
 from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
 from invdyn.models.bodies.whole_file import read_whole
 
 
-def load(path: str | Path) -> Body | Tree:
-    """Read a body file: a `Tree` of a TOML that says dimensions = 3, else what `Body.load` reads; raises as they do.
+def load_body(path: str | Path) -> Body | Tree:
+    """Read a body file: TOML, MJCF or URDF; raises as `Body.load` and `Tree.from_mjcf` do.
 
-    What a file is, its content says, not its name.
+    A TOML says dimensions = 3 for a `Tree`. Of a robot a chain of hinges about one of the axes x, y and z is a `Body`,
+    whatever else a `Tree`. What a file is, its content says, not its name.
     """
     content = read_whole(path, body_xml.MOST_BYTES)
     if body_xml.is_xml(content):
-        return Body.from_xml(content, path)
+        robot = robot_file.of(content, str(path))
+        return (Body if is_planar_chain(robot.parts) else Tree).from_robot(robot, path)
     tables = body_toml.parse(content, str(path))
     return (Tree if tree_toml.is_in_space(tables, path) else Body).from_tables(tables, path)
 

@@ -14,6 +14,8 @@ from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.joint_parts import JointParts
+
 AXES = "xyz"
 
 
@@ -117,6 +119,11 @@ class BodyBase:
         return None
 
     @property
+    def joint_parts(self: ArticulatedBody) -> tuple[JointParts | None, ...]:
+        """No joint has any."""
+        return (None,) * self.num_joints
+
+    @property
     def has_priors(self) -> bool:
         """No number is one."""
         return False
@@ -157,11 +164,16 @@ class BodyBase:
 
     def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
         """Dims are called after the number, gravity's "space"."""
-        own = {name: value.detach() for name, value in numbers._asdict().items()}
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
         dims = {name: [f"{name}_{i}" for i in range(value.ndim)] for name, value in own.items()} | {
             "gravity": ["space"]
         }
         return {name: (dims[name], value) for name, value in own.items()}
+
+
+def kept_as(name: str) -> str:
+    """Under which name a posterior keeps one of a body's numbers: "position" is that of the keypoints there."""
+    return "origin" if name == "position" else name
 
 
 def axes(body: ArticulatedBody) -> list[str]:

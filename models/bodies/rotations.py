@@ -18,6 +18,7 @@ UNTURNED = tuple(map(tuple, IDENTITY.tolist()))
 """The same as rows."""
 LETTERS = {letter: IDENTITY[place] for place, letter in enumerate("xyz")}
 EXACT = 1e-12
+ROUND = 2 * np.pi
 ROUNDED = 1e-3
 """How far from length 1 a printed unit quaternion or axis may be; it is then normalised."""
 
@@ -57,7 +58,10 @@ def from_quaternion(quaternion: object, what: str) -> np.ndarray:
 
 def from_rpy(rpy: object, what: str) -> np.ndarray:
     """The rotation of roll, pitch and yaw, rad. Raises `BodyError`, which begins with `what`."""
-    angles = numbers(rpy, 3, f"{what}, roll, pitch and yaw in rad")
+    what = f"{what}, roll, pitch and yaw in rad"
+    angles = numbers(rpy, 3, what)
+    if np.abs(angles).max() > ROUND:
+        raise BodyError(f"{what}: expected angles within a turn, {ROUND:.2f} rad, got {rpy!r:.60}; are these degrees?")
     return clean(Rotation.from_euler("xyz", angles).as_matrix())
 
 

@@ -8,7 +8,8 @@ A link may have a `length` m instead: it is a stick along its x axis, whose `tip
 links on it are placed at its tip, its com is in its middle and its inertia that of a thin rod.
 
 The base is what the first joint makes of it: fixed where the link's joint is any on the world, free by a joint of type
-free, moved by one that is `driven`. Files: `tree_toml.py`; tables of Denavit and Hartenberg: `dh.py`.
+free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `body_urdf.py`; tables of Denavit and
+Hartenberg: `dh.py`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,10 +25,11 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import tree_toml
+from invdyn.models.bodies import body_mjcf, body_tree, body_urdf, tree_toml
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.parts import Robot
+from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
 from invdyn.models.bodies.scalars import (
     SMALLEST,
@@ -152,7 +154,7 @@ class Tree(BodyBase):
         object.__setattr__(self, "links", _ordered(self.links, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
-        for link, turning in zip(self.links, self._turning(), strict=True):
+        for link, turning in zip(self.links, self.turning(), strict=True):
             moments = self._inertia(link, nominal(link.mass), None if link.length is None else nominal(link.length))
             check_inertia(tensor(np.array([nominal(x) for x in moments])), turning, f"{where}: link '{link.name}'")
 
@@ -290,6 +292,24 @@ class Tree(BodyBase):
             }
         )
 
+    def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
+        """By link, site and axis; joints' positions as "origin". And `base`, where that stands still; `skeleton`."""
+        dims = {
+            "mass": ["link"],
+            "com": ["link", "space"],
+            "inertia": ["link", "moment"],
+            "origin": ["link", "space"],
+            "rotation": ["link", "space", "space_2"],
+            "sites": ["keypoint", "space"],
+            "gravity": ["space"],
+        }
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
+        found = {name: (dims[name], value) for name, value in own.items()}
+        if self._stands:
+            found["base"] = ["space"], own["origin"][..., 0, :]
+        edges = self.skeleton
+        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
+
     def drawn(self, numbers: TreeParameters) -> dict[str, Tensor]:
         """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
         like: dict[str, Any] = {"dtype": numbers.mass.dtype, "device": numbers.mass.device}
@@ -300,6 +320,26 @@ class Tree(BodyBase):
             which[list(entries)] = True
             found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the first joint is at a place that does not move."""
+        root = self.links[0].joint
+        return not root.driven and all(motion.turns for motion in root.motions())
+
+    @property
+    def skeleton(self) -> list[tuple[int, int]]:
+        """Pairs of sites that a line joins in a picture, −1 the base: each with that, further in, next to its joint."""
+        p, names = self.parameters(), self.keypoint_names
+        hubs: list[int | None] = []
+        edges = []
+        for place, (link, parent) in enumerate(zip(self.links, self.parents, strict=True)):
+            hub = (-1 if self._stands else None) if parent < 0 else hubs[parent]
+            if parent >= 0 and (near := [names.index(name) for name in self.links[parent].points]):
+                hub = near[int((p.sites[near] - p.position[place]).norm(dim=-1).argmin())]
+            hubs.append(hub)
+            edges += [(hub, names.index(name)) for name in link.points if hub is not None]
+        return edges
 
     def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
         """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
@@ -351,7 +391,7 @@ class Tree(BodyBase):
     def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
         return {}
 
-    def _turning(self) -> list[np.ndarray]:
+    def turning(self) -> list[np.ndarray]:
         """For each link, directions in its own frame that its angular velocity may have, (n, 3).
 
         Each turn further out is set to an angle that is nothing special, so that no two axes are parallel by chance.
@@ -375,10 +415,31 @@ class Tree(BodyBase):
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
         """The tree of a TOML file's tables; see `from_toml`."""
-        tables = {"name": Path(path).stem, **tree_toml.of(tables, path)}
+        return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path) -> Self:
+        """Read any tree of joints from MuJoCo's format (extra `robots`); see `body_mjcf` and `body_tree`.
+
+        Warns of what the file has and rigid links lack. Raises `BodyError`, which names the file, or `OSError`.
+        """
+        return cls.from_robot(body_mjcf.read(path), path)
+
+    @classmethod
+    def from_urdf(cls, path: str | Path) -> Self:
+        """Read any tree of joints from URDF; warns and raises as `from_mjcf`."""
+        return cls.from_robot(body_urdf.read(path), path)
+
+    @classmethod
+    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
+        """The tree of a file's parts; see `from_mjcf`."""
+        return cls._of(body_tree.tables(robot, str(path)), path)
+
+    @classmethod
+    def _of(cls, tables: dict, path: str | Path) -> Self:
         try:
-            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables.pop("links")]
-            return cls(links=links, **tables)
+            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
+            return cls(**tables | {"links": links})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
 

@@ -87,12 +87,12 @@ class Dynamics(ABC):
 
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J θ̇, m/s, (..., S, d)."""
-        q, qd = torch.broadcast_tensors(q, qd)
+        q, qd = _together(q, qd)
         return _jvp()(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J θ̈ + J̇ θ̇, m/s², (..., S, d)."""
-        q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
+        q, qd, qdd = _together(q, qd, qdd)
         return _jvp()(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))[1]
 
     def torque_of(self, q: Tensor, site: int, force: Tensor, p: Any) -> Tensor:
@@ -113,7 +113,7 @@ class Dynamics(ABC):
     def reach(self, p: Any) -> Tensor:
         """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m.
 
-        Or the largest of :meth:`levers`, where that is more.
+        Or the largest of :meth:`levers`, where that is more. Without sites it is 1 m.
         """
         points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
         points = torch.cat([points, torch.zeros_like(points[:1])])
@@ -122,9 +122,12 @@ class Dynamics(ABC):
     def levers(self, p: Any) -> Tensor:
         """How far (K,) some site moves when a joint turns by a radian, m: what an error of a point is divided by.
 
-        The largest one's stands for a joint that moves no site at zero coordinates.
+        The largest one's stands for a joint that moves no site at zero coordinates; without sites it is 1 m.
         """
-        moved = self.jacobian(p.gravity.new_zeros(self.num_joints), p).norm(dim=-2).amax(0)
+        jacobian = self.jacobian(p.gravity.new_zeros(self.num_joints), p)
+        if not len(jacobian):
+            return p.gravity.new_ones(self.num_joints)
+        moved = jacobian.norm(dim=-2).amax(0)
         return torch.where(moved > 0, moved, moved.max())
 
     def _check(self, **joint: Tensor) -> None:
@@ -134,6 +137,11 @@ class Dynamics(ABC):
                     f"expected {name} of shape (..., {self.num_joints}), one entry for each joint, "
                     f"got {tuple(value.shape)}"
                 )
+
+
+def _together(*values: Tensor) -> list[Tensor]:
+    """Values of one shape, each entry in a place of its own, which torch's forward mode asks for."""
+    return [value.contiguous() for value in torch.broadcast_tensors(*values)]
 
 
 @cache

@@ -16,15 +16,17 @@ class Actuator(Effect):
 
     needs_command = True
 
-    def __init__(self, *joint: str):
-        super().__init__(*(joint or ("all",)))
-        self.where = joint
+    def __init__(self, *where: str):
+        alone = not where or (len(where) == 1 and where[0] in self.forms)
+        super().__init__(*(("all",) if alone else ()), *where)
+        self.where = where
 
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
-        """Every joint, and all of them together where there are several."""
-        each = [cls(joint) for joint in body.joint_names]
-        return [cls(), *each] if len(each) > 1 else each
+        """Every joint, and all of them together where there are several, in every form."""
+        joints = [(joint,) for joint in body.joint_names]
+        places: list[tuple[str, ...]] = [(), *joints] if len(joints) > 1 else [*joints]
+        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
 
     def of(self, values: list[float]) -> float:
         """What of each joint's ``values`` goes for this actuator: its own, or the joints' mean."""

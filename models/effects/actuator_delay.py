@@ -21,6 +21,7 @@ class ActuatorDelay(Actuator):
     phrase = "actuator delay"
     meaning = "torques that come later than commanded"
     shown_by = "a common clock of camera and motors, such as a light that the command switches"
+    of_targets = True
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_latency": {"delay": "latency"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

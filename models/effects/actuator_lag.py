@@ -20,7 +20,7 @@ class ActuatorLag(Actuator):
     meaning = "torques that follow the command sluggishly"
     shown_by = "a command that sweeps to high frequencies"
 
-    order = -3
+    of_targets, order = True, -3
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Time constant T, s."""

@@ -100,6 +100,8 @@ class Effect(ABC):
     """Whether it is of a chain in the plane: it speaks of x and y, or of a link's length."""
     needs_command: ClassVar[bool] = False
     """Whether it changes a commanded torque, and nothing without one."""
+    of_targets: ClassVar[bool] = False
+    """Of one that needs a command, whether it happens to a servo's target as to a torque, such as a delay."""
     order: ClassVar[int] = 0
     """Hooks are called in this order. Of the motors, as in MuJoCo: dead zone −4, lag −3, saturation −2, gain −1, and a
     delay, which may come at any place, 0; of what is seen: markers 0, timing 1, geometry of the camera 2."""
@@ -142,6 +144,10 @@ class Effect(ABC):
     contains: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     """Effects, by name, that are a special case of it at the same place: with these of its parameters, by name, at the
     values of theirs. A search follows them from there."""
+
+    filed: ClassVar[Mapping[str, str]] = {}
+    """Parameters, by name, that add to a number which a body's file may give its joint, by the name of that
+    (:class:`..bodies.joint_parts.JointParts`)."""
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""

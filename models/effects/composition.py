@@ -33,15 +33,18 @@ class Composition:
 
     Args:
         effects: in any order; hooks run by :attr:`Effect.order`.
+        filed: parts of the simulation itself, which act as effects do and are none: they come first, and iterating
+            over a composition leaves them out.
 
     Raises NotTogether for an effect twice at a place, and for two whose hidden states move the arm.
     """
 
-    def __init__(self, effects: tuple[Effect, ...] = ()):
+    def __init__(self, effects: tuple[Effect, ...] = (), filed: tuple[Effect, ...] = ()):
         keys = [effect.key for effect in effects]
         if twice := {key for key in keys if keys.count(key) > 1}:
             raise NotTogether(f"expected each effect once at a place, got {', '.join(sorted(twice))} twice")
-        self.effects = tuple(sorted(effects, key=lambda effect: effect.order))
+        self.effects, self.filed = tuple(sorted(effects, key=lambda effect: effect.order)), filed
+        effects = self._acting = tuple(sorted((*filed, *effects), key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
         self.yields = any(effect.yields for effect in effects)
         self.pulls = any(effect.pulls for effect in effects)
@@ -76,10 +79,10 @@ class Composition:
         return iter(self.effects)
 
     def __bool__(self) -> bool:
-        return bool(self.effects)
+        return bool(self._acting)
 
     def _each(self, parameters: Mapping[str, Tensor]) -> Iterator[tuple[Effect, Values]]:
-        for effect in self.effects:
+        for effect in self._acting:
             yield effect, own_values(effect, parameters)
 
     def body(self, parameters: Mapping[str, Tensor], body: Any) -> Any:

@@ -26,6 +26,7 @@ class Situation:
         step: s, the integrator's sub-step, (..., 1) or less.
         body: its numbers as the other effects leave them.
         dynamics: of this body.
+        told: (..., K) N·m, of `motor` what was commanded; the rest is a torque that nobody commanded.
         split: the link that a hidden hinge makes two of, where the chain has one; places count the arm's own links.
     """
 
@@ -38,6 +39,7 @@ class Situation:
     body: Any
     dynamics: Dynamics
     split: int | None = None
+    told: Tensor | None = None
 
     @cached_property
     def bias(self) -> Tensor:

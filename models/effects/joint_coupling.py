@@ -1,5 +1,6 @@
-"""A spring across two joints: potential ½ k (θ_i − r θ_j)²."""
+"""A spring across two joints: potential ½ k (θ_i − r θ_j − θ₀)²."""
 
+import math
 from collections.abc import Mapping
 
 from pyro.distributions import HalfNormal, Normal
@@ -7,6 +8,7 @@ from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values, quantiles
 from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.joint_stiffness import TURNS
 from invdyn.models.effects.scale import Scale
 
 LEAST = 0.1
@@ -15,10 +17,10 @@ or more."""
 
 
 class JointCoupling(Effect):
-    """Torque −k (θ_i − r θ_j) at the second joint named, i, and r times its opposite at the first, j.
+    """Torque T₀ − k (θ_i − r θ_j) at the second joint named, i, and r times its opposite at the first, j.
 
-    What a muscle or a tendon over two joints does. Told apart from either joint's own stiffness by moving them apart.
-    As a fixed ``tendon`` in MuJoCo.
+    What a muscle or a tendon over two joints does, which is slack in some posture: T₀ = k θ₀. Told apart from either
+    joint's own stiffness by moving them apart. As a fixed ``tendon`` with a ``springlength`` in MuJoCo.
     """
 
     phrase = "joint coupling"
@@ -28,19 +30,34 @@ class JointCoupling(Effect):
     site = "pair"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Stiffness k, N·m/rad, and ratio r of the two lever arms, a pure number of either sign."""
-        ratio = Normal(0.0, 0.9)
+        """Stiffness k, N·m/rad, torque T₀ with both angles at zero, N·m, and ratio r of the two lever arms, a pure
+        number of either sign.
+        """
+        ratio, torque = Normal(0.0, 0.9), scale.torque[self.place[1]]
         return (
-            Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * scale.torque[self.place[1]])),
+            Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * torque)),
+            Parameter("torque", "N·m", Normal(0.0, 0.9 * torque)),
             Parameter("ratio", "1", ratio, None, quantiles(ratio, 6)),
         )
 
+    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
+        """Stiffness k, N·m/rad, ratio r, and θ₀ = T₀/k, rad, of θ_i − r θ_j where the spring is slack."""
+        rest = values["torque"] / values["stiffness"].clamp_min(1e-12)
+        far = 2 * math.pi * TURNS
+        return {
+            "stiffness": (values["stiffness"], "N·m/rad"),
+            "ratio": (values["ratio"], "1"),
+            "rest_angle": (rest.clamp(-far, far), "rad"),
+        }
+
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
-        """A spring that minds both joints."""
-        return abs(mean["ratio"]) + MARGIN * sd["ratio"] > LEAST
+        """A spring that minds both joints, and is slack within a turn of each."""
+        turns = 1 + abs(mean["ratio"]) + MARGIN * sd["ratio"]
+        slack = abs(mean["torque"]) <= 2 * math.pi * turns * (mean["stiffness"] + MARGIN * sd["stiffness"])
+        return slack and abs(mean["ratio"]) + MARGIN * sd["ratio"] > LEAST
 
     def force(self, p: Values, now: Situation) -> Tensor:
-        """−k (θ_i − r θ_j) (e_i − r e_j)."""
+        """(T₀ − k (θ_i − r θ_j)) (e_i − r e_j)."""
         j, i = self.place
-        pull = -p["stiffness"] * (now.q[..., i : i + 1] - p["ratio"] * now.q[..., j : j + 1])
+        pull = p["torque"] - p["stiffness"] * (now.q[..., i : i + 1] - p["ratio"] * now.q[..., j : j + 1])
         return now.at(i, pull) - now.at(j, p["ratio"] * pull)

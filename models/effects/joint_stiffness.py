@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from typing import ClassVar
 
-from pyro.distributions import HalfNormal, Normal
+from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
+from invdyn.models.effects.change import change
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
 
@@ -25,12 +27,14 @@ class JointStiffness(Effect):
     phrase = "joint stiffness"
     meaning = "a spring that pulls the joint to a rest angle"
     shown_by = "holding still in several postures"
+    filed: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and torque at angle zero T₀, N·m, for rest angles anywhere on a circle."""
-        torque = scale.torque[self.place[0]]
+        j = self.place[0]
+        torque = scale.torque[j]
         return (
-            Parameter("stiffness", "N·m/rad", HalfNormal(0.5 * torque)),
+            change("stiffness", "N·m/rad", 0.5 * torque, scale.filed("stiffness", j)),
             Parameter("torque", "N·m", Normal(0.0, 0.9 * torque)),
         )
 

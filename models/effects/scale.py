@@ -8,6 +8,7 @@ is beyond it stretched out:
     speed     √(torque / inertia), of a swing under that torque, or what has been seen if slower     rad/s
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.dynamics.interface import Dynamics
 
 
@@ -47,6 +49,7 @@ class Scale:
         command: (T, K) N·m, or None.
         motion: (K,) rad/s, rms velocity of each joint where it has been seen, or None.
         range: (K, 2) rad, between which each joint has been seen to turn, or None.
+        parts: what the simulation's own joints have.
     """
 
     dynamics: Dynamics
@@ -55,6 +58,12 @@ class Scale:
     command: Tensor | None = None
     motion: Tensor | None = None
     range: Tensor | None = None
+    parts: Sequence[JointParts | None] = ()
+
+    def filed(self, quantity: str, joint: int) -> float:
+        """What the simulation's own joint has of a quantity such as "damping"; 0 for nothing."""
+        own = self.parts[joint] if joint < len(self.parts) else None
+        return 0.0 if own is None else float(getattr(own, quantity))
 
     @cached_property
     def torque(self) -> list[float]:

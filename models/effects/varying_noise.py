@@ -1,4 +1,6 @@
-"""Detections that get worse with motion blur, σ (1 + slope |ṗ|), or as the tracker says, σ (1 + slope (1 − c))."""
+"""Detections that get worse in fast motion, σ (1 + slope |ṗ|) or σ (1 + slope |θ̇|), or as the tracker says,
+σ (1 + slope (1 − c)).
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -12,7 +14,8 @@ from invdyn.models.observation.view import View
 
 
 class VaryingNoise(Effect):
-    """A keypoint's noise grows with its speed, in all directions alike; ``VaryingNoise("confidence")``: as c falls.
+    """A keypoint's noise grows with its speed, in all directions alike; ``VaryingNoise("confidence")``: as c falls;
+    ``VaryingNoise("joints")``: all keypoints' alike, with how fast the joints turn, |θ̇| over all of them.
 
     Only the variance changes: told apart from process noise by frames at rest.
     """
@@ -22,28 +25,34 @@ class VaryingNoise(Effect):
     shown_by = "the same postures held still"
     form_words: ClassVar[Mapping[str, str]] = {
         "confidence": "as the tracker’s confidence falls",
+        "joints": "with how fast the joints turn",
     }
 
     side, site = "observation", "arm"
-    forms: ClassVar[tuple[str, ...]] = ("confidence",)
+    forms: ClassVar[tuple[str, ...]] = ("confidence", "joints")
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Slope, s/m; at the speed of the outstretched arm the noise is tenfold, give or take as much.
 
-        Of confidence, a pure number: where there is none the noise is tenfold.
+        Of the joints' speed, s/rad, likewise. Of confidence, a pure number: where there is none the noise is tenfold.
         """
+        if self.form == "joints":
+            return (Parameter("slope", "s/rad", Exponential(scale.speed[0] / 10.0)),)
         if self.form:
             return (Parameter("slope", "1", Exponential(0.1)),)
         return (Parameter("slope", "s/m", Exponential(scale.speed[0] * scale.reach / 10.0)),)
 
     def tellable(self, commanded: bool, confident: bool) -> bool:
         """See :meth:`Effect.tellable`."""
-        return confident or self.form is None
+        return confident or self.form != "confidence"
 
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
-        """σ (1 + slope |ṗ|), or σ (1 + slope (1 − c)); σ where nobody says how sure the tracker was."""
+        """See the top of the file; σ where nobody says how sure the tracker was."""
+        # a floor on the root keeps the gradient at rest finite
+        if self.form == "joints":
+            turning = (view.qd.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+            return sd * (1 + p["slope"] * turning).unsqueeze(-1)
         if self.form:
             return sd if view.doubt is None else sd * (1 + p["slope"].unsqueeze(-1) * view.doubt.unsqueeze(-1))
-        # a floor on the root keeps the gradient at rest finite
         speed = (view.velocity.square().sum(-1, keepdim=True) + 1e-12 * view.dynamics.reach(view.body) ** 2).sqrt()
         return sd * (1 + p["slope"].unsqueeze(-1) * speed)

@@ -1,9 +1,12 @@
 """Viscous friction of a joint: −b θ̇."""
 
-from pyro.distributions import HalfNormal
+from collections.abc import Mapping
+from typing import ClassVar
+
 from torch import Tensor
 
 from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.change import change
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
 
@@ -20,12 +23,13 @@ class ViscousFriction(Effect):
     phrase = "viscous friction"
     meaning = "a torque against the motion that grows with speed"
     shown_by = "the same motion at several amplitudes"
+    filed: ClassVar[Mapping[str, str]] = {"damping": "damping"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""
         j = self.place[0]
         typical = 0.2 * scale.torque[j] / scale.speed[j]
-        return (Parameter("damping", "N·m·s/rad", HalfNormal(typical), 0.0, tuple(typical * x for x in SHARES)),)
+        return (change("damping", "N·m·s/rad", typical, scale.filed("damping", j), SHARES),)
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−b θ̇."""

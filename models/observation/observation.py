@@ -9,6 +9,7 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any, Self, TypeVar
 
@@ -20,7 +21,8 @@ from torch import Tensor
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
-from invdyn.models.observation.sensor import NoisySensor, Sensor, size
+from invdyn.models.observation.pixels import Pixels
+from invdyn.models.observation.sensor import NoisySensor, Remembering, Sensor, size
 from invdyn.models.observation.side_by_side import SideBySide
 from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
@@ -54,6 +56,8 @@ class Observation:
         # Next to each other those of independent noise, any other by itself.
         runs = groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)
         self._runs: list[list[Any]] = [list(run) for _, run in runs]
+        self.remembering: list[Any] = [each for each in sensors if isinstance(each, Remembering) and each.states]
+        """Those that have states (:class:`.sensor.Remembering`)."""
 
     def _with(self, sensors: Sequence[Sensor]) -> Self:
         return type(self)(*sensors, family=self.family)
@@ -76,7 +80,8 @@ class Observation:
     def data(self) -> list[Tensor]:
         """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
         known = None if self.keypoints is None else self.keypoints.confidence
-        return [] if known is None else [known.doubt, known.drop, known.itself]
+        own = [] if known is None else [known.doubt, known.drop, known.itself]
+        return own if self.pixels is None else [*own, *self.pixels.data()]
 
     # -- rows ----------------------------------------------------------------------------------
     @property
@@ -93,6 +98,16 @@ class Observation:
     def encoders(self) -> Encoders | None:
         """The encoders, if there are any."""
         return next((each for each in self.sensors if isinstance(each, Encoders)), None)
+
+    @property
+    def pixels(self) -> Pixels | None:
+        """The sensor of pixels, if there is one."""
+        return next((each for each in self.sensors if isinstance(each, Pixels)), None)
+
+    @property
+    def states(self) -> int:
+        """M, of all sensors that have any."""
+        return sum(each.states for each in self.remembering)
 
     @property
     def tracked(self) -> tuple[int, ...]:
@@ -119,6 +134,19 @@ class Observation:
         if self.keypoints is None:
             return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
         return self.of(self.keypoints, rows)
+
+    def in_space(self, rows: Tensor) -> tuple["Observation", Tensor]:
+        """For a start: an observation, and its rows (T, O), with about where keypoints are in place of their pixels."""
+        pixels = self.pixels
+        if pixels is None:
+            return self, rows
+        points = rows.new_full((len(rows), len(pixels.sites), 3), torch.nan)
+        if pixels.located is not None:
+            points = pixels.located.to(rows)
+        others = [each for each in self.sensors if each is not pixels]
+        parts = [points.flatten(-2), *(rows[..., self.part(each)] for each in others)]
+        keypoints = Keypoints(pixels.sites, names=pixels.names, coordinates=3)
+        return Observation(keypoints, *others, family=self.family), torch.cat(parts, -1)
 
     def with_points(self, rows: Tensor, points: Tensor) -> Tensor:
         """Rows (..., O) with other keypoints (..., P, d)."""
@@ -151,8 +179,8 @@ class Observation:
         """Of one sensor, or of several that have independent noise."""
         first = run[0]
         if not isinstance(first, NoisySensor):
-            return first.predict(view, t, parameters)
-        found = [each.location_scale(view, t, parameters) for each in run]
+            return first.predict(self._for(first, view), t, parameters)
+        found = [each.location_scale(self._for(each, view), t, parameters) for each in run]
         loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
         if view.mistakes and isinstance(first, Keypoints):
             if self.family != "gaussian":
@@ -163,6 +191,35 @@ class Observation:
         if self.family == "student_t":
             return _UncheckedStudentT(parameters["emission.df"], loc, scale).to_event(1)
         return Normal(loc, scale, validate_args=False).to_event(1)
+
+    # -- states of the sensors themselves --------------------------------------------------------
+    def _for(self, sensor: Sensor, view: View) -> View:
+        """What there is to see, with the sensor's own states."""
+        if view.memory is None:
+            return view
+        if sensor not in (own := self.remembering):
+            return replace(view, memory=None)
+        return replace(view, memory=view.memory.split([each.states for each in own], -1)[own.index(sensor)])
+
+    def begun(self, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+        """Deviations of their states in the first row."""
+        return [each.begun(parameters) for each in self.remembering]
+
+    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+        """Means of their states ``dt`` (..., 1) s after they were ``memory`` (..., M)."""
+        own = self.remembering
+        shares = memory.split([each.states for each in own], -1) if own else ()
+        return [each.onward(share, dt, parameters) for each, share in zip(own, shares, strict=True)]
+
+    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+        """Deviations about these means."""
+        return [each.strayed(dt, parameters) for each in self.remembering]
+
+    @property
+    def remembered(self) -> list[int]:
+        """Which entry of a row each of the M states shows in."""
+        parts = (self.part(each) for each in self.remembering)
+        return [entry for part in parts for entry in range(part.start, part.stop)]
 
 
 class _UncheckedStudentT(StudentT):

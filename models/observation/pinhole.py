@@ -6,7 +6,7 @@
 Brown, "Close-range camera calibration", Photogrammetric Engineering 37, 1971, in OpenCV's order k1, k2, p1, p2, k3.
 Fisheye lenses: d = ϑ (1 + k1 ϑ² + k2 ϑ⁴ + k3 ϑ⁶ + k4 ϑ⁸) / r with ϑ = atan r (Kannala and Brandt, IEEE PAMI 28, 2006).
 Metres in, pixels out. The readers of calibrations project with numpy, in a room that this one does not know; a test
-holds both to OpenCV. No sensor uses this yet.
+holds both to OpenCV. :mod:`.pixels` is the sensor.
 """
 
 from typing import NamedTuple
@@ -36,13 +36,34 @@ class PinholeCameras(NamedTuple):
     limit: Tensor
     fisheye: Tensor | None = None
 
+    def to(self, device: torch.device | str, dtype: torch.dtype) -> "PinholeCameras":
+        """The same there, in another precision."""
+        fisheye = None if self.fisheye is None else self.fisheye.to(device)
+        focal, center, distortion, rotation, translation, limit = (each.to(device, dtype) for each in self[:6])
+        return PinholeCameras(focal, center, distortion, rotation, translation, limit, fisheye)
 
-def project(cameras: PinholeCameras, points: Tensor) -> tuple[Tensor, Tensor]:
+
+def moved(cameras: PinholeCameras, turn: Tensor, shift: Tensor) -> PinholeCameras:
+    """Cameras with poses off by rotation vectors ``turn`` (…, C, 3) rad and ``shift`` (…, C, 3) m in their frames.
+
+    x = exp([turn]×) (R X + t) + shift
+    """
+    x, y, z = turn.unbind(-1)
+    none = torch.zeros_like(x)
+    cross = torch.stack([none, -z, y, z, none, -x, -y, x, none], -1).unflatten(-1, (3, 3))
+    by = torch.linalg.matrix_exp(cross)
+    translation = (by @ cameras.translation.unsqueeze(-1)).squeeze(-1) + shift
+    return cameras._replace(rotation=by @ cameras.rotation, translation=translation)
+
+
+def project(cameras: PinholeCameras, points: Tensor, each: bool = False) -> tuple[Tensor, Tensor]:
     """Points (…, P, 3) → pixels (…, C, P, 2), and which of them are in front of the camera, within its limit (…, C, P).
 
-    Those that are not have NaN, and their gradient is zero: what is not seen pulls at nothing.
+    Those that are not have NaN, and their gradient is zero: what is not seen pulls at nothing. With ``each`` every
+    camera has points of its own, (…, C, P, 3). Poses may have leading dimensions that broadcast.
     """
-    local = torch.einsum("cij,...pj->...cpi", cameras.rotation, points) + cameras.translation[:, None]
+    law = "...cij,...cpj->...cpi" if each else "...cij,...pj->...cpi"
+    local = torch.einsum(law, cameras.rotation, points) + cameras.translation[..., None, :]
     depth = local[..., 2]
     ahead = depth > 0
     plane = local[..., :2] / torch.where(ahead, depth, 1.0)[..., None]

@@ -1,68 +1,199 @@
-"""The likelihood of pixels, and the lasting error of a tracker in one view: plain tensors in and out.
+"""Pixels of one camera or several, as a tracker gives them: what a camera sees, and what lasts of a tracker's error.
 
-    y_cp ~ t_ν(π_c(X_p) + b_cp, σ_cp),   in the plane:
-    log p = log ν/(2π ν σ²) − (ν + 2)/2 · log(1 + |y − π − b|²/(ν σ²))
+    y_cp ~ F(π_c(X_p(θ)) + b_cp, σ_cp s(confidence))
 
-(the two-dimensional Student-t, whose Γ((ν + 2)/2)/Γ(ν/2) is ν/2). σ is the caller's σ_cp s(confidence), px. A tracker's
-error in one view is not white: it sits beside the joint for as long as the limb is seen from there. b_cp, one for each
-camera, keypoint and axis of the picture, is an Ornstein–Uhlenbeck process of standard deviation β and correlation time
-ℓ, exact over any step:
+for camera c, keypoint p and each axis of the picture, px. π is :mod:`.pinhole`'s projection; F is the observation's
+noise family, Student-t for a tracker's strays. σ = "emission.pixel_scale" (C, P); s is that of :mod:`.confidence`, with
+"emission.pixel_confidence_slope" and "…_drop" (C P,). A tracker's error in one view is not white: it sits beside the
+joint for as long as the limb is seen from there. So b is a state, an Ornstein–Uhlenbeck process, exact over any step,
 
-    b′ = a b + β √(1 − a²) η,   a = exp(−δ/ℓ),   b₀ ~ N(0, β²)
+    b' = a b + β √(1 − a²) η,   a = exp(−δ/ℓ),   b₀ ~ N(0, β²)
 
-Where no pixel was tracked there is no term. Where one was and the model says that the camera cannot see the point, the
-pixel is of something else: uniform over the picture. No sensor uses this yet.
+with β = "emission.bias_scale" (C, P) px and ℓ = "emission.bias_time" (1,) s. (As a constant it would not drift, and
+lengths would be falsely sure; marginalised, it would tie all rows together, which a filter cannot have. A latent state
+keeps both the intervals and the recursions, and its slopes cost nothing: see `StateSpaceModel.lone`.)
+
+A keypoint that one camera sees counts, and one that is missing (NaN) has no term. Where the model says that a camera
+cannot see a point, a pixel is of something else, and about anywhere in the picture.
+
+What is not known of a camera may be learned: by how much its clock runs ahead of the rows, "camera.offset" (C,) s, and
+its pose, off by a rotation vector "camera.turn" (C, 3) rad and "camera.shift" (C, 3) m in its own frame.
 """
 
-import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.confidence import USUAL_DROP, USUAL_SLOPE, Confidence
+from invdyn.models.observation.pinhole import PinholeCameras, moved, project
+from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.view import View
 
-def pixel_log_likelihood(
-    pixels: Tensor,
-    predicted: Tensor,
-    scale: Tensor,
-    freedom: Tensor | float,
-    area: Tensor,
-    bias: Tensor | None = None,
-) -> Tensor:
-    """Log density of each pixel, (…, C, P); 0 where there is none. Sum over the last two axes for a row's.
-
-    Args:
-        pixels: (…, C, P, 2), NaN where missing.
-        predicted: (…, C, P, 2) as `pinhole.project` gives it, NaN where the camera cannot see the point.
-        scale: σ, px, broadcast against (…, C, P).
-        freedom: ν; infinity is a Gaussian.
-        area: (C,) of the pictures, px².
-        bias: (…, C, P, 2) px, or None for none.
-    """
-    tracked = torch.isfinite(pixels).all(-1)
-    seen = torch.isfinite(predicted).all(-1)
-    both = tracked & seen
-    # Before the difference, since NaN times zero would be NaN in a gradient.
-    miss = torch.where(both[..., None], pixels, 0.0) - torch.where(both[..., None], predicted, 0.0)
-    if bias is not None:
-        miss = miss - bias
-    square = miss.square().sum(-1) / scale.square()
-    freedom = torch.as_tensor(freedom, dtype=pixels.dtype, device=pixels.device)
-    finite = torch.where(torch.isinf(freedom), 1.0, freedom)
-    tails = torch.where(torch.isinf(freedom), 0.5 * square, 0.5 * (finite + 2) * torch.log1p(square / finite))
-    inside = -math.log(2 * math.pi) - 2 * torch.log(scale) - tails
-    return torch.where(both, inside, torch.where(tracked, -torch.log(area)[:, None], 0.0))
+USUAL, USUAL_BIAS, USUAL_TIME = 2.0, 5.0, 0.3
+"""px, px and s, where nothing is known of them."""
+LEAST, MOST_NOISE = 0.05, 100.0
+"""px that jitter is believed to show."""
 
 
-def bias_transition(bias: Tensor, step: Tensor | float, correlation_time: Tensor, sd: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of the next bias, both as `bias` (…, C, P, 2), px.
+@dataclass(frozen=True, eq=False)
+class Pixels(NoisySensor):
+    """Detections of P sites in the pictures of C cameras.
 
     Args:
-        bias: the present one.
-        step: δ, s.
-        correlation_time: ℓ, s, broadcast against the bias.
-        sd: β, px, likewise; also the standard deviation of the first one, about 0.
+        cameras: C of them.
+        camera_names: theirs.
+        size: (C, 2) width and height of the pictures, px.
+        sites: which (P,), by place among the body's sites or by name.
+        confidence: (T, C, P) the tracker's, or None.
+        located: (T, P, 3) m, about where the keypoints are, NaN where nobody knows: a start, no part of the likelihood.
+        timed, posed: whether clocks, or poses, have parameters.
+        lasting: whether b is there.
+        names: of the sites, known once :meth:`bound`; then all ``sites`` are places.
+
+    Raises ValueError for names that are not as many as the cameras.
     """
-    ratio = torch.as_tensor(step, dtype=bias.dtype, device=bias.device) / correlation_time
-    mean = torch.exp(-ratio) * bias
-    # 1 − a², without the digits that a difference near 0 would lose
-    return mean, (sd * torch.sqrt(-torch.expm1(-2 * ratio))).expand_as(bias)
+
+    cameras: PinholeCameras
+    camera_names: tuple[str, ...]
+    size: Tensor
+    sites: tuple[Any, ...]
+    confidence: Any = None
+    located: Tensor | None = None
+    timed: bool = False
+    posed: bool = False
+    lasting: bool = True
+    names: tuple[str, ...] = field(default=())
+
+    name: ClassVar[str] = "pixel"
+    unit: ClassVar[str] = "px"
+
+    def __post_init__(self) -> None:
+        if len(self.camera_names) != len(self.cameras.focal):
+            raise ValueError(f"expected a name for each of {len(self.cameras.focal)} cameras, got {self.camera_names}")
+        if isinstance(self.confidence, np.ndarray):
+            known = Confidence.of(self.confidence.reshape(len(self.confidence), -1))
+            object.__setattr__(self, "confidence", known)
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """Those of ``body``; raises ValueError for sites that it does not have, and for a body in the plane."""
+        known = body.keypoint_names
+        if body.space != 3:
+            raise ValueError(f"expected a body in space before cameras, got '{body.name}', which has {body.space} axes")
+        places = [known.index(site) if site in known else site for site in self.sites]
+        for site in places:
+            if site not in range(len(known)):
+                raise ValueError(f"expected keypoints among {', '.join(known)}, got {site!r}")
+        sites = tuple(int(site) for site in places)
+        return replace(self, sites=sites, names=tuple(known[site] for site in sites))
+
+    def to(self, device: torch.device | str) -> Self:
+        """See :meth:`Sensor.to`."""
+        cameras = self.cameras.to(device, self.cameras.focal.dtype)
+        confidence = None if self.confidence is None else self.confidence.to(device)
+        return replace(self, cameras=cameras, size=self.size.to(device), confidence=confidence)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(C, P, 2)."""
+        return len(self.camera_names), len(self.sites), 2
+
+    @property
+    def coords(self) -> dict[str, Sequence[str]]:
+        """Cameras, keypoints, and axes of a picture, to the right and down."""
+        return {"camera": self.camera_names, "keypoint": self.names, "picture": ("u", "v")}
+
+    def data(self) -> list[Tensor]:
+        """See :meth:`.Observation.data`."""
+        known = [] if self.confidence is None else [self.confidence.doubt, self.confidence.drop]
+        return [*known, *(each for each in self.cameras if each is not None)]
+
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """A pixel or two of noise, some more that last, and cameras as they are said to be."""
+        cameras, points, _ = self.shape
+
+        def constant(value: float, *shape: int) -> Tensor:
+            return torch.full(shape, value, dtype=torch.float64)
+
+        own = {"emission.pixel_scale": constant(USUAL, cameras, points)}
+        if self.lasting:
+            own["emission.bias_scale"] = constant(USUAL_BIAS, cameras, points)
+            own["emission.bias_time"] = constant(USUAL_TIME, 1)
+        if self.confidence is not None:
+            for name, usual in (("slope", USUAL_SLOPE), ("drop", USUAL_DROP)):
+                own[f"emission.pixel_confidence_{name}"] = constant(usual, cameras * points)
+        if self.timed:
+            own["camera.offset"] = constant(0.0, cameras)
+        if self.posed:
+            own |= {f"camera.{name}": constant(0.0, cameras, 3) for name in ("turn", "shift")}
+        return own
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """The larger jitter of a detection's two axes."""
+        return {"emission.pixel_scale": np.clip(jitter.reshape(self.shape).max(-1), LEAST, MOST_NOISE)}
+
+    # -- the distribution of a row ---------------------------------------------------------------
+    def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Pixels of the sites, each with its lasting error, and their noise."""
+        scale = parameters["emission.pixel_scale"].flatten(-2)
+        if self.confidence is not None:
+            slope, drop = (parameters[f"emission.pixel_confidence_{name}"] for name in ("slope", "drop"))
+            scale = self.confidence.widened(scale, slope, drop, t)
+        pixels, seen = self.projected(view, parameters)
+        if view.memory is not None:
+            pixels = pixels + view.memory.unflatten(-1, self.shape)
+        anywhere = self.size.to(pixels)
+        pixels = torch.where(seen[..., None], pixels, anywhere[:, None] / 2)
+        scale = torch.where(seen, scale.unflatten(-1, self.shape[:2]), anywhere.amax(-1, keepdim=True))
+        return pixels.flatten(-3), scale.repeat_interleave(2, -1).flatten(-2)
+
+    def projected(self, view: View, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Pixels (..., C, P, 2) of the sites without error, and whether cameras see them, (..., C, P)."""
+        points = self._of_sites(view.points)
+        cameras = self.cameras.to(points.device, points.dtype)
+        if self.posed:
+            cameras = moved(cameras, parameters["camera.turn"], parameters["camera.shift"])
+        if self.timed:
+            # The row's moment, o s earlier by a clock that runs o ahead: to second order, as limbs turn in 20 ms.
+            ahead = -parameters["camera.offset"][..., None, None]
+            velocity, bent = self._of_sites(view.velocity), self._of_sites(view.site_acceleration)
+            points = points.unsqueeze(-3) + ahead * (velocity.unsqueeze(-3) + 0.5 * ahead * bent.unsqueeze(-3))
+        return project(cameras, points, each=self.timed)
+
+    def _of_sites(self, values: Tensor) -> Tensor:
+        """Of all sites' values (..., S, 3) those of the keypoints, (..., P, 3)."""
+        # Entry by entry: a list of indices would be sent to the device in each row.
+        return torch.stack([values[..., site, :] for site in self.sites], -2)
+
+    # -- what lasts --------------------------------------------------------------------------------
+    @property
+    def states(self) -> int:
+        """Numbers of the b, one for each entry of its part of a row, and 0 where nothing lasts."""
+        return int(np.prod(self.shape)) if self.lasting else 0
+
+    def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Standard deviations (..., states) of the first b, px."""
+        return parameters["emission.bias_scale"].repeat_interleave(2, -1).flatten(-2)
+
+    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Mean (..., states) of b, ``dt`` (..., 1) s after it was ``memory``, px."""
+        return torch.exp(-dt / parameters["emission.bias_time"]) * memory
+
+    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Standard deviations (..., states) of b about that mean, px."""
+        # 1 − a², without the digits that a difference near 0 would lose
+        return self.begun(parameters) * (-torch.expm1(-2 * dt / parameters["emission.bias_time"])).sqrt()
+
+    # -- a start -----------------------------------------------------------------------------------
+    @property
+    def resolution(self) -> float:
+        """Metres that a pixel spans at the keypoints' typical distance; of the first camera's, if none is known."""
+        place = -torch.einsum("cij,ci->cj", self.cameras.rotation, self.cameras.translation)
+        middle = place.new_zeros(3)
+        if self.located is not None and bool((known := torch.isfinite(self.located).all(-1)).any()):
+            middle = self.located[known].to(place).median(0).values
+        return float(((place - middle).norm(dim=-1) / self.cameras.focal.mean(-1)).median())

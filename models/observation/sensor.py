@@ -63,6 +63,27 @@ class Sensor(Protocol):
         """Distribution of its part of row ``t``, event shape (n,)."""
 
 
+@runtime_checkable
+class Remembering(Protocol):
+    """What a sensor has beside :class:`Sensor` whose errors last: M states of its own, which nothing else moves.
+
+    Each goes on by itself, and shows in one entry of the sensor's part of a row, its own: so M is n, or 0.
+    """
+
+    @property
+    def states(self) -> int:
+        """M."""
+
+    def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Standard deviations (..., M) in the first row, about 0."""
+
+    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Mean (..., M), ``dt`` (..., 1) s after the states were ``memory``; linear in it."""
+
+    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Standard deviations (..., M) about that mean."""
+
+
 class NoisySensor(ABC):
     """Base of the sensors whose entries have independent noise."""
 

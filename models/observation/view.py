@@ -33,6 +33,7 @@ class View:
         doubt: (..., S) 1 − c of the tracker's confidence c, 0 at sites that are not tracked; None where it has none.
         noise: what effects make of the sites' standard deviations (..., S, d); None for nothing.
         mistakes: what the tracker gets wrong now and then.
+        memory: (..., M) states of the sensors themselves; then of the one that is asked. None where there are none.
     """
 
     q: Tensor
@@ -48,6 +49,7 @@ class View:
     doubt: Tensor | None = None
     noise: Callable[[Tensor], Tensor] | None = None
     mistakes: Sequence[Stray | Swap | Shift] = field(default=())
+    memory: Tensor | None = None
 
     def seen_at(self, points: Tensor) -> "View":
         """The same view, with other points."""

@@ -5,11 +5,12 @@ from .bundle import Adjusted, bundle_adjust
 from .calibrate import calibrate
 from .camera import Calibration, Camera
 from .camera_tables import write_calibration
+from .filmed import Filmed, filmed, load_filmed
 from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
-from .synchronise import find_offsets
+from .synchronise import Clock, find_offsets
 from .triangulate import Triangulated, triangulate
 from .views import Views, at_one_time, match_names, read_tracks
 
@@ -18,6 +19,8 @@ __all__ = [
     "Board",
     "Calibration",
     "Camera",
+    "Clock",
+    "Filmed",
     "Length",
     "Scene",
     "Triangulated",
@@ -25,7 +28,9 @@ __all__ = [
     "at_one_time",
     "bundle_adjust",
     "calibrate",
+    "filmed",
     "find_offsets",
+    "load_filmed",
     "match_names",
     "project",
     "rays",

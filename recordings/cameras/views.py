@@ -6,7 +6,7 @@ linearly and never across a gap.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,6 +47,17 @@ class Views:
         cameras = len(self.calibration)
         pixels = self.pixels.swapaxes(1, 2).reshape(-1, cameras, 2)
         return pixels, self.confidence.swapaxes(1, 2).reshape(-1, cameras)
+
+    def at(self, frames: slice | np.ndarray) -> "Views":
+        """Some frames, a slice or a mask (T,); times stay."""
+        chosen = (getattr(self, name)[frames] for name in ("time", "pixels", "confidence"))
+        return replace(self, **dict(zip(("time", "pixels", "confidence"), chosen, strict=True)))
+
+    def select(self, names: Sequence[str]) -> "Views":
+        """The named keypoints, in that order."""
+        order = [self.keypoint_names.index(name) for name in names]
+        pixels, confidence = self.pixels[:, :, order], self.confidence[:, :, order]
+        return replace(self, pixels=pixels, confidence=confidence, keypoint_names=tuple(names))
 
     def unflat(self, values: np.ndarray) -> np.ndarray:
         """(T·P, …) → (T, P, …)."""

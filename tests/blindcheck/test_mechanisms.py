@@ -118,8 +118,8 @@ def test_dry_friction_turns_around_with_the_motion():
 
 
 def test_coupling_pulls_on_both():
-    _, real, inside, torque, _ = moved("joint_coupling", 1, {"stiffness": 0.5, "ratio": 0.7})
-    pull = -0.5 * (real.q[inside, 1] - 0.7 * real.q[inside, 0])
+    _, real, inside, torque, _ = moved("joint_coupling", 1, {"stiffness": 0.5, "ratio": 0.7, "rest_angle": 0.4})
+    pull = -0.5 * (real.q[inside, 1] - 0.7 * real.q[inside, 0] - 0.4)
     close(torque, np.stack([-0.7 * pull, pull], axis=-1))
 
 

@@ -141,7 +141,7 @@ def test_not_enough_data_is_an_answer(folder, run, calls):
 def test_a_body_in_mjcf(folder, run, calls):
     pytest.importorskip("mujoco")
     (folder / "arm.xml").write_text(
-        """<mujoco><worldbody><body name="upper_arm"><joint name="shoulder" axis="0 0 1" armature="0.1"/>
+        """<mujoco><worldbody><body name="upper_arm"><joint name="shoulder" axis="0 0 1" range="-9 9" limited="true"/>
         <inertial pos="0.5 0 0" mass="0.5" diaginertia=".04 .04 .04"/>
         <body name="forearm" pos="1 0 0"><joint name="elbow" axis="0 0 1"/>
         <inertial pos="0.5 0 0" mass="0.3" diaginertia=".02 .02 .02"/>
@@ -151,7 +151,7 @@ def test_a_body_in_mjcf(folder, run, calls):
         warnings.simplefilter("always")
         outcome = run("diagnose", "rec.csv", "--body", "arm.xml", "--out", "found")
     assert outcome.exit_code == 0, outcome.output
-    assert "warning: arm.xml: a rigid body leaves out armature (shoulder)" in outcome.stderr
+    assert "warning: arm.xml: a rigid body leaves out limits (shoulder)" in outcome.stderr
     assert calls[0]["body"].keypoint_names == ("elbow", "wrist")
     assert [link.nominal("mass") for link in calls[0]["body"].links] == pytest.approx([0.5, 0.3])
 

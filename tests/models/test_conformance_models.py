@@ -17,17 +17,23 @@ import torch
 from pyro import poutine
 from pyro.infer import MCMC, NUTS, SVI, SMCFilter, Trace_ELBO
 from pyro.infer.autoguide import AutoDelta
+from scenes import ring
 
+from invdyn.inference.posterior.cameras import pinhole
 from invdyn.models import (
     INTEGRATORS,
     TORQUE_PROCESSES,
     ArmModel,
     Body,
     Encoders,
+    Joint,
     Keypoints,
     Link,
     Observation,
     OrnsteinUhlenbeck,
+    Pixels,
+    SpatialLink,
+    Tree,
 )
 from invdyn.models.observation.missing import observed_log_prob
 
@@ -70,6 +76,16 @@ def arm(torque, integrator, emission, joints, command=False):
     )
 
 
+def pixels():
+    """A rod before two cameras, one of them with a clock and a pose of its own, and what lasts in both."""
+    calibration = ring(2)
+    size = torch.tensor([camera.size for camera in calibration], dtype=F64)
+    seen = Pixels(pinhole(calibration), calibration.names, size, ("tip",), timed=True, posed=True)
+    link = SpatialLink("rod", Joint("pivot", "universal"), length=0.4, tip="tip", mass=1.0)
+    own = {"initial.angle_scale": 0.3, "camera.offset": [0.0, 0.01], "camera.turn": [[0.0] * 3, [0.02, 0.0, -0.01]]}
+    return ArmModel(Tree("rod", [link]), TIME, Observation(seen, family="student_t"), parameters=own)
+
+
 def cases():
     found = {"linear": lambda: oracles.random_chain(2).model(STEPS)}
     names, joints = itertools.cycle(emissions(1)), itertools.cycle([1, 2, 3, 2, 1, 3, 3])
@@ -79,6 +95,7 @@ def cases():
         title = "-".join(map(str, what)) + ("-command" if command else "")
         found[title] = lambda what=what, command=command: arm(*what, command)
     found["printed"] = lambda: ArmModel(body(2), TIME, torque=OrnsteinUhlenbeck("printed"), integrator="euler")
+    found["pixels"] = pixels
     return found
 
 

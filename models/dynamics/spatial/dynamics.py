@@ -190,6 +190,8 @@ class SpatialDynamics(Dynamics):
                 return self._compiled(method, traced, joint, numbers, batch)
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
+        if not outputs:  # of a tree without sites
+            return like.new_empty(*batch, 0)
         return stacked([x.expand(batch) if isinstance(x, Tensor) else like.new_full(batch, x) for x in outputs])
 
     def _with_driven(self, driven: Driven | None, joint: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -10,7 +10,8 @@ import torch
 from pendulum import DAMPING, FRICTION, PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assessment.gap_closure import by_effect, closed, split, unseen
+from invdyn.diagnosis.assessment.findings import key
+from invdyn.diagnosis.assessment.gap_closure import Closed, borne_out, by_effect, closed, split, unseen
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import Scores, scores
@@ -195,6 +196,25 @@ def test_what_another_recording_does_not_bear_out_closes_nothing_there():
     shares = by_effect(here, found, both, there, other, 0)
     assert shares[SPRING.key].share < 0
     assert shares[SPRING.key].interval[1] < 0
+
+
+@pytest.mark.parametrize(
+    ("names", "lows", "expected"),
+    [
+        (("viscous_friction", "armature", "payload"), (0.1, 0.2, 0.01), True),
+        (("viscous_friction", "armature", "payload"), (0.1, 0.2, -0.01), False),
+        (("viscous_friction", "armature", "payload"), (0.1, None, 0.2), True),  # one that was not measured
+        (("viscous_friction", "armature"), (0.1, -0.01), True),
+        (("viscous_friction", "armature", "outliers"), (0.1, -0.01, 0.3), True),
+    ],
+)
+def test_held_out_rows_bear_out_each_of_three_effects(names, lows, expected):
+    """Two, and two beside stray detections, are what they are; three may imitate what the catalogue lacks."""
+    _, none, _ = causes()
+    effects = [EFFECTS[name](*(("pivot",) if EFFECTS[name].site == "joint" else ())).bound(PENDULUM) for name in names]
+    cause = replace(none, effects=tuple(effects))
+    known = {key(e): Closed(0.3, (low, 0.5), {}) for e, low in zip(effects, lows, strict=True) if low is not None}
+    assert borne_out(cause, known) is expected
 
 
 def test_what_was_refined_is_not_refined_again(monkeypatch):

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import torch
 from pendulum import causes
-from robot_log import ARM, robot_log
+from robot_log import ARM, STEP, robot_log
+from scipy.signal import lfilter
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.matters import matters, tolerated
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.report.sentences import kind, verdict
 from invdyn.models.effects import EFFECTS
 
@@ -16,7 +18,7 @@ KEPT = ("clock_rate", "base_motion", "viscous_friction")
 
 def diagnosed(damping, **options):
     left_out = [name for name in EFFECTS if name not in KEPT]
-    return diagnose(robot_log(1.0, damping), ARM, without=left_out, **options)
+    return diagnose(robot_log(1.0, (0.0, damping)), ARM, without=left_out, **options)
 
 
 def test_another_engines_integration_is_no_gap():
@@ -64,4 +66,16 @@ def test_the_tolerance_of_an_engine_is_its_error_of_the_first_order():
     (limit,) = tolerated(here, path, 0.0)
     inertia = 1.0 * 0.3**2 / 3  # of the pendulum's rod about its pivot
     error = inertia * 0.001 * amplitude * omega**3 / np.sqrt(2)
-    assert limit == pytest.approx(error, rel=0.1)  # differences err by a third of (ωh)²
+    assert limit == pytest.approx(error, rel=0.1)  # a cubic through 2b seconds takes some (ωb)²/13 of it
+
+
+def test_a_gap_does_not_raise_the_tolerance_that_it_is_held_against():
+    """A path is as rough as the torque that is missing; the motion's own third derivative is not."""
+    here = diagnosis_problem(robot_log(2.0, camera=False), ARM)
+    rows, kept = len(here.observations), np.exp(-20.0 * STEP)
+    shocks = np.random.default_rng(0).normal(0, np.sqrt(1 - kept**2), (rows, 2))
+    missing = lfilter([1], [1, -kept], shocks, axis=0)  # 1 N·m, as an Ornstein–Uhlenbeck torque of 20/s
+    inertia = here.model.dynamics.typical_inertia(here.model.scale.body).numpy()
+    path = torch.zeros(rows, here.model.state_dim, dtype=torch.float64)
+    path[:, -2:] = torch.from_numpy((missing / inertia).cumsum(0) * STEP)
+    assert (tolerated(here, path, 0.0) < 0.03).all()  # from row to row it is three times that

@@ -7,7 +7,8 @@ import pytest
 from pendulum import MANY, PENDULUM, recorded
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assessment.power import OUT_OF_QUESTION, too_little
+from invdyn.diagnosis.assessment.power import too_little
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -56,7 +57,7 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
     none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), sizes("commanded")
     none = replace(none, by_size=log_prior(levels) - np.array(loss, dtype=float))
     found = HypothesisPool(considered(bound), {"": none}, [], path, stray)
-    assert OUT_OF_QUESTION == 3.0
+    assert RULE.out_of_question == 3.0
     said = too_little(bound, found)
     if hidden is None:
         assert said is None

@@ -7,6 +7,7 @@ import pytest
 import torch
 from pendulum import ARM, PENDULUM, causes, recording_of
 
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.innovation_tests import (
     along_motion,
@@ -15,7 +16,6 @@ from invdyn.diagnosis.hypotheses.innovation_tests import (
     loudness,
     prediction_errors,
 )
-from invdyn.diagnosis.hypotheses.pool import LOUD
 from invdyn.diagnosis.hypotheses.predict import seen_tips
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
@@ -100,7 +100,7 @@ def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
     here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
     cause = refine(here, (), {}, data_path(here)[0], here.loose)
-    assert loudness(here, cause) == cause.kappa > LOUD
+    assert loudness(here, cause) == cause.kappa > RULE.loud
     slope = {"effect.varying_noise.slope": torch.tensor([5.0]).double()}
     cause = replace(cause, effects=(growing,), model=cause.model.with_effects(growing).replace(**slope), kappa=4.0)
     # A median of n = 400 values, whose logarithm has a variance of 2 MEDIAN/n.

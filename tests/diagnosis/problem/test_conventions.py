@@ -45,6 +45,6 @@ def test_the_mistake_is_named(camera, mistake, says):
 
 def test_a_large_effect_is_no_mistake():
     """Friction of half the torque and a body of half the mass are for the diagnosis."""
-    log = robot_log(2.0, damping=1.0)
+    log = robot_log(2.0, damping=(0.0, 1.0))
     assert diagnosis_problem(log, ARM)
     assert diagnosis_problem(log, ARM.with_values(mass=[0.75, 0.5]))

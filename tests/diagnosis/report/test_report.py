@@ -36,7 +36,7 @@ from invdyn.diagnosis.assessment.result import (
     Shrinkage,
     Visibility,
 )
-from invdyn.diagnosis.hypotheses.shortlist import FAINT
+from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report import render, words, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
@@ -241,9 +241,9 @@ def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
 
 def test_what_cannot_be_seen_is_by_one_measure():
     """What `not_identifiable` counts as hidden is not said to show faintly."""
-    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * FAINT),))
+    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * RULE.faint),))
     text = render(found)
-    assert f"Under {FAINT:.1f} it cannot be seen" in text
+    assert f"Under {RULE.faint:.1f} it cannot be seen" in text
     assert _visible(found)["faintly"] == []
     assert len(_visible(found)["no"]) == 1
 

@@ -63,11 +63,11 @@ def test_a_file_without_bounds_is_one_line(text, message, tmp_path):
     for name in ("arm.xml", "arm.toml"):
         (tmp_path / name).write_text(text)
         with pytest.raises(BodyError, match=message) as refusal:
-            in_space.load(tmp_path / name)
+            in_space.load_body(tmp_path / name)
         assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("loaded", [Body.load, Body.from_toml, in_space.load, Tree.from_toml])
+@pytest.mark.parametrize("loaded", [Body.load, Body.from_toml, in_space.load_body, Tree.from_toml])
 def test_an_endless_file_ends(loaded):
     with pytest.raises(BodyError, match=f"at most {MOST_BYTES / 2**20:g} MiB"):
         loaded("/dev/zero")
@@ -76,8 +76,8 @@ def test_an_endless_file_ends(loaded):
 def test_a_robots_file_is_known_by_its_content_wherever_it_is_read(tmp_path):
     (tmp_path / "arm.toml").write_text(chain(2))
     (tmp_path / "arm.xml").write_text('dimensions = 3\n[[links]]\nname = "l"\njoint = "j"\nmass = 1.0')
-    assert in_space.load(tmp_path / "arm.toml") == Body.load(tmp_path / "arm.toml")
-    assert isinstance(in_space.load(tmp_path / "arm.xml"), Tree)
+    assert in_space.load_body(tmp_path / "arm.toml") == Body.load(tmp_path / "arm.toml")
+    assert isinstance(in_space.load_body(tmp_path / "arm.xml"), Tree)
 
 
 def mjcf(more="", assets="", geom='<geom type="mesh" mesh="tri"/>'):

@@ -14,7 +14,7 @@ from trees import F64, mobile_arm, panda, paper_arm, random_state, random_tree
 
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
-from invdyn.models.bodies.in_space import load, parameters_in_space, tree_of
+from invdyn.models.bodies.in_space import load_body, parameters_in_space, tree_of
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.models.bodies.scalars import BodyError, Learned, prior
@@ -38,7 +38,7 @@ CHARTS = [a + b + c for a in "xyz" for b in "xyz" for c in "xyz" if a != b != c]
 )
 def test_files_are_read_back_as_they_were(tree, tmp_path):
     tree.to_toml(tmp_path / "body.toml")
-    again = load(tmp_path / "body.toml")
+    again = load_body(tmp_path / "body.toml")
     assert again == tree
     for ours, theirs in zip(tree.parameters(), again.parameters(), strict=True):
         assert torch.equal(ours, theirs)
@@ -49,7 +49,7 @@ def test_priors_and_learned_scalars_are_read_back(tmp_path):
         "rod", Joint("pivot"), mass=prior(1.5, 0.1), length=Learned(0.4), tip="end", com=(0.1, prior(-0.1, 0.02), 0)
     )
     Tree("b", [link]).to_toml(tmp_path / "b.toml")
-    read = load(tmp_path / "b.toml")
+    read = load_body(tmp_path / "b.toml")
     assert read.has_priors
     assert read.links[0].length == Learned(0.4)
     assert read.links[0].com[1].stddev.item() == pytest.approx(0.02)
@@ -59,7 +59,7 @@ def test_priors_and_learned_scalars_are_read_back(tmp_path):
 
 def test_planar_files_stay_planar(tmp_path):
     (tmp_path / "flat.toml").write_text(PLANAR)
-    body = load(tmp_path / "flat.toml")
+    body = load_body(tmp_path / "flat.toml")
     assert isinstance(body, Body)
     with pytest.raises(BodyError, match="a planar body; one in space has dimensions = 3"):
         Tree.from_toml(tmp_path / "flat.toml")
@@ -256,6 +256,6 @@ def test_what_a_file_cannot_say_is_said_in_one_line_with_its_name(said, tmp_path
     text = f"dimensions = {dimensions}\ngravity = {gravity}\n{link}"
     (tmp_path / "body.toml").write_text(text)
     with pytest.raises(BodyError, match=said) as caught:
-        load(tmp_path / "body.toml")
+        load_body(tmp_path / "body.toml")
     assert str(caught.value).startswith(str(tmp_path / "body.toml"))
     assert "\n" not in str(caught.value)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.integrate import cumulative_trapezoid
 
+from invdyn.diagnosis.problem.unknowns import lower_bound, upper_bound
 from invdyn.models import ArmModel
 from invdyn.models.effects import (
     ActuatorDeadzone,
@@ -100,6 +101,8 @@ def test_gain_saturation_and_deadzone_of_each_row(motors):
     for effect, values, expected in (
         (ActuatorGain("joint0"), {"gain": 0.2}, np.where(first, 1.2 * GIVEN, GIVEN)),
         (ActuatorGain(), {"gain": -0.1}, 0.9 * GIVEN),
+        (ActuatorGain("joint0", "geared"), {"gain": 49.0}, np.where(first, 50.0 * GIVEN, GIVEN)),
+        (ActuatorGain("geared"), {"gain": 9.0}, 10.0 * GIVEN),
         (ActuatorSaturation("joint0"), {"limit": 0.5}, np.where(first, np.clip(GIVEN, -0.5, 0.5), GIVEN)),
         (ActuatorDeadzone("joint0"), {"width": 0.3}, np.where(first, GIVEN - np.clip(GIVEN, -0.3, 0.3), GIVEN)),
     ):
@@ -210,7 +213,21 @@ def test_the_grid_of_a_limit_follows_the_command(arm):
 
 
 def test_one_joint_needs_no_actuator_of_all(arm):
-    assert [effect.where for effect in ActuatorGain.everywhere(arm(1).body, ())] == [("joint0",)]
-    assert [effect.where for effect in ActuatorGain.everywhere(arm(2).body, ())] == [(), ("joint0",), ("joint1",)]
+    one, two = ([effect.where for effect in ActuatorLag.everywhere(arm(n).body, ())] for n in (1, 2))
+    assert one == [("joint0",)]
+    assert two == [(), ("joint0",), ("joint1",)]
+
+
+def test_a_gear_that_was_left_out_is_a_form_of_gain_everywhere(arm):
+    body = arm(2).body
+    found = [effect.bound(body) for effect in ActuatorGain.everywhere(body, ()) if effect.form]
+    assert [effect.key for effect in found] == [
+        "actuator_gain.geared",
+        "actuator_gain.joint0.geared",
+        "actuator_gain.joint1.geared",
+    ]
+    assert [effect.place for effect in found] == [(), (0,), (1,)]
+    (gain,) = found[1].parameters(arm(2).scale)
+    assert (lower_bound(gain), upper_bound(gain)) == (1.0, 120.0)
     with pytest.raises(ValueError, match="expected 1 name"):
-        ActuatorGain("joint0", "joint1")
+        ActuatorLag("joint0", "joint1")

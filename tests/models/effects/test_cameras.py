@@ -208,6 +208,15 @@ def test_blur_widens_the_noise(seen):
     assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.7 * speed), sd.shape), rel=1e-5)
 
 
+def test_noise_may_grow_with_the_speed_of_the_joints(seen):
+    """Of all keypoints alike, whatever their own speed."""
+    found, sd, true, x, ideal = seen(VaryingNoise("joints"), slope=0.3)
+    own = ideal.parameters["emission.keypoint_scale"].numpy()[:, None]
+    speed = np.linalg.norm(x[..., -ideal.body.num_joints :].numpy(), axis=-1)[..., None, None]
+    assert found == pytest.approx(true)
+    assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.3 * speed), sd.shape), rel=1e-5)
+
+
 def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     """Of tips that are tracked; where nobody says how sure it was, nothing changes."""
     confidence = np.full((12, 2), 0.9)

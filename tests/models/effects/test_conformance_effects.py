@@ -23,7 +23,7 @@ FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if 
 FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
-UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m", "m/rad"}
+UNITS |= {"N·m/rad", "N·m·s/rad", "N·m·s²/rad²", "m⁻²", "s/m", "s/rad", "m/rad"}
 
 
 @pytest.fixture

@@ -87,9 +87,10 @@ def test_two_stops_of_a_joint_leave_it_room(lower, upper, expected, arm):
 def test_a_coupling_minds_both_joints(ratio, sd, expected, arm):
     model = arm(2)
     coupling = EFFECTS["joint_coupling"]("joint0", "joint1").bound(model.body)
-    assert (
-        coupling.credible({"stiffness": 1.0, "ratio": ratio}, {"stiffness": 0.1, "ratio": sd}, model.scale) is expected
-    )
+    spread = {"stiffness": 0.1, "ratio": sd, "torque": 0.1}
+    for torque, slack in ((0.5, True), (100.0, False)):
+        mean = {"stiffness": 1.0, "ratio": ratio, "torque": torque}
+        assert coupling.credible(mean, spread, model.scale) is (expected and slack)
 
 
 @pytest.mark.parametrize(("static", "expected"), [(0.3, True), (0.2, True), (0.19, False), (0.01, False)])

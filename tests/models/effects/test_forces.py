@@ -31,10 +31,10 @@ def test_a_spring_swings(having):
 
 def test_coupling_is_the_slope_of_its_potential(arm, having, states):
     ideal = arm(3)
-    model = having(ideal, JointCoupling("joint1", "joint2"), stiffness=0.7, ratio=-0.6)
+    model = having(ideal, JointCoupling("joint1", "joint2"), stiffness=0.7, ratio=-0.6, torque=0.7 * 0.4)
     x = states(ideal, 10)
     q = x[:, 3:6].clone().requires_grad_()
-    potential = 0.35 * (q[:, 2] + 0.6 * q[:, 1]) ** 2
+    potential = 0.35 * (q[:, 2] + 0.6 * q[:, 1] - 0.4) ** 2
     expected = -torch.autograd.grad(potential.sum(), q)[0]
     torch.testing.assert_close(torque_of(model, ideal, x), expected)
 

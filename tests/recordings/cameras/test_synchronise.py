@@ -32,13 +32,39 @@ def test_offsets_are_found():
     calibration = ring(3)
     given = tracks(calibration)
     steps = []
-    found = find_offsets(given, calibration, 0.1, lambda *step: steps.append(step))
-    # 1 px is 3 mm, 3 ms of a limb at 1 m/s; over the root of some hundred pixels, and as much again to spare.
-    assert found == pytest.approx(TRUE, abs=1e-3)
+    clocks = find_offsets(given, calibration, 0.1, lambda *step: steps.append(step))
+    assert all(clock.sure for clock in clocks.values())
+    found = {name: clock.seconds for name, clock in clocks.items()}
+    # 1 px is 3 mm, 3 ms of a limb at 1 m/s; over the root of some hundred pixels, and as much again to spare, and
+    # twice that because steady motion tells nothing.
+    assert found == pytest.approx(TRUE, abs=2e-3)
+    for name, clock in clocks.items():
+        assert abs(clock.seconds - TRUE[name]) < 3 * clock.sd, name
+        assert clock.sd < 2e-3
     assert steps == [(1, 2, "offsets"), (2, 2, "offsets")]
     scene = reconstruct(at_one_time(given, calibration, found))
     assert scene.scale < 1.3
     assert reconstruct(at_one_time(given, calibration)).scale > 2 * scene.scale
+
+
+def test_lasting_errors_are_no_clock():
+    """Each keypoint of one view is set off by 15 px, which is taken away; or they wander by as much, which is told."""
+    calibration = ring(3)
+    given = tracks(calibration)
+    rng = np.random.default_rng(2)
+    first, late = given["cam1"], given["cam3"]
+    time = late.time - TRUE["cam3"]
+    still = 15 * rng.standard_normal((3, 2))
+    for size in (0.0, 3.0):
+        wandering = size * np.sin(8 * time[:, None, None] + rng.uniform(0, 6, (3, 2)))
+        films = {"cam1": first, "cam3": Recording(time, late.keypoints + still + wandering, NAMES)}
+        (clock,) = find_offsets(films, calibration, 0.05).values()
+        assert clock.sd > 5e-4 * size
+        assert clock.sd < 4e-3
+        assert not clock.sure
+    far = Recording(time, late.keypoints + 10 * wandering, NAMES)
+    with pytest.raises(InputError, match="the tracker errs too much"):
+        find_offsets({"cam1": first, "cam3": far}, calibration, 0.05)
 
 
 def test_what_cannot_be_found_is_told():

@@ -1,0 +1,138 @@
+"""What every number of the decision rule decides: verdicts at half and twice its value, on cases of development seeds.
+
+Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
+done again under each rule (:func:`invdyn.diagnosis.decision.ruled`), all but filters and fits to held-out rows, so
+that one case takes seconds. A verdict is what is said (a cause, no gap, outside, not enough data), whether it matters,
+and the ambiguity set; a probability changes where it does by more than .05. Writes ``decision_sensitivity.md``.
+
+    python benchmarks/decision_sensitivity.py CASES POOLS
+"""
+
+import argparse
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from invdyn.diagnosis.assessment.matters import matters, tolerated
+from invdyn.diagnosis.assessment.model_posterior import weigh
+from invdyn.diagnosis.assessment.power import too_little
+from invdyn.diagnosis.decision import RULE, TOLD, Decision, ruled
+from invdyn.diagnosis.hypotheses.predict import residual
+
+ROOM: Any = import_module(weigh.__module__)
+CONFIRM = ROOM.confirm_all
+ELSEWHERE = {"several", "block", "share", "later", "alpha_within"}
+"""Of held-out rows and of intervals, which are not done again here."""
+CHANGE = 0.05
+"""Of a probability."""
+TABLE = Path(__file__).with_suffix(".md")
+HEAD = """# What each number of the decision rule decides
+
+Written by `python benchmarks/decision_sensitivity.py`: {count} cases of development seeds, searched once. Meanings
+stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which need fits to held-out rows or are
+of intervals. The prior of the number of effects is tilted: each further effect is half or twice as likely.
+
+"""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said of a case: the most probable answer, whether the gap matters, rivals, and two probabilities."""
+
+    answer: str
+    matters: bool
+    rivals: frozenset[str]
+    probability: float
+    outside: float
+
+    def other(self, than: "Said") -> bool:
+        return (self.answer, self.matters, self.rivals) != (than.answer, than.matters, than.rivals)
+
+    def apart(self, than: "Said") -> float:
+        return max(abs(self.probability - than.probability), abs(self.outside - than.outside))
+
+
+def said(bound: Any, found: Any, missing: tuple) -> Said:
+    """The verdict of a search under the rule that stands."""
+    if too_little(bound, found) is not None:
+        return Said("not enough data", False, frozenset(), 0.0, 0.0)
+    weighed = weigh(bound, found, 0, RULE.tolerance)
+    before, path = missing
+    none, best = found.pool[""], weighed.best
+    large = matters(bound, none, best, before, tolerated(bound, path, RULE.tolerance))
+    likely, alone = max(((key, p) for key, (_, p) in weighed.causes.items()), key=lambda each: each[1])
+    named = sorted(((p, key) for key, (cause, p) in weighed.causes.items() if cause.effects), reverse=True)
+    held, rivals = 0.0, set[str]()
+    for p, key in named:
+        if held <= RULE.credible * sum(each for each, _ in named):
+            rivals.add(key)
+            held += p
+    outside = weighed.outside > alone
+    return Said("outside" if outside else likely or "no gap", large, frozenset(rivals), alone, weighed.outside)
+
+
+def remembered(bound: Any, causes: Any, seed: int, temper: float, workers: int) -> Any:
+    """What SMC said of these causes before."""
+    known = _known()
+    for cause in causes:
+        key = (bound.problem.recording.name, id(bound), cause.key)
+        if key not in known:
+            (known[key],) = CONFIRM(bound, [cause], seed, temper, workers)
+    return [known[bound.problem.recording.name, id(bound), cause.key] for cause in causes]
+
+
+@cache
+def _known() -> dict:
+    return {}
+
+
+def changed(value: Any, factor: float) -> Any:
+    """A number at half or twice its value; of the prior each effect more that much less likely, or more."""
+    if isinstance(value, tuple):
+        weights = [p * factor**n for n, p in enumerate(value)]
+        return tuple(w / sum(weights) for w in weights)
+    if isinstance(value, int):
+        return max(round(value * factor), 1)
+    return min(value * factor, 0.999) if value == RULE.credible else value * factor
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("cases", type=Path)
+    arguments.add_argument("pools", type=Path)
+    asked = arguments.parse_args()
+    ROOM.confirm_all = remembered
+    searches = {}
+    for pool in sorted(asked.pools.glob("*.pickle")):
+        bound, found = pickle.loads(pool.read_bytes())
+        before, _, path = residual(bound, found.pool[""])
+        searches[pool.stem] = bound, found, (before, path)
+    usual = {name: said(*search) for name, search in searches.items()}
+    rows = [("number", "value", "unit", "source", "verdicts at half", "at twice", "largest change of a probability")]
+    rows.append(("---",) * len(rows[0]))
+    for each in fields(Decision):
+        if each.name in ELSEWHERE:
+            continue
+        cells, most = [], 0.0
+        for factor in (0.5, 2.0):
+            with ruled(**{each.name: changed(getattr(RULE, each.name), factor)}):
+                now = {name: said(*search) for name, search in searches.items()}
+            others = [name for name in usual if now[name].other(usual[name])]
+            cells.append(f"{len(others)}{': ' if others else ''}{', '.join(others)}")
+            most = max(most, *(now[name].apart(usual[name]) for name in usual))
+        what: Mapping[str, str] = each.metadata
+        value = getattr(RULE, each.name)
+        shown = ", ".join(map(str, value)) if isinstance(value, tuple) else f"{value:g}"
+        rows.append((f"`{each.name}`", shown, what[TOLD[0]], what[TOLD[2]], *cells, f"{most:.3f}"))
+        print(rows[-1], flush=True)
+    text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    left_out = ", ".join(f"`{name}`" for name in sorted(ELSEWHERE))
+    TABLE.write_text(HEAD.format(count=len(searches), left_out=left_out) + text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What a log can be asked, and what is wrong with it, in seconds and before causes."""

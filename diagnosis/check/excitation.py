@@ -1,0 +1,88 @@
+"""What a motion tells of the numbers that inverse dynamics are linear in: base parameters (Gautier & Khalil 1990).
+
+Columns of the regressor, each a link's m, m c or J or a joint's friction or rotor, are taken one by one, those that
+add most first (QR with pivoting: Gautier 1991). What adds nothing is told with others alone, in the combination that
+its column is. A base parameter's sd follows from what the torques leave, as correlated as its window makes it.
+
+Shapes: R rows, K joints, P columns.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from invdyn.diagnosis.problem.torque_regression import (
+    Motion,
+    joint_regressors,
+    link_regressors,
+    nominal_link_numbers,
+)
+from invdyn.models.dynamics.interface import Dynamics
+
+NOTHING = 1e-6
+"""Of the largest column, that another one adds nothing under."""
+FRACTION = 0.02
+"""Of a base parameter, that another number has a part in it from."""
+LEAST = 0.02
+"""Of a joint's rms torque, that is left by any body: noise alone would promise too much."""
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """What is told together: `parts`, name → factor, the first of which is 1; its nominal value, sd and unit."""
+
+    parts: dict[str, float]
+    value: float
+    sd: float
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """Such as "m·c of upper + 0.3 m of fore"."""
+        (first, _), *rest = self.parts.items()
+        return first + "".join(f" {'+' if f > 0 else '−'} {abs(f):.3g} × {name}" for name, f in rest)
+
+
+def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray) -> list[BaseParameter]:
+    """Base parameters along a motion, best known first; ``by_joint`` (K,) is the share of torque that is left."""
+    names, units, values = _named(body)
+    size = np.sqrt((motion.torque**2).mean(0))
+    noise = np.maximum(by_joint, LEAST) * np.maximum(size, 0.01 * size.max())
+    X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
+    rows = X.reshape(len(X), -1).T
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    moved = scale > NOTHING * scale.max()
+    order = np.flatnonzero(moved)
+    _, r, pivot = scipy.linalg.qr(rows[:, order] / scale[order], mode="economic", pivoting=True)
+    size_of = np.abs(np.diagonal(r))
+    rank = int((size_of > NOTHING**0.5 * size_of[0]).sum())
+    base, rest = order[pivot[:rank]], order[pivot[rank:]]
+    own, others = r[:rank, :rank], r[:rank, rank:]
+    # what a dependent column is of the base's columns: X₂ = X₁ B
+    combined = scipy.linalg.solve_triangular(own, others) * scale[rest] / scale[base][:, None]
+    inverse = scipy.linalg.solve_triangular(own, np.eye(rank))
+    # rows of a window say the same: one in some ten is news
+    sd = np.sqrt((inverse**2).sum(1) * 10) / scale[base]
+    found = []
+    for i, column in enumerate(base):
+        parts, value = {names[column]: 1.0}, values[column]
+        for j, other in enumerate(rest):
+            if abs(combined[i, j]) > 1e-9:
+                value += combined[i, j] * values[other]
+                if abs(combined[i, j] * values[other]) > FRACTION * abs(values[column]):
+                    parts[names[other]] = float(combined[i, j])
+        found.append(BaseParameter(parts, float(value), float(sd[i]), units[column]))
+    return sorted(found, key=lambda each: each.sd / max(abs(each.value), 1e-12))
+
+
+def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
+    """Names, units and nominal values (P,) of the columns."""
+    own = nominal_link_numbers(body)
+    kinds = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
+    links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names] if len(own) else []
+    kinds = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
+    joints = [(f"{kind} at {joint}", unit) for kind, unit in kinds for joint in body.joint_names]
+    names, units = zip(*links, *joints, strict=True)
+    return list(names), list(units), np.concatenate([own, np.zeros(len(joints))])

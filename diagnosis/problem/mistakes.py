@@ -1,0 +1,207 @@
+"""What may be wrong with a log, rather than with a simulation: signs, zeros, units, columns, gears, offsets.
+
+Each mistake is a change of the log that would put it right. It is believed where the torques are far from what the
+motion asks for (:mod:`.torque_regression`), and near it once it is put right:
+
+    τ' = s τ  under  θ' = s θ − c,   s = ±1;     t' = t/1000;     θ' = θ π/180;     columns exchanged;
+    τ' = N τ;     τ' = τ − b
+
+Several at once are found one after the other, those first that put most right.
+
+Shapes: K joints.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from invdyn.diagnosis.problem.torque_regression import Explained, Motion, explain
+from invdyn.models.dynamics.interface import Dynamics
+
+QUARTER = math.pi / 2
+ZEROS = np.radians(np.arange(-165, 181, 15))
+"""rad, where a zero is looked for, before it is found to a fraction of a degree."""
+FACTORS = np.array([1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0])
+"""Gears and units that are looked for, before they are found to a per cent."""
+PLAIN = 2.0
+"""A factor on torques within this of 1 is a gain: for the diagnosis."""
+SMALL_ZERO = math.radians(7)
+"""A zero that is less off is a tilt, or a centre of mass that is aside: for the diagnosis."""
+SMALL_OFFSET = 0.1
+"""Of a joint's rms torque: a constant torque that is smaller is for the diagnosis."""
+MANY = 3
+"""Mistakes in one log, at most."""
+MISSED, BETTER, NEAR = 0.08, 0.55, 0.4
+"""A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
+log which is right has, whatever its arm has besides."""
+ALIKE = 1.15
+"""Misfits nearer than that do not tell which mistake it is."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something that is wrong with a log.
+
+    Attributes:
+        kind: "torque sign", "direction", "angle sign", "zero", "degrees", "radians", "time", "exchanged", "scale" or
+            "offset".
+        joints: which ones, by number; none for the whole log.
+        words: what is wrong, after "at joint …" where there are joints.
+        remedy: what to do about it.
+        value: the zero, rad; the factor that torques or times lack; the offset, N·m.
+        right: the motion with it put right.
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    words: str
+    remedy: str
+    value: float
+    right: Callable[[Motion], Motion]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A mistake, the misfits before and after it is put right, and others that would do it nearly as well."""
+
+    mistake: Mistake
+    before: float
+    after: float
+    others: tuple[Mistake, ...] = ()
+
+
+def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, most: int = MANY) -> list[Found]:
+    """Mistakes of a log, none where it is right; of angles and columns only where there are ``encoders``."""
+    found: list[Found] = []
+    while len(found) < most:
+        own = explain(dynamics, body, motion).misfit
+        if not own > MISSED:
+            break
+        tried = sorted(_tried(dynamics, body, motion, encoders), key=lambda each: each[0])
+        worth = [(misfit, mistake) for misfit, mistake in tried if misfit < BETTER * own and misfit < NEAR]
+        if not worth:
+            break
+        (after, best), *rest = worth
+        others = tuple(mistake for misfit, mistake in rest if misfit < ALIKE * after and mistake.kind != best.kind)
+        found.append(Found(best, own, after, others))
+        motion = best.right(motion)
+    return found
+
+
+def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
+    """Those without a number that is looked for."""
+    groups = [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
+    for group in groups:
+        sign = np.ones(joints)
+        sign[list(group)] = -1
+        turn = "change the sign of its torques"
+        yield Mistake("torque sign", group, "the torques have the other sign", turn, -1.0, _scaled(torque=sign))
+        if encoders:
+            words, turn = "angles and torques are counted the other way (clockwise)", "change the signs of both"
+            yield Mistake("direction", group, words, turn, -1.0, _scaled(angle=sign, torque=sign))
+            words = "the angles are counted the other way (clockwise), the torques are not"
+            yield Mistake("angle sign", group, words, "change the sign of its angles", -1.0, _scaled(angle=sign))
+    if not encoders:
+        return
+    for one, other in combinations(range(joints), 2):
+        order, plain = list(range(joints)), list(range(joints))
+        order[one], order[other] = other, one
+        for angles, torques, what in ((order, order, "columns"), (order, plain, "angles"), (plain, order, "torques")):
+            words, turn = f"the {what} are exchanged", f"exchange the two joints' {what}"
+            yield Mistake("exchanged", (one, other), words, turn, 0.0, _picked(angles, torques))
+
+
+def units() -> Iterator[Mistake]:
+    """Of angles and times, in which :mod:`invdyn.recordings.plausible` may already have seen something wrong."""
+    words, turn = "the angles are in degrees", "pass --units deg"
+    yield Mistake("degrees", (), words, turn, math.pi / 180, _scaled(angle=math.pi / 180))
+    words, turn = "the angles are in radians already", "pass --units rad"
+    yield Mistake("radians", (), words, turn, 180 / math.pi, _scaled(angle=180 / math.pi))
+    for unit, name, factor in (("ms", "milliseconds", 1e-3), ("us", "microseconds", 1e-6), ("ns", "nanoseconds", 1e-9)):
+        yield Mistake("time", (), f"the times are in {name}", f"pass --units {unit}", factor, _scaled(time=factor))
+
+
+def _tried(dynamics: Dynamics, body: Any, motion: Motion, encoders: bool) -> Iterator[tuple[float, Mistake]]:
+    """All mistakes with the misfit that is left once each is put right."""
+    joints = motion.q.shape[1]
+
+    def fit(mistake: Mistake, offsets: tuple[int, ...] = ()) -> Explained:
+        return explain(dynamics, body, mistake.right(motion), offsets)
+
+    for mistake in (*fixed(joints, encoders), *(units() if encoders else ())):
+        yield fit(mistake).misfit, mistake
+    for k in range(joints if encoders else 0):
+        yield from _searched(partial(zero, k), fit, ZEROS, math.radians(15), SMALL_ZERO)
+    groups = [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
+    for group in groups:
+        logs = np.log(FACTORS)
+        yield from _searched(partial(_scale, group, joints), fit, logs, 0.6, math.log(PLAIN))
+    for k in range(joints):
+        free = explain(dynamics, body, motion, (k,))
+        offset = float(free.values[-1])
+        if abs(offset) > SMALL_OFFSET * np.sqrt((motion.torque[:, k] ** 2).mean()):
+            yield free.misfit, _offset(k, joints, offset)
+
+
+def _searched(
+    made: Callable[[float], Mistake],
+    fit: Callable[[Mistake], Explained],
+    grid: np.ndarray,
+    width: float,
+    least: float,
+) -> Iterator[tuple[float, Mistake]]:
+    """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``."""
+    best = min(grid, key=lambda value: fit(made(value)).misfit)
+    near = minimize_scalar(
+        lambda value: fit(made(value)).misfit,
+        bounds=(best - width, best + width),
+        method="bounded",
+        options={"xatol": 2e-3},
+    )
+    if abs(near.x) >= least:
+        yield float(near.fun), made(float(near.x))
+
+
+def zero(joint: int, off: float) -> Mistake:
+    """A joint's angles are counted from ``off`` rad elsewhere."""
+    off = math.remainder(off, math.tau)
+    words = f"the angles' zero is {math.degrees(off):+.0f}° off"
+    turn = f"subtract {off:.3g} rad ({math.degrees(off):.0f}°) from its angles"
+    return Mistake("zero", (joint,), words, turn, off, lambda motion: motion.turned(joint, off))
+
+
+def _scale(group: tuple[int, ...], joints: int, log: float) -> Mistake:
+    factor = math.exp(log)
+    given = np.ones(joints)
+    given[list(group)] = factor
+    if factor > 1:
+        words = f"the torques are {factor:.3g} times too small: before the gear, or in another unit"
+    else:
+        words = f"the torques are {1 / factor:.3g} times too large: in another unit"
+    return Mistake("scale", group, words, f"multiply its torques by {factor:.3g}", factor, _scaled(torque=given))
+
+
+def _offset(joint: int, joints: int, offset: float) -> Mistake:
+    constant = np.zeros(joints)
+    constant[joint] = offset
+    words = f"the torques are {offset:+.3g} N·m off all along"
+    turn = f"subtract {offset:.3g} N·m from its torques"
+
+    def right(motion: Motion) -> Motion:
+        return Motion(motion.q, motion.qd, motion.qdd, motion.torque - constant)
+
+    return Mistake("offset", (joint,), words, turn, offset, right)
+
+
+def _scaled(**by: Any) -> Callable[[Motion], Motion]:
+    return lambda motion: motion.scaled(**by)
+
+
+def _picked(angles: list[int], torques: list[int]) -> Callable[[Motion], Motion]:
+    return lambda motion: motion.picked(angles, torques)

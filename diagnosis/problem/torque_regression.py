@@ -1,0 +1,197 @@
+"""How much of the torques that were given a body's motion explains, with what a file may be wrong about left free.
+
+Inverse dynamics are linear in a link's mass m, first moment m c and inertia J about its joint (Atkeson, An & Hollerbach
+1986), and so is what a joint has besides:
+
+    τ = Y(q, q̇, q̈) φ + b q̇ + f tanh(q̇/v) + I_a q̈,     φ = φ₀ + δ,     δ ~ N(0, (.3 φ₀)²),     b, f, I_a ≥ 0
+
+The misfit is the root of the least value of mean ((u − τ)/u_rms)² + λ Σ (β/sd)²: 0 where all is explained, 1 where
+nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows; the torque goes through the same
+window, so that what the window takes from the one it takes from the other.
+
+Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.optimize import lsq_linear
+from scipy.signal import savgol_filter
+
+from invdyn.models import Body
+from invdyn.models.articulated.as_filed import answered
+from invdyn.models.dynamics.interface import Dynamics
+
+WINDOWS = (7, 13, 25, 49, 97)
+"""Rows of a local cubic: few for a fast arm, many for noisy encoders."""
+MOST_ROWS = 1200
+"""Rows that count: neighbours say the same."""
+LOOSE = 0.3
+"""Of a link's number, by which its file may be off."""
+WEIGHT = 1e-3
+"""λ: a number that is off by two of its sds is worth six per cent of the torque."""
+SLOW = 0.1
+"""v, in rms velocities: slower than that dry friction has no sign to go by."""
+QUIET = 0.1
+"""Of the largest joint's torque, that any joint's is taken to be at least."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion and the torques given along it, each (R, K)."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    torque: np.ndarray
+
+    def picked(self, angles: list[int], torques: list[int]) -> "Motion":
+        """The motion with its columns in other orders."""
+        q, qd, qdd = (each[:, angles] for each in (self.q, self.qd, self.qdd))
+        return Motion(q, qd, qdd, self.torque[:, torques])
+
+    def scaled(self, angle: Any = 1.0, torque: Any = 1.0, time: float = 1.0) -> "Motion":
+        """Angles, torques (numbers or (K,)) and times multiplied."""
+        return Motion(self.q * angle, self.qd * angle / time, self.qdd * angle / time**2, self.torque * torque)
+
+    def turned(self, joint: int, zero: float) -> "Motion":
+        """A joint's angle counted from elsewhere: less ``zero`` rad."""
+        shift = np.zeros(self.q.shape[1])
+        shift[joint] = zero
+        return replace(self, q=self.q - shift)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order."""
+
+    misfit: float
+    by_joint: np.ndarray
+    values: np.ndarray
+
+
+def smoothings(body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray) -> list[Motion]:
+    """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s.
+
+    A servo's torque is what it makes of its target, angle and velocity.
+    """
+    made = (smoothed(time, angle, torque, window) for window in WINDOWS)
+    return [_by_servos(body, motion) for motion in made if motion is not None]
+
+
+def _by_servos(body: Any, motion: Motion) -> Motion:
+    command, q, qd = (torch.as_tensor(each) for each in (motion.torque, motion.q, motion.qd))
+    return replace(motion, torque=np.asarray(answered(body, command, q, qd).numpy()))
+
+
+def passive(body: Any, motion: Motion) -> np.ndarray:
+    """What the joints of the file take besides, (R, K): its friction, rotors and springs."""
+    taken = np.zeros_like(motion.q)
+    speed = np.maximum(np.sqrt((motion.qd**2).mean(0)), 1e-12)
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None:
+            q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
+            dry = parts.friction * np.tanh(qd / (SLOW * speed[k]))
+            taken[:, k] = parts.damping * qd + dry + parts.armature * qdd + parts.stiffness * (q - parts.rest)
+    return taken
+
+
+def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: int) -> Motion | None:
+    """Even rows of angles (T, K), NaN where missing, and of torques (T, K) that are held from each row to the next.
+
+    None where there are too few rows for the window.
+    """
+    use = np.isfinite(angle).all(1)
+    if use.sum() < 2 * window:
+        return None
+    seen = time[use]
+    step = float(np.median(np.diff(seen)))
+    even = seen[0] + step * np.arange(int((seen[-1] - seen[0]) / step) + 1)
+    if len(even) < 2 * window or len(even) > 50 * len(seen):
+        return None
+    rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
+    # held: over half a row before and after each even one, on average
+    total = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * np.diff(time)[:, None], 0)])
+    area = [np.stack([np.interp(even + way * step / 2, time, each) for each in total.T], -1) for way in (-1, 1)]
+    width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
+    given = (area[1] - area[0]) / width[:, None]
+    inner = slice(window // 2, len(even) - window // 2)
+    stride = slice(None, None, max(1, len(even) // MOST_ROWS))
+    q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
+    return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride])
+
+
+def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
+    """Y of each link's m, m c and J, (3K, R, K), of a chain in the plane; none of another body."""
+    K = motion.q.shape[1]
+    numbers = body.parameters()
+    if not isinstance(body, Body):
+        return np.empty((0, *motion.q.shape))
+    unit = torch.eye(K, dtype=torch.float64)[:, None]
+    none = torch.zeros_like(unit)
+
+    def torque(mass: torch.Tensor, com: torch.Tensor, inertia: torch.Tensor) -> np.ndarray:
+        only = numbers._replace(mass=mass, com=com, inertia=inertia)
+        return inverse(dynamics, only, motion)
+
+    mass = torque(unit, none, none)
+    return np.concatenate([mass, torque(unit, unit, -unit) - mass, torque(none, none, unit)])
+
+
+def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
+    """Torques that a body of these ``numbers`` asks for, (..., R, K)."""
+    q, qd, qdd = (torch.as_tensor(each) for each in (motion.q, motion.qd, motion.qdd))
+    return np.asarray(dynamics.inverse(q, qd, qdd, numbers).numpy())
+
+
+def as_large(dynamics: Dynamics, body: Any, motion: Motion) -> Motion:
+    """The motion with each joint's torques as large as they would have to be."""
+    asked, given = (
+        np.sqrt((each**2).mean(0)) for each in (inverse(dynamics, body.parameters(), motion), motion.torque)
+    )
+    return motion.scaled(torque=asked / np.maximum(given, 1e-12))
+
+
+def joint_regressors(motion: Motion) -> np.ndarray:
+    """q̇, tanh(q̇/v) and q̈ of each joint, (3K, R, K)."""
+    K = motion.q.shape[1]
+    speed = np.maximum(np.sqrt((motion.qd**2).mean(0)), 1e-12)
+    each = (motion.qd, np.tanh(motion.qd / (SLOW * speed)), motion.qdd)
+    return np.concatenate([np.eye(K)[:, None] * values for values in each])
+
+
+def nominal_link_numbers(body: Any) -> np.ndarray:
+    """Each link's m, m c and J, (3K,), of a chain in the plane; none of another body."""
+    if not isinstance(body, Body):
+        return np.empty(0)
+    p = body.parameters()
+    moments = (p.mass, p.mass * p.com, p.inertia + p.mass * p.com**2)
+    return torch.cat(moments).numpy()
+
+
+def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
+    """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
+    asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
+    size = np.sqrt((motion.torque**2).mean(0))
+    unit = np.maximum(np.maximum(size, QUIET * size.max()), 1e-12)
+    own = nominal_link_numbers(body)
+    joints = joint_regressors(motion)
+    constant = np.eye(len(unit))[list(offsets)][:, None] * np.ones_like(motion.torque)
+    X = np.concatenate([link_regressors(dynamics, body, motion), joints, constant]) / unit
+    moved = np.maximum(np.sqrt((joints**2).mean(1)).sum(-1), 1e-12)
+    floor = np.repeat(np.maximum(np.abs(own).reshape(3, -1).max(1), 1e-12), len(own) // 3)
+    sd = np.concatenate(
+        [LOOSE * np.maximum(np.abs(own), 0.01 * floor), np.tile(unit, 3) / moved, 100 * unit[list(offsets)]]
+    )
+    lower = np.concatenate([np.full(len(own), -3.0), np.zeros(len(joints)), np.full(len(offsets), -np.inf)])
+    upper = np.concatenate([np.full(len(own), 3.0), np.full(len(joints), 10.0), np.full(len(offsets), np.inf)])
+    rows = (X.reshape(len(X), -1) * sd[:, None]).T / np.sqrt(motion.torque.size)
+    left = ((motion.torque - asked) / unit).ravel() / np.sqrt(motion.torque.size)
+    q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(WEIGHT) * np.eye(len(sd))]))
+    target = q.T @ np.concatenate([left, np.zeros(len(sd))])
+    scaled = lsq_linear(r, target, (lower, upper), method="bvls").x
+    missed = ((left - rows @ scaled) ** 2).reshape(motion.torque.shape).sum(0)
+    total = missed.sum() + WEIGHT * (scaled**2).sum()
+    return Explained(float(np.sqrt(total)), np.sqrt(missed * len(unit)), scaled * sd)

@@ -1,0 +1,140 @@
+"""What the best cause changes of a simulation's file, in the body's own terms; and what no file can say.
+
+An effect adds to what the file has: from b to b + Δb. Of the whole cause, means are written, with 90 % intervals.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.models import Body
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+
+SEEN = "how the motion is seen is no part of a simulation's file"
+NOT_SAID = "a simulation's file has no word for it"
+
+
+@dataclass(frozen=True)
+class FileChange:
+    """One number of a file: of a joint, a link or the whole ("gravity"), by name; what it is, from and to, in `unit`.
+
+    `interval_90` is of `after`; `effect` the finding's key.
+    """
+
+    place: str
+    quantity: str
+    before: float
+    after: float
+    interval_90: tuple[float, float]
+    unit: str
+    effect: str
+
+    @property
+    def comment(self) -> str:
+        """What stands beside it in a file."""
+        low, high = self.interval_90
+        return (
+            f"invdyn: {self.quantity} of {self.place or 'the whole'} from {self.before:.4g} to {self.after:.4g} "
+            f"{self.unit}, 90 % interval {low:.4g} to {high:.4g}"
+        )
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What to change, and what cannot be: words → why."""
+
+    changes: tuple[FileChange, ...]
+    unsaid: dict[str, str]
+
+
+def correction(cause: Cause, body: Body) -> Correction:
+    """The changes that a cause asks for."""
+    changes: list[FileChange] = []
+    unsaid: dict[str, str] = {}
+    for finding in cause.effects:
+        if finding.side != "dynamics":
+            unsaid[finding.key] = SEEN
+        elif finding.effect in SAID:
+            changes += SAID[finding.effect](finding, body)
+        else:
+            unsaid[finding.key] = NOT_SAID
+    return Correction(tuple(changes), unsaid)
+
+
+def _joint(body: Body, name: str) -> JointParts:
+    return body.links[body.joint_names.index(name)].parts or NOTHING
+
+
+def _raised(finding: Finding, place: str, quantity: str, name: str, before: float) -> FileChange:
+    """A number by so much more."""
+    e = finding.parameters[name]
+    return FileChange(place, quantity, before, before + e.mean, _moved(e, before), e.unit, finding.key)
+
+
+def _moved(e: Estimate, before: float, factor: float = 1.0) -> tuple[float, float]:
+    low, high = sorted(before + factor * x for x in e.interval_90)
+    return low, high
+
+
+def _part(quantity: str, parameter: str) -> Callable[[Finding, Body], list[FileChange]]:
+    def made(finding: Finding, body: Body) -> list[FileChange]:
+        joint = finding.where["joint"]
+        return [_raised(finding, joint, quantity, parameter, getattr(_joint(body, joint), quantity))]
+
+    return made
+
+
+def _spring(finding: Finding, body: Body) -> list[FileChange]:
+    """Two springs are one: k = k₀ + Δk, which rests where their torques balance."""
+    joint = finding.where["joint"]
+    own, k, rest = _joint(body, joint), finding.parameters["stiffness"], finding.parameters["rest_angle"]
+    total = own.stiffness + k.mean
+    whole = (own.stiffness * own.rest + k.mean * rest.mean) / total if total > 0 else own.rest
+    stiffer = _raised(finding, joint, "stiffness", "stiffness", own.stiffness)
+    shift = whole - rest.mean
+    turned = FileChange(joint, "rest", own.rest, whole, _moved(rest, shift), "rad", finding.key)
+    return [stiffer, turned]
+
+
+def _gain(finding: Finding, body: Body) -> list[FileChange]:
+    e = finding.parameters["gain"]
+    joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
+    return [FileChange(j, "motor gain", 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j in joints]
+
+
+def _limit(finding: Finding, body: Body) -> list[FileChange]:
+    joint, e = finding.where["joint"], finding.parameters["limit"]
+    motor = _joint(body, joint).motor
+    before = float("inf") if motor is None else motor.high
+    return [FileChange(joint, "motor limit", before, e.mean, e.interval_90, e.unit, finding.key)]
+
+
+def _payload(finding: Finding, body: Body) -> list[FileChange]:
+    e = finding.parameters["mass"]
+    return [FileChange(body.links[-1].name, "payload", 0.0, e.mean, e.interval_90, e.unit, finding.key)]
+
+
+def _inertial(finding: Finding, body: Body) -> list[FileChange]:
+    name = finding.where["link"]
+    link = body.links[body.link_names.index(name)]
+    return [_raised(finding, name, key, key, link.nominal(key)) for key in ("mass", "com", "inertia")]
+
+
+def _delay(finding: Finding, body: Body) -> list[FileChange]:
+    e = finding.parameters["delay"]
+    joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
+    return [FileChange(j, "motor delay", 0.0, e.mean, e.interval_90, e.unit, finding.key) for j in joints]
+
+
+SAID: dict[str, Callable[[Finding, Body], list[FileChange]]] = {
+    "viscous_friction": _part("damping", "damping"),
+    "coulomb_friction": _part("friction", "torque"),
+    "armature": _part("armature", "inertia"),
+    "joint_stiffness": _spring,
+    "actuator_gain": _gain,
+    "actuator_saturation": _limit,
+    "actuator_delay": _delay,
+    "payload": _payload,
+    "inertial_error": _inertial,
+}
+"""Effects that a file can say."""

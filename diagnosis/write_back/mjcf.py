@@ -1,0 +1,199 @@
+"""Changes written into a copy of an MJCF file (mujoco.readthedocs.io, XML reference).
+
+    damping, friction, armature, stiffness, rest    damping, frictionloss, armature, stiffness, springref of a joint
+    motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
+    payload                                         a body of that mass at the tip
+    mass, com, inertia of a link                    its inertial element, made explicit from what MuJoCo compiled
+
+Joints and bodies are found by their number, which follows the file's order, so that they need no names. Of elements
+that an included file has, nothing is written: what is included may be somebody else's.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from invdyn.diagnosis.write_back.changes import FileChange
+from invdyn.diagnosis.write_back.xml_text import Element, XmlText
+from invdyn.models import Body
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+
+JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
+INCLUDED = "its element is not in this file itself; write it where it stands"
+SAMPLES = 2
+"""More than a delay has steps, that an actuator remembers."""
+POINT = "1e-9 1e-9 1e-9"
+"""kg·m² of a payload, which is a point: MuJoCo wants some."""
+
+
+def rewritten(content: bytes, path: str, body: Body, changes: Sequence[FileChange]) -> tuple[bytes, dict[str, str]]:
+    """The content with the changes; and what could not be written: words → why.
+
+    ``path`` is the file that the content is of, which MuJoCo reads. Raises ValueError where it cannot.
+    """
+    model = mujoco.MjModel.from_xml_path(path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    text = XmlText(content)
+    writer = Writer(text, model, data, body)
+    unsaid: dict[str, str] = {}
+    inertial: dict[str, list[FileChange]] = {}
+    for change in changes:
+        if change.quantity in ("mass", "com", "inertia"):
+            inertial.setdefault(change.place, []).append(change)
+        elif (why := writer.write(change)) is not None:
+            unsaid[f"{change.quantity} of {change.place}"] = why
+    for place, several in inertial.items():
+        if (why := writer.write_inertial(place, several)) is not None:
+            unsaid[f"inertia of {place}"] = why
+    return text.changed(), unsaid
+
+
+class Writer:
+    """Puts changes into a text of the compiled ``model``, whose ``data`` is in the reference pose."""
+
+    def __init__(self, text: XmlText, model: Any, data: Any, body: Body):
+        self.text, self.model, self.data, self.body = text, model, data, body
+        self.joints = [e for e in text.found("joint", "worldbody") if not e.inside("default")]
+        self.bodies = text.found("body", "worldbody")
+        self.whole = not text.found("include")
+        compilers = text.found("compiler")
+        self.degrees = not any(c.attributes.get("angle") == "radian" for c in compilers)
+
+    def write(self, change: FileChange) -> str | None:
+        """Why a change could not be written; None where it was."""
+        if change.quantity == "payload":
+            return self._payload(change)
+        number = self._hinge(change.place)
+        element = self._joint(number)
+        if element is None:
+            return INCLUDED
+        if change.quantity in JOINT:
+            self.text.change(element, change.comment, **{JOINT[change.quantity]: _said(change.after)})
+            return None
+        parts = self._parts(change.place)
+        if change.quantity == "rest":
+            rest = parts.sign * (change.after - parts.zero)
+            self.text.change(element, change.comment, springref=_said(np.degrees(rest) if self.degrees else rest))
+            return None
+        return self._motor(number, change)
+
+    def _hinge(self, name: str) -> int:
+        names = [self.model.joint(j).name or f"joint{j + 1}" for j in range(self.model.njnt)]
+        return names.index(name)
+
+    def _parts(self, joint: str) -> JointParts:
+        return self.body.links[self.body.joint_names.index(joint)].parts or NOTHING
+
+    def _joint(self, number: int) -> Element | None:
+        named = [e for e in self.joints if e.attributes.get("name") == self.model.joint(number).name]
+        if len(named) == 1:
+            return named[0]
+        return self.joints[number] if self.whole and len(self.joints) == self.model.njnt else None
+
+    def _motor(self, joint: int, change: FileChange) -> str | None:
+        own = [a for a in range(self.model.nu) if int(self.model.actuator_trnid[a, 0]) == joint]
+        elements = [child for parent in self.text.found("actuator") for child in self._children(parent)]
+        if len(own) != 1:
+            return "the joint has no actuator of its own"
+        if not self.whole or len(elements) != self.model.nu:
+            return INCLUDED
+        element, gear = elements[own[0]], self.model.actuator_gear[own[0]].copy()
+        if change.quantity == "motor gain":
+            gear[0] *= change.after
+            self.text.change(element, change.comment, gear=" ".join(map(_said, np.trim_zeros(gear, "b"))))
+        elif change.quantity == "motor limit":
+            force = abs(change.after / gear[0])
+            self.text.change(element, change.comment, forcelimited="true", forcerange=f"{_said(-force)} {_said(force)}")
+        else:
+            samples = int(np.ceil(change.after / self.model.opt.timestep)) + SAMPLES
+            self.text.change(element, change.comment, delay=_said(change.after), nsample=str(samples))
+        return None
+
+    def _children(self, parent: Element) -> list[Element]:
+        return [e for e in self.text.elements if e.parent is parent]
+
+    def _payload(self, change: FileChange) -> str | None:
+        number = self._moved_by(self.body.joint_names[-1])
+        element = self._body(number)
+        if element is None:
+            return INCLUDED
+        place = self._in_body(number, len(self.body.links) - 1, self.body.links[-1].nominal("length"))
+        self.text.insert(
+            element,
+            f'<body name="payload" pos="{_row(place)}">'
+            f'<inertial pos="0 0 0" mass="{_said(change.after)}" diaginertia="{POINT}"/></body>',
+            change.comment,
+        )
+        return None
+
+    def write_inertial(self, link: str, changes: Sequence[FileChange]) -> str | None:
+        """A link's inertial element with other numbers; None where that could be done, else why not."""
+        k = self.body.link_names.index(link)
+        number = self._moved_by(self.body.joint_names[k])
+        element = self._body(number)
+        if element is None:
+            return INCLUDED
+        fixed = [b for b in range(number + 1, self.model.nbody) if self._welded(b, number)]
+        if any(self.model.body_mass[b] > 0 for b in fixed):
+            return "the link is of several bodies that are fixed to each other"
+        if any(c.attributes.get("inertiafromgeom") == "true" for c in self.text.found("compiler")):
+            return 'its compiler takes all inertias from geoms (inertiafromgeom="true")'
+        to = {change.quantity: change for change in changes}
+        along = self._in_body(number, k, 1.0) - self._in_body(number, k, 0.0)
+        flat = np.zeros(9)
+        mujoco.mju_quat2Mat(flat, self.model.body_iquat[number])
+        turn = flat.reshape(3, 3)
+        tensor = turn @ np.diag(self.model.body_inertia[number]) @ turn.T
+        factor = to["inertia"].after / to["inertia"].before if to["inertia"].before else 1.0
+        # all moments by one factor: what was a possible body stays one
+        tensor = tensor * factor
+        place = self.model.body_ipos[number] + along * (to["com"].after - to["com"].before)
+        full = " ".join(_said(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+        given = {"pos": _row(place), "mass": _said(to["mass"].after), "fullinertia": full}
+        said = "; ".join(change.comment.removeprefix("invdyn: ") for change in changes)
+        own = [e for e in self._children(element) if e.tag == "inertial"]
+        if own:
+            gone = dict.fromkeys(("diaginertia", "quat", "euler", "axisangle", "xyaxes", "zaxis"))
+            self.text.change(own[0], f"invdyn: {said}", **gone, **given)
+        else:
+            attributes = " ".join(f'{key}="{value}"' for key, value in given.items())
+            self.text.insert(element, f"<inertial {attributes}/>", f"invdyn: {said}")
+        return None
+
+    def _welded(self, child: int, to: int) -> bool:
+        while child > to:
+            if self.model.body_jntnum[child]:
+                return False
+            child = int(self.model.body_parentid[child])
+        return child == to
+
+    def _moved_by(self, joint: str) -> int:
+        return int(self.model.jnt_bodyid[self._hinge(joint)])
+
+    def _body(self, number: int) -> Element | None:
+        named = [e for e in self.bodies if e.attributes.get("name") == self.model.body(number).name]
+        if len(named) == 1:
+            return named[0]
+        return self.bodies[number - 1] if self.whole and len(self.bodies) == self.model.nbody - 1 else None
+
+    def _in_body(self, number: int, link: int, far: float) -> np.ndarray:
+        """A point on a link's line, ``far`` m from its joint, in the frame of a body of it."""
+        heading = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1])
+        hinge = self._hinge(self.body.joint_names[link])
+        axis = int(np.abs(self.data.xaxis[hinge]).argmax())
+        u, v = ((1, 2), (0, 2), (0, 1))[axis]
+        point = self.data.xanchor[hinge].copy()
+        point[u] += far * np.cos(heading)
+        point[v] += far * np.sin(heading)
+        return self.data.xmat[number].reshape(3, 3).T @ (point - self.data.xpos[number])
+
+
+def _said(value: float) -> str:
+    return f"{value:.7g}"
+
+
+def _row(values: np.ndarray) -> str:
+    return " ".join(f"{0.0 if abs(x) < 1e-12 else x:.7g}" for x in values)

@@ -1,0 +1,132 @@
+"""A file's own simulation against a log: MuJoCo loads it, replays the commands, and what it is off by is counted.
+
+The engine is set to the recorded state every ``WINDOW`` seconds and left to run between. States are local cubics of the
+recorded angles, which know of no simulation. A file that says a joint has a delay keeps its past across a window.
+
+Shapes: T rows, K joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.signal import savgol_filter
+
+from invdyn.models import Body
+from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.recordings import InputError, Recording
+
+WINDOW = 1.0
+"""s between the states that the engine is set to."""
+SMOOTH = 13
+"""Rows of a local cubic that a state is taken from."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What a file's simulation is off by, rms: each joint's angle, rad, by name; in so many windows."""
+
+    angle_rms: dict[str, float]
+    windows: int
+
+    @property
+    def total(self) -> float:
+        """Of all joints, rad."""
+        return float(np.sqrt(np.mean(np.square(list(self.angle_rms.values())))))
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What reaches a file's actuators and joints in each row: controls (T, nu) and torques applied (T, nv)."""
+
+    control: np.ndarray
+    applied: np.ndarray
+
+
+def commands(model: Any, body: Body, recording: Recording) -> Commands:
+    """A recording's commands in the terms of a ``mujoco.MjModel``; without a motor, a joint's torque is applied."""
+    rows = recording.num_frames
+    control, applied = np.zeros((rows, model.nu)), np.zeros((rows, model.nv))
+    for joint, link in zip(body.joint_names, body.links, strict=True):
+        parts, column = link.parts or NOTHING, recording.joint_names.index(joint)
+        number = _hinge(model, joint)
+        own = [a for a in range(model.nu) if int(model.actuator_trnid[a, 0]) == number]
+        motor = parts.motor
+        if recording.torques is None or not np.isfinite(recording.torques[:, column]).any():
+            continue
+        torque = recording.torques[:, column]
+        if motor is None or len(own) != 1:
+            applied[:, int(model.jnt_dofadr[number])] = parts.sign * torque
+            continue
+        gear, gain = float(model.actuator_gear[own[0], 0]), float(model.actuator_gainprm[own[0], 0])
+        if motor.kind == "torque":
+            control[:, own[0]] = parts.sign * torque / (gear * gain)
+        else:
+            # a servo's command is K c + u₀ (models.articulated.as_filed)
+            target = (torque - motor.bias) / motor.gain
+            target = target - parts.zero if motor.kind == "position" else target
+            control[:, own[0]] = parts.sign * target * gear
+    return Commands(control, applied)
+
+
+def rollout(path: str, body: Body, time: np.ndarray, angle: np.ndarray, given: Commands) -> Rollout:
+    """Replay commands in the simulation of a file, against angles (T, K) rad at times (T,), NaN where missing.
+
+    Raises InputError where MuJoCo cannot read the file, or too few rows have angles.
+    """
+    try:
+        model = mujoco.MjModel.from_xml_path(path)
+    except ValueError as error:
+        raise InputError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
+    data = mujoco.MjData(model)
+    signs = np.array([(link.parts or NOTHING).sign for link in body.links])
+    zeros = np.array([(link.parts or NOTHING).zero for link in body.links])
+    hinges = [_hinge(model, joint) for joint in body.joint_names]
+    at, of = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
+    q, qd = states(time, signs * (angle - zeros))
+    step = float(np.median(np.diff(time)))
+    parts = max(1, int(np.ceil(step / model.opt.timestep - 1e-6)))
+    every = max(2, round(WINDOW / step))
+    off = np.full((len(time), len(hinges)), np.nan)
+    windows, running = 0, False
+    for row in range(len(time) - 1):
+        if not running or row % every == 0:
+            if not np.isfinite(q[row]).all():
+                running = False
+                continue
+            data.qpos[at], data.qvel[of] = q[row], qd[row]
+            windows, running = windows + 1, True
+        data.ctrl[:], data.qfrc_applied[:] = given.control[row], given.applied[row]
+        model.opt.timestep = (time[row + 1] - time[row]) / parts
+        for _ in range(parts):
+            mujoco.mj_step(model, data)
+        off[row + 1] = data.qpos[at] - signs * (angle[row + 1] - zeros)
+    seen = np.isfinite(off)
+    if seen.sum() < len(hinges):
+        raise InputError(f"{path}: too few rows with angles to replay the log in it")
+    rms = [float(np.sqrt((each[ok] ** 2).mean())) for each, ok in zip(off.T, seen.T, strict=True)]
+    return Rollout(dict(zip(body.joint_names, rms, strict=True)), windows)
+
+
+def states(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed angles and velocities (T, K) at each row, NaN before the first and after the last that has angles."""
+    use = np.isfinite(angle).all(1)
+    if use.sum() < SMOOTH:
+        raise InputError(f"expected {SMOOTH} rows with all angles or more, got {use.sum()}")
+    seen = time[use]
+    step = float(np.median(np.diff(seen)))
+    even = seen[0] + step * np.arange(int((seen[-1] - seen[0]) / step + 1e-6) + 1)
+    rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
+    window = min(SMOOTH, len(even) - 1 + len(even) % 2)
+    found: list[np.ndarray] = []
+    for order in (0, 1):
+        smooth = savgol_filter(rows, window, 3, deriv=order, delta=step, axis=0)
+        found.append(np.stack([np.interp(time, even, each, np.nan, np.nan) for each in smooth.T], -1))
+    return found[0], found[1]
+
+
+def _hinge(model: Any, name: str) -> int:
+    names: Sequence[str] = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
+    return list(names).index(name)

@@ -1,0 +1,109 @@
+"""Hand the corrected simulation back: write what the best cause changes into a copy of the file, and try the copy.
+
+The copy is loaded by the reader that read the file; an MJCF is loaded by MuJoCo itself, replays the log there, and so
+does the original: what both are off by stands in the report.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
+from invdyn.diagnosis.problem.angles import recorded_angles
+from invdyn.diagnosis.write_back import toml, urdf
+from invdyn.diagnosis.write_back.changes import correction
+from invdyn.models import Body
+from invdyn.models.bodies import body_xml
+from invdyn.models.bodies.whole_file import read_whole
+from invdyn.recordings import InputError, Recording, atomic_path
+
+
+def check_write_back(source: str | Path, out: str | Path) -> None:
+    """Before a long run: raise InputError where a corrected copy of ``source`` could not be used as ``out``."""
+    content = read_whole(source, body_xml.MOST_BYTES)
+    suffixes = (".xml", ".mjcf") if b"<mujoco" in content else (".urdf", ".xml") if _is_xml(content) else (".toml",)
+    if Path(out).suffix not in suffixes:
+        raise InputError(f"{out}: expected a name that ends in {' or '.join(suffixes)}, as {source} is such a file")
+    if b'file="' in content and Path(out).resolve().parent != Path(source).resolve().parent:
+        raise InputError(f"{out}: {source} names other files (meshes, includes): put the copy into the same folder")
+
+
+def write_back(
+    diagnosis: Diagnosis, source: str | Path, body: Body, out: str | Path, recording: Recording, held_out: bool
+) -> Diagnosis:
+    """The diagnosis with what was written: a corrected copy of ``source``, the file of ``body``, as ``out``.
+
+    ``recording`` is replayed in both, where MuJoCo reads them; ``held_out`` says whether the causes were found on
+    another one. Without a gap, or a cause, nothing is written, and that is said. Raises OSError where the file cannot
+    be written.
+    """
+    cause = best(diagnosis)
+    if cause is None:
+        why = "there is no gap that a file should change for" if not diagnosis.gap.detected else "no cause was found"
+        return replace(diagnosis, written=Written(str(out), (), {}, why))
+    content = read_whole(source, body_xml.MOST_BYTES)
+    asked = correction(cause, body)
+    mjcf = _is_xml(content) and b"<mujoco" in content
+    if mjcf:
+        from invdyn.diagnosis.write_back import mjcf as writer
+
+        new, left = writer.rewritten(content, str(source), body, asked.changes)
+    elif _is_xml(content):
+        new, left = urdf.rewritten(content, asked.changes)
+    else:
+        new, left = toml.rewritten(content, body, asked.changes)
+    with atomic_path(out) as temporary:
+        temporary.write_bytes(new)
+    changes = tuple(
+        {
+            "place": each.place,
+            "quantity": each.quantity,
+            "from": each.before,
+            "to": each.after,
+            "interval_90": list(each.interval_90),
+            "unit": each.unit,
+            "effect": each.effect,
+        }
+        for each in asked.changes
+        if f"{each.quantity} of {each.place}" not in left
+    )
+    written = Written(str(out), changes, {**asked.unsaid, **left})
+    if mjcf:
+        written = replace(written, rollout=_tried(str(source), str(out), body, recording, held_out))
+    return replace(diagnosis, written=written)
+
+
+def best(diagnosis: Diagnosis) -> Cause | None:
+    """The cause that most speaks for, by itself or in part; None where there is no gap, or no effect in it."""
+    if not diagnosis.gap.detected:
+        return None
+    cause = max(diagnosis.causes, key=lambda c: c.probability + c.in_part, default=None)
+    return cause if cause is not None and cause.effects else None
+
+
+def _tried(source: str, out: str, body: Body, recording: Recording, held_out: bool) -> dict:
+    """Rollout errors of both files, as the JSON has them."""
+    import mujoco
+
+    from invdyn.diagnosis.write_back.rollout import WINDOW, commands, rollout
+
+    order = [recording.joint_names.index(name) for name in body.joint_names] if recording.joint_names else []
+    angle = recorded_angles(recording, body) if recording.angles is None else recording.angles[:, order]
+    # the same commands for both: a gear that was changed must change what they do
+    given = commands(mujoco.MjModel.from_xml_path(source), body, recording)
+    before, after = (rollout(path, body, recording.time, np.asarray(angle), given) for path in (source, out))
+    return {
+        "engine": f"MuJoCo {mujoco.__version__}",
+        "recording": recording.name,
+        "held_out": held_out,
+        "window_s": WINDOW,
+        "angle_rms_rad": {
+            name: {"before": value, "after": after.angle_rms[name]} for name, value in before.angle_rms.items()
+        },
+        "total_rms_rad": {"before": before.total, "after": after.total},
+    }
+
+
+def _is_xml(content: bytes) -> bool:
+    return body_xml.is_xml(content)

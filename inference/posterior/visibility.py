@@ -1,0 +1,62 @@
+"""Which coordinates of a body in space its keypoints do not tell, row by row.
+
+A row's sensors tell a small turn dq by J dq / σ, with J (O, K) the slopes of what is seen in it: those of tracked
+sites, m/rad, and of encoders, each over its noise σ. Of J / σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad.
+Where that is more than ``BLUNT`` the direction is not seen, and a coordinate is not where such directions make up most
+of it: the twist of a last link, or of a straight arm, and a joint without keypoints beyond it. What a posterior says
+there is the prior's: its torque's stationary law and its start, which are proper, keep it bounded.
+
+Shapes: rows (T, O), K coordinates.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.observation.observation import Observation
+
+BLUNT = 0.5
+"""rad (m of slides) to which one row must tell a direction for it to be seen."""
+MOST = 0.5
+"""Share of a coordinate in unseen directions from which on it is not seen."""
+ALWAYS, SELDOM = 0.99, 0.01
+"""Shares of the rows."""
+
+
+def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest singular value (T,) of the seen sites' Jacobian, m/rad, and which coordinates are not seen, (T, K) bool.
+
+    Of a ``model`` in poses ``angle`` (T, K), with rows ``observations`` (T, O).
+    """
+    observation: Observation = model.observation
+    rows, K = observations.detach().cpu(), angle.shape[-1]
+    slopes, sharp = [], []
+    if (keypoints := observation.keypoints) is not None:
+        jacobian = model.dynamics.jacobian(angle, model.body_parameters()).flatten(-2)
+        own = keypoints.tracked(jacobian).unflatten(-1, (-1, K)).flatten(-3, -2)
+        own = torch.where(torch.isfinite(rows[:, observation.part(keypoints)]).unsqueeze(-1), own, 0.0)
+        scale = model.parameters["emission.keypoint_scale"].repeat_interleave(model.body.space, -1)
+        slopes.append(own)
+        sharp.append(own / scale.unsqueeze(-1))
+    if (encoders := observation.encoders) is not None:
+        read = torch.isfinite(rows[:, observation.part(encoders)]).to(angle)
+        sharp.append(torch.diag_embed(read / model.parameters["emission.angle_scale"]))
+    smallest = np.linalg.svd(torch.cat(slopes, -2).numpy(), compute_uv=False) if slopes else np.zeros((len(rows), K))
+    smallest = smallest[:, -1] if smallest.shape[-1] == K else np.zeros(len(rows))
+    _, w, v = np.linalg.svd(torch.cat(sharp, -2).numpy()) if sharp else (0, np.zeros((len(rows), 0)), np.eye(K)[None])
+    w = np.concatenate([w, np.zeros((len(rows), K - w.shape[1]))], -1)
+    share = ((w < 1 / BLUNT)[..., None] * v**2).sum(-2)
+    return smallest, share > MOST
+
+
+def unseen_lines(unseen: np.ndarray, names: tuple[str, ...]) -> list[str]:
+    """A sentence for each coordinate that is not seen (T, K) in some of the rows."""
+    lines = []
+    for name, share in zip(names, unseen.mean(0), strict=True):
+        if share >= ALWAYS:
+            lines.append(f"{name}: no keypoint tells it: what is said of its motion and torque is the prior")
+        elif share > SELDOM:
+            lines.append(f"{name}: no keypoint tells it in {share:.0%} of the rows: there the prior speaks")
+    return lines

@@ -1,0 +1,24 @@
+"""What `invdyn check` prints."""
+
+from invdyn.diagnosis.check.check import Check
+
+KNOWN, MOST = 0.2, 8
+"""Relative sd under which a number is known, and how many of a kind are listed."""
+
+
+def check_text(found: Check) -> str:
+    """Mistakes first; then what the torques leave, what is excited, what would show, and what to record."""
+    lines = [f"wrong      {wrong.sentence}" for wrong in found.mistakes] or ["right      nothing looks wrong"]
+    if found.unexplained is not None:
+        parts = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in found.by_joint.items())
+        lines.append(f"torques    what the body and friction leave of their size: {parts}")
+    if found.excited:
+        known = [each for each in found.excited if each.value and each.sd < KNOWN * abs(each.value)]
+        faint = [each for each in found.excited if each not in known and each.value]
+        lines += [f"excited    {e.words}: to {100 * e.sd / abs(e.value):.2g} %" for e in known[:MOST]]
+        lines += [f"faint      {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in faint[:MOST]]
+    if (shown := found.visible) is not None:
+        names = [name for name, value in shown.dprime.items() if name not in shown.hidden]
+        lines.append(f"would show {len(names)} effects of {len(shown.dprime)}: {', '.join(names) or 'none'}")
+        lines += [f"hidden     {', '.join(of)}: record {what}" for what, of in shown.record.items()]
+    return "\n".join(lines)

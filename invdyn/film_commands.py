@@ -1,0 +1,235 @@
+"""The commands from films to tracks: `invdyn label`, `invdyn train` and `invdyn track`."""
+
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .console import ProgressBar, check_outputs
+from .options import Seed
+
+FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
+Kept = Annotated[
+    Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
+]
+NetworkFile = Annotated[Path | None, typer.Option(help="Network of `invdyn train`: .safetensors.")]
+ArmSide = Annotated[str | None, typer.Option(help="Without a network: which arm of a person, left or right.")]
+PersonSeen = Annotated[
+    str | None, typer.Option(help="Which one, of several people: left, right, largest, or a box u,v,width,height, px.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(label)
+    app.command()(train)
+    app.command()(track)
+
+
+def label(
+    film: FilmFile,
+    out: Annotated[Path, typer.Option(help="The labels: .csv; if they are there, they are gone on with.")],
+    keypoints: Annotated[
+        str | None,
+        typer.Option(help="Names, such as shoulder,elbow,wrist; default: those of the labels that are there."),
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, max=1000, help="Pictures to label now.")] = 20,
+    posterior: Annotated[
+        Path | None,
+        typer.Option(help="Of `invdyn infer` from this film: label what surprises it most, not what differs most."),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+) -> None:
+    """Label joints in the pictures of a film that are worth it, in a page of your browser."""
+    import webbrowser
+
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.choose import different
+    from invdyn.recordings.tracking.film import Film, read_pictures
+    from invdyn.recordings.tracking.labels import read_labels
+
+    from .label_server import LabelServer
+
+    check_outputs([out], [film, *([] if posterior is None else [posterior])])
+    before = read_labels(out) if out.exists() else None
+    names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
+    names = names or (() if before is None else before.names)
+    if not names or len(set(names)) < len(names):
+        raise InputError("which joints are to be labelled? --keypoints shoulder,elbow,wrist, each name once")
+    if before is not None and set(names) != set(before.names):
+        raise InputError(
+            f"{out}: labels of {', '.join(before.names)} are there: go on with these, or name another file"
+        )
+    source = Film(film)
+    labelled = set() if before is None else set(before.frames.tolist())
+    with ProgressBar() as progress:
+        if posterior is None:
+            numbers = different(source, count, labelled, progress)
+        else:
+            numbers = _surprising(source, posterior, count, labelled)
+    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before)
+    with server:
+        typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
+        if browser:
+            webbrowser.open(server.address)
+        with suppress(KeyboardInterrupt):  # each label is written when it is set
+            server.serve_forever()
+    typer.echo(f"{len(server.labels)} labelled pictures" + (f"\nlabels     {out}" if out.exists() else ""))
+
+
+def _surprising(film: Any, posterior: Path, count: int, labelled: set[int]) -> list[int]:
+    """Pictures in which what was tracked surprised the model most. Raises InputError where there are none."""
+    import numpy as np
+
+    from invdyn.inference import load_posterior
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.choose import surprising
+
+    from .surprise import surprise
+
+    idata = load_posterior(posterior)
+    times = np.array([picture.time for picture in film.pictures((2, 2))])
+    numbers = np.abs(idata["posterior"]["time"].values[:, None] - times).argmin(1)
+    chosen = surprising(surprise(idata), numbers, count, labelled)
+    if not chosen:
+        raise InputError(f"{posterior}: every picture that it knows of is labelled")
+    return chosen
+
+
+def train(
+    films: Annotated[list[Path], typer.Argument(metavar="FILM", help="Film with labels, or several of them.")],
+    labels: Annotated[
+        list[Path],
+        typer.Option(help="Its labels, of `invdyn label`, DeepLabCut or SLEAP; once for each film, in their order."),
+    ],
+    out: Annotated[Path, typer.Option(help="The network: .safetensors.")],
+    steps: Annotated[int, typer.Option(min=1, help="Steps of training, of eight pictures each.")] = 500,
+    size: Annotated[int, typer.Option(help="Longer side of the pictures that the network sees, px.")] = 288,
+    seed: Seed = 0,
+    individual: Annotated[str | None, typer.Option(help="Which animal, in labels of several.")] = None,
+    checkpoint: Kept = None,
+) -> None:
+    """Train a network on labelled pictures of a film; then `invdyn track` tracks all of it."""
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.film import Film
+    from invdyn.recordings.tracking.heatmap import import_safetensors
+    from invdyn.recordings.tracking.labels import read_labels
+    from invdyn.recordings.tracking.training import examples
+    from invdyn.recordings.tracking.training import train as run
+
+    if len(labels) != len(films):
+        raise InputError(f"{len(films)} films and {len(labels)} files of labels: give --labels once for each film")
+    check_outputs([out], [*films, *labels])
+    import_safetensors()
+    told = [read_labels(path, individual) for path in labels]
+    given = examples([Film(path) for path in films], told, size)
+    keeper = None
+    if checkpoint is not None:
+        import torch
+
+        from invdyn.inference.execution.checkpoint import Checkpoint, digest
+
+        data = digest(torch.from_numpy(given.pictures), torch.from_numpy(given.points))
+        keeper = Checkpoint(checkpoint, {"labels": data, "steps": steps, "seed": seed}, "train")
+    with ProgressBar() as progress:
+        trained = run(given, steps=steps, seed=seed, progress=progress, keeper=keeper)
+    trained.tracker.save(out)
+    typer.echo(f"{len(given.pictures)} labelled pictures of {', '.join(given.names)}")
+    typer.echo(_quality(trained))
+    typer.echo(f"network    {out}")
+
+
+def _quality(trained: Any) -> str:
+    import numpy as np
+
+    errors, tolerance = trained.errors, trained.tracker.tolerance
+    if not len(errors):
+        return "too few labels to hold some out: confidence is not calibrated"
+    return (
+        f"on {len(errors)} labels held out: median error {np.median(errors):.1f} px, "
+        f"{np.mean(errors > tolerance):.1%} off by more than {tolerance:.0f} px; "
+        f"their confidence is {trained.confidence.mean():.2f}"
+    )
+
+
+def track(
+    film: FilmFile,
+    out: Annotated[Path, typer.Option(help="The tracks, in px: .csv.")],
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    checkpoint: Kept = None,
+) -> None:
+    """Track the joints in a film, by a network of your own, or those of a person's arm without one."""
+    import numpy as np
+
+    inputs = [film, *([] if network is None else [network])]
+    check_outputs([out], inputs)
+    with ProgressBar() as progress:
+        names, tracks = tracks_of(film, out, network, arm, person, checkpoint, progress)
+    known = np.isfinite(tracks[..., 0])
+    for p, name in enumerate(names):
+        seen = tracks[known[:, p], p, 2]
+        told = f"; confidence {np.median(seen):.2f}, under .5 in {np.mean(seen < 0.5):.1%}" if len(seen) else ""
+        typer.echo(f"{name:<14} found in {known[:, p].mean():.1%} of {len(tracks)} pictures{told}")
+    typer.echo(f"tracks     {out}")
+
+
+def tracks_of(
+    path: Path,
+    out: Path,
+    network: Path | None,
+    arm: str | None,
+    person: str | None,
+    checkpoint: Path | None,
+    progress: Any,
+    wanted: tuple[str, ...] | None = None,
+) -> tuple[tuple[str, ...], Any]:
+    """Track a film into the file `out`; names of the keypoints, and (T, P, 3).
+
+    `wanted` are a base, which need not be tracked, and keypoints, which must be: no others are written.
+
+    Raises InputError unless there is one of network and arm, for a keypoint that is not tracked, and as film and
+    tracker do.
+    """
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.film import Film
+    from invdyn.recordings.tracking.heatmap import HeatmapTracker
+    from invdyn.recordings.tracking.tracker import Tracker, track_film, write_tracks
+
+    if (network is None) == (arm is None):
+        raise InputError(
+            f"{path}: who is to be tracked? give --network (of `invdyn train`), or --arm left or right for a person's"
+        )
+    if person is not None and arm is None:
+        raise InputError("--person chooses whose --arm is tracked; a --network knows what it was trained on")
+    film = Film(path)
+    tracker: Tracker
+    if network is not None:
+        tracker = HeatmapTracker.load(network)
+    else:
+        from invdyn.recordings.tracking.blazepose import person_tracker
+
+        tracker = person_tracker(str(arm), person, progress)
+    names = tracker.keypoint_names
+    if wanted is not None:
+        if missing := [name for name in wanted[1:] if name not in names]:
+            raise InputError(
+                f"the body's keypoint {missing[0]!r} is not tracked; tracked are {', '.join(names)}: rename one of them"
+            )
+        names = tuple(name for name in wanted if name in names)
+    keeper = None
+    if checkpoint is not None:
+        from invdyn.inference.execution.checkpoint import Checkpoint
+
+        with path.open("rb") as file:
+            run = {"film": hashlib.file_digest(file, "sha256").hexdigest(), "arm": arm, "person": person}
+        if network is not None:
+            run["network"] = hashlib.sha256(network.read_bytes()).hexdigest()
+        keeper = Checkpoint(checkpoint, run, "track")
+    times, tracks = track_film(film, tracker, progress, keeper)
+    tracks = tracks[:, [tracker.keypoint_names.index(name) for name in names]]
+    write_tracks(names, times, tracks, out)
+    return names, tracks

@@ -1,0 +1,102 @@
+"""A recording of a body in space: which of its sites and joints it shows, and whether it can be this body's."""
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from invdyn.models import Tree, dynamics_for
+from invdyn.recordings import (
+    FORMATS,
+    InputError,
+    Recording,
+    bridged,
+    check_in_space,
+    load,
+    parse_units,
+)
+from invdyn.recordings.errors import about
+from invdyn.recordings.formats import recognise
+from invdyn.recordings.naming import nearest
+
+POSES = (0.0, 0.7, -1.3)
+"""Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
+KEPT = 1e-9
+"""Of the reach: what a distance may change by for rounding."""
+
+
+def load_in_space(
+    name: str, body: Tree, base: str | None, body_lengths: bool, frames: slice, **options: Any
+) -> Recording:
+    """Recording of some of `body`'s sites, of its joints, or both; see `inputs.load_recording`.
+
+    Keypoints that are not of the body are refused in our own file, and left out of a tracker's. Where `base` is
+    tracked the others are taken relative to it, and lie about the place of the body's first joint.
+
+    Raises:
+        InputError: the file, or the file beside the body, makes no sense.
+        OSError: the file cannot be opened.
+    """
+    if options.get("plane"):
+        raise InputError(
+            f"body '{body.name}' moves in space: leave --plane out, which is for one that moves in a plane"
+        )
+    if body_lengths:
+        raise InputError("--body-lengths is for a chain in the plane: give a recording in space its --units")
+    if not body.keypoint_names:
+        raise InputError(f"body '{body.name}' names no point: give its last link a tip, or a site, for what is drawn")
+    recording = load(name, joints=body.joint_names, base=base, **options)
+    names, sites = recording.keypoint_names, body.keypoint_names
+    if names and recording.keypoints.shape[-1] != 3:
+        raise InputError(
+            f"{name}: keypoints have two coordinates, but body '{body.name}' moves in space: give {names[0]}_z and the "
+            "like too, or a planar body"
+        )
+    strange = [point for point in names if point not in sites and point != base]
+    own_file = Path(name).exists() and FORMATS[recognise(Path(name), options.get("format"))].read is None
+    if strange and (own_file or len(strange) == len(names)):
+        raise InputError(
+            f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)} "
+            f"(closest: {nearest(strange[0], sites)!r}): rename one of them"
+        )
+    order = [place for place, point in enumerate(names) if point in sites]
+    confidence = recording.confidence
+    recording = replace(
+        recording,
+        keypoints=recording.keypoints[:, order],
+        keypoint_names=tuple(names[place] for place in order),
+        confidence=None if confidence is None else confidence[:, order],
+    )
+    numbers, dynamics = body.parameters(), dynamics_for(body)
+    if base in names:
+        recording = replace(recording, keypoints=recording.keypoints + numbers.position[0].numpy())
+    reach = dynamics.reach(numbers).item()
+    turning = {motion.name for _, motion in body.motions() if motion.turns}
+    levers = zip(body.joint_names, dynamics.levers(numbers).tolist(), strict=True)
+    with about(name):
+        check_in_space(
+            recording,
+            reach,
+            rigid_distances(body),
+            {joint: lever for joint, lever in levers if joint in turning},
+            parse_units(options.get("units")),
+        )
+        first = frames.indices(recording.num_frames)[0]
+        return bridged(recording.at(frames), reach, first)
+
+
+def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
+    """Distances, m, of two sites that keep it however the body moves."""
+    dynamics, numbers = dynamics_for(body), body.parameters()
+    poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
+    points = dynamics.keypoints(torch.tensor(poses, dtype=torch.float64), numbers)
+    apart = torch.cdist(points, points).numpy()
+    found = {}
+    for one, other in combinations(range(len(body.keypoint_names)), 2):
+        lengths = apart[:, one, other]
+        if np.ptp(lengths) <= KEPT * apart.max() < lengths[0]:
+            found[body.keypoint_names[one], body.keypoint_names[other]] = float(lengths[0])
+    return found

@@ -1,0 +1,76 @@
+"""What was inferred, laid over the film that it was inferred from.
+
+A recording's metres come from the film's pixels by one scale s and, where the base is tracked, one origin b a picture:
+
+    pixel(t) = b(t) + c + s (x, −y)
+
+with c the base's own place. Both s and c are found again by least squares between tracks and observed positions, so
+that nothing but these two files need be known.
+"""
+
+from collections.abc import Iterator
+
+import arviz as az
+import numpy as np
+
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.tracking.film import Film
+
+LONGEST = 720  # px of the pictures' longer side, as drawn
+
+
+class Overlay:
+    """Pictures behind an arm in the plane, and its place in them.
+
+    Args:
+        film: the film.
+        tracks: its keypoints, px, v down, one row a picture.
+        base: name of the keypoint that was subtracted, if it is tracked.
+        idata: what was inferred, (T,) rows of it.
+
+    Raises InputError where positions and tracks have nothing in common.
+    """
+
+    def __init__(self, film: Film, tracks: Recording, base: str, idata: az.InferenceData):
+        self.film = film
+        self.size = film.height, film.width
+        time = idata["posterior"]["time"].values
+        self._numbers = np.abs(time[:, None] - tracks.time).argmin(1)
+        origin = np.zeros((len(time), 2))
+        if base in tracks.keypoint_names:
+            origin = tracks.keypoint(base)[self._numbers]
+        seen = idata["observed_data"]["position"].transpose("time", "keypoint", "space")
+        tips = [str(name) for name in seen["keypoint"].values]
+        pixels = np.stack([tracks.keypoint(tip)[self._numbers] for tip in tips], 1) - origin[:, None]
+        x = seen.values * [1.0, -1.0]
+        known = np.isfinite(pixels).all(-1) & np.isfinite(x).all(-1)
+        if known.sum() < 2:
+            raise InputError(f"{film.path}: its tracks and what was inferred share no two points")
+        middle, centre = x[known].mean(0), pixels[known].mean(0)
+        self.scale = float(((x[known] - middle) * (pixels[known] - centre)).sum() / ((x[known] - middle) ** 2).sum())
+        self._origin = _filled(origin) + centre - self.scale * middle
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Points (…, T, P, 2) m, y up, in px, v down."""
+        return self._origin[:, None] + self.scale * points * [1.0, -1.0]
+
+    def pictures(self, rows: np.ndarray) -> Iterator[np.ndarray]:
+        """RGB (h, w, 3) of rows, rising; some are scaled down. Raises InputError when the film is shorter."""
+        factor = min(1.0, LONGEST / max(self.size))
+        size = round(factor * self.size[0]), round(factor * self.size[1])
+        wanted = self._numbers[rows]
+        pictures = self.film.pictures(size, int(wanted[0]))
+        picture = next(pictures, None)
+        for number in wanted:
+            while picture is not None and picture.number < number:
+                picture = next(pictures, None)
+            if picture is None:
+                raise InputError(f"{self.film.path}: the film has no picture {number}")
+            yield picture.rgb
+
+
+def _filled(track: np.ndarray) -> np.ndarray:
+    """A track (T, 2) without gaps: linear between what is known."""
+    known = np.isfinite(track).all(-1)
+    rows = np.arange(len(track))
+    return np.stack([np.interp(rows, rows[known], column[known]) for column in track.T], -1)

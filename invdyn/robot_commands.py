@@ -1,0 +1,49 @@
+"""The commands of robots' own logs: `invdyn check`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import BAD_INPUT, check_outputs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(check)
+
+
+def check(
+    robot: Annotated[str, typer.Argument(help="Robot: .xml (MJCF), .urdf, .toml, or one that comes with us.")],
+    log: Annotated[str, typer.Argument(help="Its log: .csv, .mcap, a ROS 2 bag or a LeRobot data set.")],
+    units: Annotated[str | None, typer.Option(help="Of the file, if not SI: deg, ms, us …")] = None,
+    frames: Annotated[str, typer.Option(help="Which rows, such as 50:250.")] = ":",
+    mapping: Annotated[
+        str | None, typer.Option("--map", metavar="FILE", help="Which track of the log is which joint's: .toml.")
+    ] = None,
+    episode: Annotated[int, typer.Option(min=0, help="Which, in a log of several.")] = 0,
+    passive: Annotated[bool, typer.Option("--passive", help="No torque acts.")] = False,
+    effects: Annotated[bool, typer.Option("--effects/--no-effects", help="Say which effects it could show.")] = True,
+    out: Annotated[Path | None, typer.Option(help="The same as a file: .json.")] = None,
+) -> None:
+    """Check a log before a diagnosis: signs, zeros, units, columns, gears; what it excites, and what it can show.
+
+    Exit code 2 where something is to be put right.
+    """
+    from invdyn.diagnosis.check.check import check as run
+    from invdyn.recordings import write_text
+
+    from .check_text import check_text
+    from .inputs import load_log, load_planar
+
+    check_outputs([out], [Path(robot), Path(log)])
+    body = load_planar(robot, "a check")
+    recording = load_log(log, body, units, frames, mapping, episode)
+    found = run(recording, body, passive=passive, effects=effects)
+    typer.echo(check_text(found))
+    if out is not None:
+        write_text(out, json.dumps(found.to_json(), indent=1, ensure_ascii=False) + "\n")
+        typer.echo(f"JSON       {out}")
+    if found.mistakes:
+        raise typer.Exit(BAD_INPUT)

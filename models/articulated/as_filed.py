@@ -1,0 +1,123 @@
+"""What a body's file gives its joints besides hinges, as parts of the simulation: :mod:`..bodies.joint_parts`.
+
+Played by the hooks that effects have, so that an effect of the catalogue adds to them: friction of .2 N·m at a joint
+whose file says .1 is a change of +.1. They have no parameters and no place in a search.
+
+A servo's command is the torque that its target alone asks for, K c + u₀ (:func:`servo_torque`), which effects on motors
+delay or change as any; its stiffness and damping answer to the angle and the velocity here.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.models.bodies.joint_parts import JointParts, Motor
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, with_entry
+from invdyn.models.effects.command import Command
+from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.scale import Scale
+
+
+class Filed(Effect):
+    """Base: the parts of one joint."""
+
+    def __init__(self, joint: str, number: int, parts: JointParts):
+        super().__init__(joint)
+        self.place, self.parts = (number,), parts
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """None."""
+        return ()
+
+
+class FiledPassive(Filed):
+    """Viscous friction and a spring."""
+
+    def force(self, p: Values, now: Situation) -> Tensor:
+        """−b θ̇ − k (θ − θ₀)."""
+        j, own = self.place[0], self.parts
+        q, qd = now.q[..., j : j + 1], now.qd[..., j : j + 1]
+        return now.at(j, -own.damping * qd - own.stiffness * (q - own.rest))
+
+
+class FiledRotor(Filed):
+    """A rotor's inertia I_a."""
+
+    def inertia(self, p: Values, joints: int) -> Tensor:
+        """I_a at the joint."""
+        return torch.tensor([self.parts.armature if k == self.place[0] else 0.0 for k in range(joints)])
+
+
+class FiledFriction(Filed):
+    """Dry friction of level f."""
+
+    longest = ABRUPT
+    steady = True
+
+    def friction(self, p: Values, now: Situation) -> Tensor:
+        """F."""
+        return now.q.new_full((1,), self.parts.friction)
+
+
+class FiledLimit(Filed):
+    """The limits of a motor that is told torques."""
+
+    needs_command, order = True, -2
+
+    def command(self, p: Values, command: Command) -> Command:
+        """clip(u, low, high)."""
+        j, motor = self.place[0], self.parts.motor
+        assert motor is not None  # a limit is of one
+        return command.changed(
+            lambda torque: with_entry(torque, j, torque[..., j : j + 1].clamp(motor.low, motor.high))
+        )
+
+
+class FiledServo(Filed):
+    """What a servo answers to angle and velocity, −S θ − D θ̇; with its target's torque it keeps to its limits."""
+
+    def force(self, p: Values, now: Situation) -> Tensor:
+        """−S θ − D θ̇, cut where the whole reaches a limit; a torque that nobody commands is not the motor's."""
+        j, motor = self.place[0], self.parts.servo
+        assert motor is not None
+        own = -motor.stiffness * now.q[..., j : j + 1] - motor.damping * now.qd[..., j : j + 1]
+        if motor.limited:
+            told = (now.motor if now.told is None else now.told)[..., j : j + 1]
+            own = (told + own).clamp(motor.low, motor.high) - told
+        return now.at(j, own)
+
+
+def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
+    """The parts that a body's file gives its joints; none of a body that knows of none."""
+    found: list[Filed] = []
+    every: Sequence[JointParts | None] = getattr(body, "joint_parts", ())
+    for number, (joint, parts) in enumerate(zip(body.joint_names, every, strict=False)):
+        if parts is None:
+            continue
+        kinds: list[tuple[type[Filed], object]] = [
+            (FiledPassive, parts.damping or parts.stiffness),
+            (FiledRotor, parts.armature),
+            (FiledFriction, parts.friction),
+            (FiledServo, parts.servo),
+            (FiledLimit, parts.motor is not None and parts.servo is None and parts.motor.limited),
+        ]
+        found += [kind(joint, number, parts) for kind, there in kinds if there]
+    return tuple(found)
+
+
+def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor) -> Tensor:
+    """Torques (..., K) of all motors under a model's ``command`` in states q, q̇, (..., K); servos answer to them."""
+    columns = list(command.unbind(-1))
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None and (servo := parts.servo) is not None:
+            whole = columns[k] - servo.stiffness * q[..., k] - servo.damping * qd[..., k]
+            columns[k] = whole.clamp(servo.low, servo.high)
+    return torch.stack(columns, -1)
+
+
+def servo_torque(motor: Motor, target: np.ndarray) -> np.ndarray:
+    """K c + u₀, N·m, of targets c in rad or rad/s: what a servo's command is to a model."""
+    return motor.gain * target + motor.bias

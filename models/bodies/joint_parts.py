@@ -1,0 +1,95 @@
+"""What a joint has besides its hinge: damping, dry friction, a rotor, a spring, and the motor that drives it.
+
+    τ = u − b θ̇ − f sgn θ̇ − I_a θ̈ − k (θ − θ₀)
+    u = clip(command)                                             of a torque motor
+    u = clip(K c + u₀ − S θ − D θ̇)                                of a servo that is told an angle or a velocity c
+
+All as the joint feels it, behind the gear. In MuJoCo's terms (Computation: actuation model) an actuator's force is
+gain · ctrl + bias₀ + bias₁ · length + bias₂ · velocity, with length = gear · q, and acts times the gear.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from invdyn.models.bodies.scalars import BodyError, number
+
+KINDS = ("torque", "position", "velocity")
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor. `kind` says what it is told: "torque" N·m, "position" rad or "velocity" rad/s.
+
+    `gain` K, `stiffness` S and `damping` D are a servo's, N·m a unit; `bias` u₀, and the limits `low`, `high`, N·m.
+    Raises `BodyError` for an unknown kind, a low limit that is not below the high one, and what is no number.
+    """
+
+    kind: str = "torque"
+    gain: float = 1.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+    bias: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise BodyError(f"expected a motor of the kind {', '.join(KINDS)}, got {self.kind!r:.60}")
+        for key in ("gain", "stiffness", "damping", "bias"):
+            object.__setattr__(self, key, number(getattr(self, key), f"a motor's {key}"))
+        if not (isinstance(self.low, int | float) and isinstance(self.high, int | float) and self.low < self.high):
+            raise BodyError(
+                f"expected a motor's limits as numbers, low < high, got {self.low!r:.60} and {self.high!r:.60}"
+            )
+
+    @property
+    def limited(self) -> bool:
+        """Whether it has a limit."""
+        return math.isfinite(self.low) or math.isfinite(self.high)
+
+    def turned(self, sign: float, zero: float) -> "Motor":
+        """The motor of a joint whose angle θ = zero + sign · q, ``sign`` ±1."""
+        bias = sign * self.bias + self.stiffness * zero - (self.gain * zero if self.kind == "position" else 0.0) + 0.0
+        low, high = (self.low, self.high) if sign > 0 else (-self.high, -self.low)
+        return replace(self, bias=bias, low=low, high=high)
+
+
+@dataclass(frozen=True)
+class JointParts:
+    """`damping` b N·m·s/rad, `friction` f N·m, `armature` I_a kg·m², `stiffness` k N·m/rad with its `rest` θ₀ rad.
+
+    `sign` and `zero` say how the robot's own file counts the joint: θ = zero + sign · q.
+    Raises `BodyError` for what is no finite number, friction and the like that are negative, and another sign than ±1.
+    """
+
+    damping: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    motor: Motor | None = None
+    sign: float = 1.0
+    zero: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key in (*NUMBERS, "sign", "zero"):
+            value = number(getattr(self, key), f"a joint's {key}")
+            if value < 0 and key in NUMBERS and key != "rest":
+                raise BodyError(f"expected a joint's {key} of 0 or more, got {value:g}")
+            object.__setattr__(self, key, value)
+        if abs(self.sign) != 1:
+            raise BodyError(f"expected a joint's sign as 1 or -1, got {self.sign:g}")
+
+    def turned(self, sign: float, zero: float) -> "JointParts":
+        """The parts, said in the file's own angle q, of a joint whose angle θ = zero + sign · q."""
+        motor = None if self.motor is None else self.motor.turned(sign, zero)
+        return replace(self, rest=zero + sign * self.rest if self.stiffness else 0.0, motor=motor, sign=sign, zero=zero)
+
+    @property
+    def servo(self) -> Motor | None:
+        """Its motor, where that is told an angle or a velocity."""
+        return self.motor if self.motor is not None and self.motor.kind != "torque" else None
+
+
+NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
+NOTHING = JointParts()

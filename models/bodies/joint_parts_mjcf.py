@@ -1,0 +1,80 @@
+"""Joints' parts out of a compiled MuJoCo model: passive forces of joints, and actuators that act on one joint alone.
+
+A position servo of MuJoCo has gain kp and bias (0, −kp, −kv) on its length gear · q; at the joint it is one of
+K = S = kp gear² and D = kv gear². Limits are those of the actuator's force, of its control (of a torque motor), and of
+the joint's actuators together, whichever is narrower. What is not played is told by :mod:`.body_mjcf_left_out`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
+
+
+def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:
+    """Parts of hinges and slides, by the names of all joints, in the file's own angles; and their actuators."""
+    found: dict[str, JointParts] = {}
+    played: set[int] = set()
+    for j, name in enumerate(names):
+        if model.jnt_type[j] not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            continue
+        dof = int(model.jnt_dofadr[j])
+        own = [a for a in range(model.nu) if _drives(mujoco, model, a, j)]
+        motor = None
+        if len(own) == 1 and (motor := _motor(mujoco, model, own[0], j)) is not None:
+            played.add(own[0])
+        parts = JointParts(
+            damping=_first(model.dof_damping[dof]),
+            friction=float(model.dof_frictionloss[dof]),
+            armature=float(model.dof_armature[dof]),
+            stiffness=_first(model.jnt_stiffness[j]),
+            rest=float(model.qpos_spring[model.jnt_qposadr[j]]),
+            motor=motor,
+        )
+        if parts.stiffness == 0:
+            parts = JointParts(parts.damping, parts.friction, parts.armature, motor=motor)
+        if parts != NOTHING:
+            found[name] = parts
+    return found, played
+
+
+def _drives(mujoco: Any, model: Any, actuator: int, joint: int) -> bool:
+    through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return int(model.actuator_trntype[actuator]) in through and int(model.actuator_trnid[actuator, 0]) == joint
+
+
+def _motor(mujoco: Any, model: Any, a: int, joint: int) -> Motor | None:
+    """The motor that an actuator is at its joint; None for one with a law or dynamics of its own."""
+    plain = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+    bias_kind = int(model.actuator_biastype[a])
+    known = bias_kind in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+    if not (plain and known and model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_NONE):
+        return None
+    gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+    affine = bias_kind == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    constant, stiff, slow = (float(x) for x in model.actuator_biasprm[a, :3]) if affine else (0.0, 0.0, 0.0)
+    kind = "position" if stiff else "velocity" if slow else "torque"
+    limits = []
+    if model.actuator_forcelimited[a]:
+        limits.append(sorted(gear * model.actuator_forcerange[a]))
+    if model.jnt_actfrclimited[joint]:
+        limits.append(list(model.jnt_actfrcrange[joint]))
+    if kind == "torque" and model.actuator_ctrllimited[a]:
+        limits.append(sorted(gear * gain * model.actuator_ctrlrange[a] + gear * constant))
+    low, high = (np.max([x[0] for x in limits]), np.min([x[1] for x in limits])) if limits else (-np.inf, np.inf)
+    return Motor(
+        kind,
+        1.0 if kind == "torque" else gain * gear**2,
+        -stiff * gear**2 + 0.0,  # no −0
+        -slow * gear**2 + 0.0,
+        0.0 if kind == "torque" else constant * gear,
+        float(low),
+        float(high),
+    )
+
+
+def _first(value: Any) -> float:
+    """A coefficient, or the first of several: newer MuJoCos have polynomials."""
+    return float(np.ravel(value)[0])

@@ -1,0 +1,133 @@
+"""Which track of a log is which joint's angle, torque or target: a mapping in TOML.
+
+    time = "t"                       # a table's column of times; "time" if not said
+    time_unit = "ms"                 # s if not said
+    [joints.elbow]
+    angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit
+    torque = {track = "i2", gear = 50, constant = 0.12, sign = -1}   # N·m = sign · gear · constant · value
+    target = {track = "action.2", unit = "deg"}                      # of a servo: an angle, or a velocity
+
+Angles, torques and targets are those of the robot's own file, as it counts them. Without a mapping, tracks that are
+called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken for what their names say.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, about
+from ..units import RADIANS, TIMES
+from .tracks import Episode, Track, track
+
+ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
+TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.0980665, "A": 1.0, "mA": 1e-3}
+KEYS = {
+    "angle": ("track", "unit", "sign", "zero"),
+    "target": ("track", "unit", "sign", "zero"),
+    "torque": ("track", "unit", "sign", "gear", "constant", "offset"),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A track and what makes SI units of its values: value · factor + offset."""
+
+    track: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def of(self, episode: Episode, where: str) -> Track:
+        """The track in SI units. Raises InputError where the log has none of that name."""
+        found = track(episode, self.track, where)
+        return Track(found.time, found.values * self.factor + self.offset)
+
+
+@dataclass(frozen=True)
+class JointMap:
+    """Where a joint's angle, torque and target come from; None for what the log lacks."""
+
+    angle: Source | None = None
+    torque: Source | None = None
+    target: Source | None = None
+
+
+@dataclass(frozen=True)
+class LogMap:
+    """A whole mapping: joints by name, the column of times, and how many seconds its unit has."""
+
+    joints: Mapping[str, JointMap] = field(default_factory=dict)
+    time: str | None = None
+    second: float = 1.0
+
+    @classmethod
+    def load(cls, path: str | Path) -> "LogMap":
+        """Read a mapping. Raises InputError for what is none, OSError where it cannot be read."""
+        with about(path):
+            try:
+                tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+                raise InputError(f"expected a mapping in TOML: {error}") from None
+            return cls.of(tables)
+
+    @classmethod
+    def of(cls, tables: dict[str, Any]) -> "LogMap":
+        """The mapping of such a file's tables. Raises InputError."""
+        _known(tables, ("time", "time_unit", "joints"), "a mapping")
+        unit = tables.get("time_unit", "s")
+        if unit not in TIMES:
+            raise InputError(f"time_unit: expected one of {', '.join(TIMES)}, got {unit!r:.40}")
+        joints = tables.get("joints")
+        if not isinstance(joints, dict) or not joints:
+            raise InputError("expected tables [joints.NAME], one for each joint, got none")
+        found = {}
+        for name, table in joints.items():
+            if not isinstance(table, dict):
+                raise InputError(f"joints.{name}: expected a table with {', '.join(KEYS)}")
+            _known(table, tuple(KEYS), f"joints.{name}")
+            found[name] = JointMap(**{kind: _source(table[kind], kind, f"joints.{name}.{kind}") for kind in table})
+        return cls(found, tables.get("time"), TIMES[unit])
+
+    @classmethod
+    def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":
+        """What the tracks' own names say, as ROS's JointState has them. Raises InputError where they say nothing."""
+
+        def named(joint: str, quantity: str) -> Source | None:
+            ends = f".{joint}.{quantity}"
+            found = [name for name in episode if name.endswith(ends)]
+            return Source(found[0]) if len(found) == 1 else None
+
+        found = {joint: JointMap(named(joint, "position"), named(joint, "effort")) for joint in joints}
+        if missing := [joint for joint, own in found.items() if own.angle is None]:
+            known = ", ".join(list(episode)[:12])
+            raise InputError(
+                f"no track says by its name that it is the angle of {missing[0]!r} (it has {known}): --map"
+            )
+        return cls(found)
+
+
+def _source(given: Any, kind: str, where: str) -> Source:
+    table = {"track": given} if isinstance(given, str) else given
+    if not isinstance(table, dict) or not isinstance(table.get("track"), str):
+        raise InputError(f'{where}: expected {{track = "NAME", …}}, got {given!r:.60}')
+    _known(table, KEYS[kind], where)
+    numbers = {key: table[key] for key in ("sign", "zero", "gear", "constant", "offset") if key in table}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise InputError(f"{where}: expected {key} as a number, got {value!r:.40}")
+    if numbers.get("sign", 1) not in (1, -1):
+        raise InputError(f"{where}: expected sign as 1 or -1, got {numbers['sign']:g}")
+    units = TORQUES if kind == "torque" else ANGLES
+    unit = table.get("unit", "N·m" if kind == "torque" else "rad")
+    if unit not in units:
+        raise InputError(f"{where}: unit: expected one of {', '.join(units)}, got {unit!r:.40}")
+    factor = units[unit] * numbers.get("sign", 1) * numbers.get("gear", 1.0) * numbers.get("constant", 1.0)
+    return Source(table["track"], float(factor), float(numbers.get("zero", numbers.get("offset", 0.0))))
+
+
+def _known(table: dict[str, Any], keys: Sequence[str], where: str) -> None:
+    if strange := [key for key in table if key not in keys]:
+        raise InputError(f"{where}: unknown key {strange[0]!r:.40}; known are {', '.join(keys)}")

@@ -1,0 +1,111 @@
+"""One call from a log of any kind to recordings, an episode each, in SI units and the robot's own angles."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, about
+from ..recording import Recording
+from .lerobot import read_lerobot
+from .mapping import LogMap, Source
+from .mcap_file import read_mcap
+from .ros_bag import read_bag
+from .table import read_csv
+from .tracks import Episode, Track
+
+LOG_FORMATS: dict[str, Callable[[Path, str | None], list[Episode]]] = {
+    "csv": read_csv,
+    "lerobot": read_lerobot,
+    "mcap": read_mcap,
+    "ros2": read_bag,
+}
+TOGETHER = 1e-6
+"""s between rows that are one."""
+
+
+@dataclass(frozen=True)
+class Logged:
+    """An episode's recording, and the targets (T, K) of its joints, NaN where there are none."""
+
+    recording: Recording
+    targets: np.ndarray
+
+
+def kind_of(path: Path) -> str | None:
+    """The kind of log that a path is by its suffix, or by what lies in a folder; None for none that is known."""
+    if path.is_dir():
+        return "ros2" if (path / "metadata.yaml").is_file() else "lerobot" if (path / "meta").is_dir() else None
+    return {".csv": "csv", ".parquet": "lerobot", ".mcap": "mcap", ".db3": "ros2"}.get(path.suffix)
+
+
+def read_log(path: str | Path, time: str | None = None) -> list[Episode]:
+    """A log's tracks. Raises InputError for a kind that is not known, OSError where it cannot be read."""
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(2, "no such log", str(path))
+    if (kind := kind_of(path)) is None:
+        raise InputError(
+            f"{path}: expected a log: .csv, .mcap, .parquet, the folder of a ROS 2 bag or of a LeRobot data set"
+        )
+    return LOG_FORMATS[kind](path.parent if path.suffix == ".db3" else path, time)
+
+
+def recordings_of(
+    path: str | Path, joints: Sequence[str], mapping: LogMap | None = None, episodes: Sequence[int] | None = None
+) -> list[Logged]:
+    """A log's episodes as recordings of ``joints``; all of them, or those of the numbers given.
+
+    Rows are all times at which an angle or a command was logged; commands are held, and an angle stays missing in a row
+    that has none of its own. Raises InputError for a log that is none, and tracks or episodes that it lacks.
+    """
+    found = read_log(path, None if mapping is None else mapping.time)
+    chosen = range(len(found)) if episodes is None else episodes
+    if beyond := [number for number in chosen if not 0 <= number < len(found)]:
+        raise InputError(f"{path}: no episode {beyond[0]}; it has {len(found)}, from 0 on")
+    with about(path):
+        name = Path(path).stem
+        return [_recording(found[n], joints, mapping, name if len(found) == 1 else f"{name} {n}") for n in chosen]
+
+
+def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap | None, name: str) -> Logged:
+    mapping = mapping or LogMap.by_name(episode, joints)
+    if strange := [joint for joint in mapping.joints if joint not in joints]:
+        raise InputError(f"the mapping has joint {strange[0]!r}, the robot has {', '.join(joints)}")
+
+    def tracks(kind: str) -> list[Track | None]:
+        sources: list[Source | None] = [getattr(mapping.joints.get(joint), kind, None) for joint in joints]
+        return [None if source is None else source.of(episode, kind) for source in sources]
+
+    angles, torques, targets = tracks("angle"), tracks("torque"), tracks("target")
+    if all(each is None for each in angles):
+        raise InputError("expected angles of the joints, the mapping names none")
+    rows = np.unique(np.concatenate([each.time for each in (*angles, *torques, *targets) if each is not None]))
+    rows = rows[np.append(True, np.diff(rows) > TOGETHER)]
+    commands = [each for each in (*torques, *targets) if each is not None]
+    # before the first command nobody knows what drove it
+    begin = max((float(each.time[0]) for each in commands), default=rows[0])
+    rows = rows[rows >= begin - TOGETHER]
+    nothing = np.full(len(rows), np.nan)
+
+    def columns(found: list[Track | None], held: bool) -> np.ndarray:
+        made = [nothing if t is None else t.held(rows + TOGETHER) if held else _near(t, rows) for t in found]
+        return np.stack(made, -1)
+
+    recording = Recording(
+        rows * mapping.second,
+        np.empty((len(rows), 0, 2)),
+        (),
+        angles=columns(angles, False),
+        torques=columns(torques, True) if any(t is not None for t in torques) else None,
+        joint_names=tuple(joints),
+        name=name,
+    )
+    return Logged(recording, columns(targets, True))
+
+
+def _near(each: Track, rows: np.ndarray) -> np.ndarray:
+    """The values of a track in the rows that are its own."""
+    place = np.searchsorted(each.time, rows - TOGETHER).clip(0, len(each.time) - 1)
+    return np.where(np.abs(each.time[place] - rows) <= TOGETHER, each.values[place], np.nan)

@@ -1,0 +1,1 @@
+"""From a film to keypoints: pictures decoded, networks trained on labels, joints tracked."""

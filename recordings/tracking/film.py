@@ -1,0 +1,135 @@
+"""A film's pictures with their own times, decoded by PyAV (extra `tracking`).
+
+Times are those that the file gives each picture, from the first one on: a telephone drops frames when it gets dark, and
+a number of frames a second would shift all that follows. A telephone that was held upright writes its pictures lying
+and says by how much to turn them; here they come as one sees them. Pixels: u right, v down, (0, 0) is the centre of the
+first; they are the stored ones, whatever shape a player gives them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, first_line
+from ..paths import check_readable
+
+FILM_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp", ".mts", ".ts")
+"""By these a file is taken for a film where a recording may stand, too."""
+
+
+def is_film(path: str | Path) -> bool:
+    """Whether a path's suffix is one of a film."""
+    return Path(path).suffix.lower() in FILM_SUFFIXES
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Number in the film, time s since its first picture, and RGB (H, W, 3) uint8."""
+
+    number: int
+    time: float
+    rgb: np.ndarray
+
+
+class Film:
+    """A film that can be read, again and again, from its start.
+
+    Attributes:
+        path: the file.
+        width, height: of its pictures as one sees them, px.
+        duration: s, or 0 where the file does not say.
+        expected: number of pictures, as the file announces it; it need not be true, and may be 0.
+
+    Raises:
+        InputError: a file that is no film, or that this ffmpeg cannot decode; or PyAV is missing.
+        OSError: a path that is not there, or no ordinary file.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = check_readable(path)
+        first = next(self.pictures(), None)
+        if first is None:
+            raise InputError(f"{path}: not one picture of this film can be decoded; is the file whole?")
+        self.height, self.width = first.rgb.shape[:2]
+        with self._open() as container:
+            stream = container.streams.video[0]
+            self.duration = float(container.duration or 0) / 1e6
+            rate = float(stream.average_rate or 0)
+            self.expected = int(stream.frames or round(self.duration * rate))
+
+    def pictures(self, size: tuple[int, int] | None = None, start: int = 0) -> Iterator[Picture]:
+        """All pictures from number `start` on; `size` (height, width) has them scaled by averaging over areas.
+
+        Raises InputError for a film that ends in the middle of a picture, or changes its size.
+        """
+        began, last, shape, number = None, -np.inf, None, 0
+        with self._open() as container:
+            try:
+                for number, frame in enumerate(container.decode(video=0)):
+                    if frame.time is None:
+                        raise InputError(f"{self.path}: picture {number} has no time: convert the film to mp4 first")
+                    began = frame.time if began is None else began
+                    time = float(frame.time - began)
+                    if time <= last:
+                        raise InputError(f"{self.path}: time stands still at picture {number}: convert the film to mp4")
+                    last = time
+                    if shape not in (None, (frame.height, frame.width)):
+                        raise InputError(f"{self.path}: the size of its pictures changes at picture {number}")
+                    shape = (frame.height, frame.width)
+                    if number >= start:
+                        yield Picture(number, time, _upright(frame, size))
+            except import_av().error.FFmpegError as error:
+                raise InputError(
+                    f"{self.path}: the film cannot be decoded after picture {number} ({first_line(error)}): "
+                    "is the file whole?"
+                ) from None
+
+    def _open(self) -> Any:
+        av = import_av(self.path)
+        try:
+            container = av.open(str(self.path))
+        except av.error.FFmpegError as error:
+            raise InputError(f"{self.path}: not a film that can be decoded ({first_line(error)})") from None
+        if not container.streams.video:
+            container.close()
+            raise InputError(f"{self.path}: there are no pictures in this file, only sound or text")
+        return container
+
+
+def read_pictures(film: Film, numbers: list[int], size: tuple[int, int] | None = None) -> list[np.ndarray]:
+    """The pictures (H, W, 3) of those numbers, in their order. Raises InputError where the film is shorter."""
+    wanted, found = set(numbers), {}
+    if wanted:
+        for picture in film.pictures(size, min(wanted)):
+            if picture.number in wanted:
+                found[picture.number] = picture.rgb
+            if len(found) == len(wanted):
+                break
+    if missing := sorted(wanted - set(found)):
+        raise InputError(f"{film.path}: there is no picture {missing[0]} in this film: are the labels another film's?")
+    return [found[number] for number in numbers]
+
+
+def import_av(path: str | Path | None = None) -> ModuleType:
+    """PyAV. Raises InputError when it is not installed."""
+    try:
+        import av
+    except ImportError:
+        where = "" if path is None else f"{path}: "
+        raise InputError(f"{where}reading a film needs more packages: pip install 'invdyn[tracking]'") from None
+    return av
+
+
+def _upright(frame: Any, size: tuple[int, int] | None) -> np.ndarray:
+    """RGB of a decoded frame, scaled, then turned as the file asks."""
+    quarters = round(frame.rotation / 90) % 4  # counter-clockwise
+    if size is None:
+        rgb = frame.to_ndarray(format="rgb24")
+    else:
+        height, width = size if quarters % 2 == 0 else size[::-1]
+        rgb = frame.to_ndarray(format="rgb24", width=width, height=height, interpolation="AREA")
+    return np.ascontiguousarray(np.rot90(rgb, quarters)) if quarters else rgb

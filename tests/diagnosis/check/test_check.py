@@ -1,0 +1,86 @@
+"""A log of MuJoCo's arm with one thing wrong with it, and what is said of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from robot_log import ARM, robot_log
+
+from invdyn.diagnosis.check.check import check
+from invdyn.recordings import InputError, Recording
+
+
+@pytest.fixture(scope="module")
+def log() -> Recording:
+    return robot_log(3.0, camera=False).at(slice(None, None, 4))
+
+
+def exchanged(values: np.ndarray) -> np.ndarray:
+    return values[:, ::-1]
+
+
+MISTAKES = {
+    "torque sign": (lambda log: replace(log, torques=log.torques * [1, -1]), ("elbow",), -1),
+    "direction": (lambda log: replace(log, angles=log.angles * [1, -1], torques=log.torques * [1, -1]), ("elbow",), -1),
+    "zero": (lambda log: replace(log, angles=np.add(log.angles, [0.6, 0])), ("shoulder",), 0.6),
+    "degrees": (lambda log: replace(log, angles=np.degrees(log.angles)), (), np.pi / 180),
+    "time": (lambda log: replace(log, time=1e3 * log.time), (), 1e-3),
+    "exchanged": (
+        lambda log: replace(log, angles=exchanged(log.angles), torques=exchanged(log.torques)),
+        ("shoulder", "elbow"),
+        0,
+    ),
+    "scale": (lambda log: replace(log, torques=log.torques / [50, 1]), ("shoulder",), 50),
+    "offset": (lambda log: replace(log, torques=np.add(log.torques, [0, 0.6])), ("elbow",), 0.6),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_is_found_with_its_joint_and_size(log, kind):
+    spoil, joints, value = MISTAKES[kind]
+    found = check(spoil(log), ARM, effects=False).mistakes
+    assert [(wrong.kind, wrong.joints) for wrong in found] == [(kind, joints)]
+    # friction and masses that are left free, and the window, blur a number by a few per cent
+    assert found[0].value == pytest.approx(value, rel=0.1, abs=1e-9)
+    assert found[0].remedy in found[0].sentence
+
+
+def test_two_mistakes_are_found_one_after_the_other(log):
+    both = replace(log, angles=np.degrees(log.angles), torques=log.torques * [1, -1])
+    found = check(both, ARM, effects=False).mistakes
+    assert {wrong.kind for wrong in found} == {"degrees", "torque sign"}
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+def test_a_log_that_is_right_has_none_though_the_arm_has_friction(damping):
+    found = check(robot_log(3.0, damping, camera=False).at(slice(None, None, 4)), ARM, effects=False)
+    assert not found.mistakes
+    assert found.unexplained < 0.08
+
+
+def test_base_parameters_of_a_planar_pair(log):
+    """In a plane two links have m₁, and whatever stands beside l₁: the elbow's load turns with the upper arm."""
+    base = check(log, ARM, effects=False).excited
+    names = [name for each in base for name in each.parts]
+    # a first link's mass at its own joint moves nothing
+    assert "mass of upper" not in names
+    first = next(
+        each for each in base if "mass × com of upper" in next(iter(each.parts)) or "mass × com of upper" in each.parts
+    )
+    # m₁ c₁ + m₂ l₁, whichever of the two is called the base
+    ratio = first.parts.get("mass of fore", 1.0) / first.parts.get("mass × com of upper", 1.0)
+    assert ratio == pytest.approx(ARM.links[0].length, rel=1e-6)
+    known = {name for each in base if each.sd < 0.05 * abs(each.value) for name in each.parts}
+    assert {"mass × com of upper", "mass × com of fore"} <= known
+
+
+def test_effects_that_would_show_and_what_to_record(log):
+    shown = check(log.select(0, 150), ARM).visible
+    assert shown.dprime["viscous_friction.elbow"] > 3
+    assert all(shown.dprime[name] < 3 for name in shown.hidden)
+    assert {name for of in shown.record.values() for name in of} == set(shown.hidden)
+
+
+def test_joints_of_another_robot_are_refused(log):
+    with pytest.raises(InputError, match="expected torques of every joint"):
+        check(replace(log, joint_names=("a", "b")), ARM)

@@ -1,0 +1,155 @@
+"""A corrected copy is the user's file with other numbers, and MuJoCo's own roll-out with it follows the log."""
+
+import mujoco
+import numpy as np
+import pytest
+from robot_xml import play, robot
+
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.diagnosis.write_back import mjcf, toml, urdf
+from invdyn.diagnosis.write_back.changes import FileChange, correction
+from invdyn.diagnosis.write_back.rollout import commands, rollout
+from invdyn.models import Body
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*clockwise")
+
+
+def finding(effect: str, where: dict[str, str], side: str = "dynamics", **parameters: float) -> Finding:
+    estimates = {n: Estimate(v, 0.01, (v - 0.02, v + 0.02), "u") for n, v in parameters.items()}
+    return Finding(effect, side, where, estimates)
+
+
+def cause(*findings: Finding) -> Cause:
+    return Cause(findings, 0.9, 0.0, 0.0)
+
+
+@pytest.fixture
+def file(tmp_path):
+    """The robot's file; degrees, so that a rest angle has to be converted."""
+    path = tmp_path / "robot.xml"
+    path.write_text(robot(degrees=True))
+    return path
+
+
+def changed(path, *findings):
+    """The compiled original and copy, the copy's text, and what was left out."""
+    body = Body.load(path)
+    asked = correction(cause(*findings), body)
+    text, unsaid = mjcf.rewritten(path.read_bytes(), str(path), body, asked.changes)
+    copy = path.with_name("copy.xml")
+    copy.write_bytes(text)
+    models = [mujoco.MjModel.from_xml_path(str(each)) for each in (path, copy)]
+    return *models, text.decode(), asked.unsaid | unsaid
+
+
+def test_joints_numbers_add_to_the_files(file):
+    elbow = {"joint": "elbow"}
+    old, new, text, unsaid = changed(
+        file,
+        finding("viscous_friction", elbow, damping=0.25),
+        finding("coulomb_friction", elbow, torque=0.05),
+        finding("armature", {"joint": "shoulder"}, inertia=0.03),
+        finding("joint_stiffness", elbow, stiffness=0.4, rest_angle=-0.1),
+    )
+    assert not unsaid
+    assert new.dof_damping[1] == pytest.approx(old.dof_damping[1] + 0.25)
+    assert new.dof_frictionloss[1] == pytest.approx(0.05)
+    assert new.dof_armature[0] == pytest.approx(0.05)
+    assert new.jnt_stiffness[1] == pytest.approx(1.2)
+    # the hinge is clockwise: q = −θ; both springs' torques at q are those of the one
+    q = 0.7
+    assert -1.2 * (q - new.qpos_spring[1]) == pytest.approx(-0.8 * (q - 0.4) - 0.4 * (q - 0.1))
+    assert "from 0.1 to 0.35 u, 90 % interval 0.33 to 0.37" in text
+
+
+def test_all_else_stays_as_it_was_written(file):
+    _, _, text, _ = changed(file, finding("viscous_friction", {"joint": "elbow"}, damping=0.25))
+    before, after = file.read_text().splitlines(), text.splitlines()
+    other = [line for line in after if line not in before]
+    assert len(other) == 2
+    assert other[0].strip().startswith("<!-- invdyn: damping of elbow")
+    assert [line for line in before if line not in after] == [next(x for x in before if '"elbow" axis' in x)]
+
+
+def test_motors_and_links(file):
+    _old, new, _text, unsaid = changed(
+        file,
+        finding("actuator_gain", {"joint": "elbow"}, gain=-0.2),
+        finding("actuator_saturation", {"joint": "shoulder"}, limit=3.0),
+        finding("actuator_delay", {"joint": "elbow"}, delay=0.014),
+        finding("inertial_error", {"link": "fore"}, mass=0.2, com=0.01, inertia=0.001),
+    )
+    assert not unsaid
+    assert new.actuator_gear[1, 0] == pytest.approx(8.0)
+    assert new.actuator_forcerange[0].tolist() == [-3.0, 3.0]
+    assert new.actuator_delay[1] == pytest.approx(0.014)
+    fore = 2
+    assert new.body_mass[fore] == pytest.approx(1.0)
+    assert new.body_ipos[fore] == pytest.approx([0, 0, -0.13])
+    # about the hinge, which is y: .005 + .001, the others in proportion
+    assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
+
+
+def test_a_payload_is_at_the_tip(file):
+    old, new, _, unsaid = changed(file, finding("payload", {}, mass=0.3))
+    assert not unsaid
+    assert new.body_mass.sum() == pytest.approx(old.body_mass.sum() + 0.3, abs=1e-6)
+    data = mujoco.MjData(new)
+    mujoco.mj_forward(new, data)
+    assert data.body("payload").xpos == pytest.approx(data.site("tip").xpos, abs=1e-7)
+
+
+def test_what_a_file_cannot_say_is_named(file):
+    _old, _new, text, unsaid = changed(
+        file, finding("backlash", {"joint": "elbow"}, gap=0.1), finding("camera_roll", {}, "observation", angle=0.1)
+    )
+    assert set(unsaid) == {"backlash.elbow", "camera_roll"}
+    assert text == file.read_text()
+
+
+@pytest.mark.parametrize("servo", [False, True])
+def test_mujocos_own_rollout_tells_the_true_file_from_the_nominal(tmp_path, servo):
+    nominal, true = tmp_path / "robot.xml", tmp_path / "true.xml"
+    nominal.write_text(robot(servo=servo))
+    true.write_text(robot(servo=servo).replace('damping="0.1"', 'damping="0.35"'))
+    body, log = Body.load(nominal), play(true.read_text(), servo=servo)
+    given = commands(mujoco.MjModel.from_xml_path(str(nominal)), body, log)
+    before, after = (rollout(str(p), body, log.time, log.angles, given) for p in (nominal, true))
+    # encoders of .2 mrad give a start that is off by as much, and its velocity by some mrad/s
+    assert after.total < 5e-3
+    assert before.angle_rms["elbow"] > 10 * after.angle_rms["elbow"]
+    assert before.windows == after.windows == 4
+
+
+def test_toml_says_it_too(tmp_path):
+    path = tmp_path / "arm.toml"
+    path.write_text(
+        '# mine\n[[links]]\nname = "a"\njoint = "j"\ntip = "t"\nlength = 1.0\nmass = 2.0  # weighed\n'
+        'damping = 0.1\n\n[[links]]\nname = "b"\njoint = "t"\ntip = "u"\nlength = 0.5\nmass = 1.0\n\n[uncertainty]\n'
+        "mass = 0.05\n"
+    )
+    body = Body.load(path)
+    found = cause(
+        finding("viscous_friction", {"joint": "j"}, damping=0.2), finding("armature", {"joint": "t"}, inertia=0.01)
+    )
+    text, unsaid = toml.rewritten(path.read_bytes(), body, correction(found, body).changes)
+    assert not unsaid
+    path.write_bytes(text)
+    first, second = Body.load(path).links
+    assert first.parts.damping == pytest.approx(0.3)
+    assert second.parts.armature == pytest.approx(0.01)
+    assert b"# mine" in text
+    assert b"2.0  # weighed" in text
+
+
+def test_urdf_says_what_it_can():
+    text = b'<robot name="r"><joint name="j" type="revolute"><limit effort="5"/></joint></robot>'
+    changes = [
+        FileChange("j", "damping", 0.0, 0.2, (0.1, 0.3), "N·m·s/rad", "viscous_friction.j"),
+        FileChange("j", "motor limit", 5.0, 3.0, (2.9, 3.1), "N·m", "actuator_saturation.j"),
+        FileChange("j", "armature", 0.0, 0.1, (0.0, 0.2), "kg·m²", "armature.j"),
+    ]
+    new, unsaid = urdf.rewritten(text, changes)
+    assert b'<dynamics damping="0.2"/>' in new
+    assert b'effort="3"' in new
+    assert unsaid == {"armature of j": "URDF has no word for it"}

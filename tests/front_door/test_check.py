@@ -1,0 +1,37 @@
+"""`invdyn check`: a sentence for each mistake, exit code 2 with one, a JSON that says the same."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from robot_log import ARM, robot_log
+from typer.testing import CliRunner
+
+from invdyn.cli import app
+from invdyn.recordings import write_keypoint_csv
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A log and its arm in a folder."""
+    log = robot_log(2.0, camera=False).at(slice(None, None, 4))
+    ARM.to_toml(tmp_path / "arm.toml")
+    write_keypoint_csv(log, tmp_path / "log.csv")
+    write_keypoint_csv(replace(log, torques=log.torques * [1, -1]), tmp_path / "wrong.csv")
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["check", *map(str, arguments)])
+
+
+def test_what_is_right_and_what_is_wrong(files):
+    right = run(files / "arm.toml", files / "log.csv", "--no-effects")
+    assert right.exit_code == 0, right.output
+    assert "nothing looks wrong" in right.output
+    wrong = run(files / "arm.toml", files / "wrong.csv", "--no-effects", "--out", files / "check.json")
+    assert wrong.exit_code == 2
+    assert "at joint 'elbow' the torques have the other sign" in wrong.output
+    said = json.loads((files / "check.json").read_text())
+    assert said["mistakes"][0]["kind"] == "torque sign"
+    assert said["mistakes"][0]["joints"] == ["elbow"]

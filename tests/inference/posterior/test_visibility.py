@@ -1,0 +1,85 @@
+"""What keypoints cannot tell of a pose is named, and stays within its prior."""
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import METHODS, SMCOptions, arm_problem
+from invdyn.inference.posterior.visibility import unseen_lines, visibility
+from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, SpatialLink, Tree, dynamics_for
+from invdyn.recordings import Recording
+from invdyn.summary import summary_text
+
+NOISE = 0.005
+
+
+def arm(last="hinge"):
+    """A ball shoulder, and an elbow that bends about z; or a wrist that turns too."""
+    inertia = (0.002, 0.015, 0.015, 0, 0, 0)
+    links = [
+        SpatialLink("upper", Joint("shoulder", "ball"), length=0.3, tip="elbow", mass=2.0, inertia=inertia),
+        SpatialLink("fore", Joint("elbow"), "upper", length=0.25, tip="wrist", mass=1.0, inertia=inertia),
+    ]
+    if last == "roll":
+        axis = (1.0, 0.0, 0.0)
+        links.append(
+            SpatialLink("hand", Joint("pronation", axis=axis), "fore", mass=0.3, com=(0.05, 0, 0), inertia=inertia)
+        )
+    return Tree("arm", links)
+
+
+def model(tree, *sensors, steps=1):
+    return ArmModel(tree, 0.03 * np.arange(max(steps, 2)), Observation(*(sensors or [Keypoints(["elbow", "wrist"])])),
+                    parameters={"emission.keypoint_scale": NOISE} if not sensors else {})  # fmt: skip
+
+
+def pose(*values):
+    return torch.tensor([values, values], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("bend", "smallest"), [(60.0, 0.25), (10.0, 0.25), (0.0, 0.0)])
+def test_the_smallest_singular_value_is_the_twist_of_the_arm(bend, smallest):
+    """Twisting the upper arm moves the wrist by .25 sin(bend), and nothing else does so: the value is at most that."""
+    own = model(arm())
+    values, unseen = visibility(own, torch.zeros(2, 6), pose(0.2, 0.3, 0.1, np.deg2rad(bend)))
+    assert values.max() <= smallest * np.sin(np.deg2rad(bend)) + 1e-12
+    assert (values.max() > 0.4 * smallest * np.sin(np.deg2rad(bend))) == (bend > 0)
+    assert unseen.tolist() == [[False, False, bend == 0, False]] * 2
+
+
+def test_a_row_without_its_wrist_tells_less():
+    rows = torch.zeros(2, 6)
+    rows[1, 3:] = torch.nan
+    _, unseen = visibility(model(arm()), rows, pose(0.2, 0.3, 0.1, 1.0))
+    assert unseen.tolist() == [[False] * 4, [False, False, True, True]]
+
+
+def test_encoders_tell_every_joint():
+    values, unseen = visibility(model(arm("roll"), Encoders()), torch.zeros(2, 5), pose(0.2, 0.3, 0.1, 1.0, 0.0))
+    assert not unseen.any()
+    assert not values.any()  # of sites, as its name says
+
+
+def test_it_says_how_often():
+    unseen = np.zeros((10, 3), dtype=bool)
+    unseen[:, 1], unseen[:3, 2] = True, True
+    always, at_times = unseen_lines(unseen, ("a", "b", "c"))
+    assert always.startswith("b: no keypoint tells it: what is said")
+    assert at_times == "c: no keypoint tells it in 30% of the rows: there the prior speaks"
+
+
+def test_a_last_links_own_twist_is_named_and_bounded():
+    tree, time = arm("roll"), 0.03 * np.arange(20)
+    q = np.array([0.2, 0.3, 0.1, 1.0, 0.0]) + 0.3 * np.sin(np.outer(time, [3.0, 4.0, 5.0, 6.0, 0.0]))
+    points = dynamics_for(tree).keypoints(torch.as_tensor(q), tree.parameters()).numpy()
+    points = points + NOISE * np.random.default_rng(0).normal(size=points.shape)
+    recording = Recording(time=time, keypoints=points, keypoint_names=("elbow", "wrist"))
+    problem = arm_problem(recording, tree, parameters={"emission.keypoint_scale": NOISE}, substeps=1)
+    idata = METHODS["laplace"](problem, options=SMCOptions(num_filters=20, num_draws=10))
+    assert idata["constant_data"]["unseen"].sum("time").values.tolist() == [0, 0, 0, 0, 20]
+    assert idata.attrs["unseen"].startswith("pronation: no keypoint tells it")
+    assert "pronation: no keypoint tells it" in summary_text(idata)
+    torque = idata["posterior"]["torque"].sel(joint="pronation")
+    prior = problem.model.torque.stationary(problem.model.dt[1:2], problem.model.parameters)[-1].item()
+    assert float(torque.std(("chain", "draw")).mean()) == pytest.approx(prior, rel=0.25)  # 200 draws, 20 rows
+    assert np.isfinite(idata["posterior"]["angle"]).all()

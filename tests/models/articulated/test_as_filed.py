@@ -1,0 +1,116 @@
+"""A file's damping, rotors, springs, friction, geared motors and servos, played as MuJoCo plays them."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from invdyn.models import ArmModel, Body
+from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.models.bodies.joint_parts import JointParts, Motor
+from invdyn.models.effects.viscous_friction import ViscousFriction
+
+TEXT = """<mujoco><compiler angle="radian"/><option timestep="0.0002" gravity="0 0 -9.81" integrator="RK4"/>
+<worldbody><body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 {way} 0" {shoulder}/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1.2" contype="0" conaffinity="0"/>
+<body name="fore" pos="0 0 -0.3"><joint name="elbow" axis="0 {way} 0" {elbow}/>
+<geom type="capsule" fromto="0 0 0 0.2 0 -0.15" size="0.015" mass="0.8" contype="0" conaffinity="0"/>
+<site name="tip" pos="0.2 0 -0.15"/></body></body></worldbody><actuator>{motors}</actuator></mujoco>"""
+MOTORS = '<motor name="s" joint="shoulder"/><motor name="e" joint="elbow" gear="10"/>'
+STEP, ROWS = 0.01, 120
+CASES = {
+    "damping and a rotor": ('damping="0.3" armature="0.02"', 'damping="0.05"', MOTORS),
+    "springs": ('stiffness="2" springref="0.4"', 'stiffness="1" springref="-0.3"', MOTORS),
+    "a limit of a geared motor": ("", 'damping="0.1"', MOTORS.replace('gear="10"', 'gear="10" forcerange="-.02 .03"')),
+    "a limit of the joint": ('actuatorfrcrange="-1 1.5" damping=".2"', 'damping="0.1"', MOTORS),
+    "a position servo": (
+        "",
+        'damping="0.1"',
+        '<position joint="shoulder" kp="10" kv="1" gear="2" forcerange="-2 3"/><motor joint="elbow" gear="10"/>',
+    ),
+    "a velocity servo": ("", 'damping="0.1"', '<velocity joint="shoulder" kv="2"/><motor joint="elbow" gear="10"/>'),
+}
+
+
+def in_mujoco(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles (T, 2) and controls (T, 2) that are held between rows."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, per = mujoco.MjData(model), round(STEP / model.opt.timestep)
+    time = np.arange(ROWS) * STEP
+    control = np.stack([2.0 * np.sin(3 * time + 0.3), 0.05 * np.sin(5 * time)], -1)
+    angles = np.zeros((ROWS, 2))
+    for row in range(ROWS):
+        angles[row], data.ctrl[:] = data.qpos, control[row]
+        for _ in range(per):
+            mujoco.mj_step(model, data)
+    return angles, control
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.filterwarnings("ignore:.*clockwise")
+def test_the_model_moves_as_mujoco_does(tmp_path, case, way):
+    shoulder, elbow, motors = CASES[case]
+    text = TEXT.format(way=way, shoulder=shoulder, elbow=elbow, motors=motors)
+    (tmp_path / "robot.xml").write_text(text)
+    body = Body.load(tmp_path / "robot.xml")
+    q, control = in_mujoco(text)
+    parts = body.joint_parts
+    sign, zero = np.array([p.sign for p in parts]), np.array([p.zero for p in parts])
+    servo = parts[0].servo
+    first = sign[0] * control[:, 0]
+    if servo is not None:
+        gear = 2.0 if servo.kind == "position" else 1.0
+        told = control[:, 0] / gear * sign[0] + (zero[0] if servo.kind == "position" else 0.0)
+        first = servo_torque(servo, told)
+    command = np.stack([first, sign[1] * 10 * control[:, 1]], -1)
+    model = ArmModel(body, np.arange(ROWS) * STEP, command=command, substeps=10)
+    theta = zero + sign * q
+    state = torch.zeros(model.state_dim, dtype=torch.float64)
+    state[-4:-2] = torch.as_tensor(theta[0])
+    played = [state]
+    for row in range(1, ROWS):
+        played.append(model.transition_mean(played[-1], row))
+    angles = model.split(torch.stack(played))[1].numpy()
+    assert np.ptp(theta, axis=0).min() > 0.2  # it moves
+    # a limit is reached within a row, which the model follows by a line over the row
+    np.testing.assert_allclose(angles, theta, atol=2e-3 if "limit" in case or "servo" in case else 1e-6)
+
+
+def test_friction_holds_what_it_can():
+    link = {"length": 1.0, "mass": 1.0}
+    free, held = (
+        Body.from_tables({"links": [{"name": "a", "joint": "j", "tip": "t", **link, "friction": f}]}, "arm")
+        for f in (0.0, 6.0)
+    )
+    state = torch.zeros(3, dtype=torch.float64)
+    moved, stays = (ArmModel(b, np.arange(5) * 0.01).transition_mean(state, 1) for b in (free, held))
+    assert abs(float(moved[2])) > 0.01
+    assert abs(float(stays[2])) < 1e-9  # gravity's 4.9 N·m are less than 6
+
+
+def test_an_effect_is_a_change_of_what_the_file_has():
+    """It may take away as much as there is, and no more; both together are one damping."""
+    table = {"name": "a", "joint": "j", "tip": "t", "length": 1.0, "mass": 1.0}
+    some, more = (Body.from_tables({"links": [{**table, "damping": b}]}, "arm") for b in (0.3, 0.5))
+    time = np.arange(20) * 0.01
+    changed = ArmModel(some, time).with_effects(ViscousFriction("j"))
+    changed = changed.replace(**{"effect.viscous_friction.j.damping": torch.tensor([0.2], dtype=torch.float64)})
+    state = torch.tensor([0.5, -1.0, 2.0], dtype=torch.float64)
+    torch.testing.assert_close(changed.transition_mean(state, 1), ArmModel(more, time).transition_mean(state, 1))
+    (parameter,) = changed.effects.effects[0].parameters(changed.scale)
+    assert parameter.least == -0.3
+    assert parameter.prior.support.check(torch.tensor(-0.1))
+
+
+def test_parts_survive_a_file(tmp_path):
+    motor = Motor("position", gain=40.0, stiffness=40.0, damping=2.0, bias=1.5, low=-5.0, high=6.0)
+    parts = JointParts(0.1, 0.2, 0.01, 2.0, -0.3, motor, -1.0, 0.5)
+    body = Body.from_tables(
+        {"links": [{"name": "a", "joint": "j", "tip": "t", "length": 1.0, "mass": 1.0, "damping": 0.1}]}, "arm"
+    )
+    body = dataclasses.replace(body, links=[dataclasses.replace(body.links[0], parts=parts)])
+    body.to_toml(tmp_path / "arm.toml")
+    assert Body.load(tmp_path / "arm.toml") == body

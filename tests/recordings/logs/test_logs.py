@@ -1,0 +1,194 @@
+"""One log, written as each kind of file by that kind's own library, and read as the same recording."""
+
+import json
+
+import numpy as np
+import pytest
+
+from invdyn.recordings import InputError
+from invdyn.recordings.logs import LogMap, recordings_of
+
+JOINTS = ("shoulder", "elbow")
+TIME = np.arange(6) * 0.02
+ANGLE = np.stack([0.1 * np.arange(6), -0.2 * np.arange(6)], -1)
+EFFORT = np.stack([np.arange(6.0), 1 - np.arange(6.0)], -1)
+STATE = ("sensor_msgs/msg/JointState",)
+DEFINITION = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
+
+
+def nanoseconds(second: float) -> tuple[int, int]:
+    whole = round(second * 1e9)
+    return 1_700_000_000 + whole // 10**9, whole % 10**9
+
+
+def bag(path):
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    with Writer(path, version=8) as writer:
+        connection = writer.add_connection("/joint_states", *STATE, typestore=store)
+        for t, angle, effort in zip(TIME, ANGLE, EFFORT, strict=True):
+            sec, nano = nanoseconds(t)
+            header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](sec, nano), "")
+            message = kinds[STATE[0]](header, list(JOINTS), angle, np.zeros(0), effort)
+            writer.write(connection, sec * 10**9 + nano + 500, store.serialize_cdr(message, STATE[0]))
+    return path
+
+
+def mcap(path):
+    from mcap_ros2.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", DEFINITION)
+        for t, angle, effort in zip(TIME, ANGLE, EFFORT, strict=True):
+            sec, nano = nanoseconds(t)
+            message = {
+                "header": {"stamp": {"sec": sec, "nanosec": nano}, "frame_id": ""},
+                "name": list(JOINTS),
+                "position": angle.tolist(),
+                "velocity": [],
+                "effort": effort.tolist(),
+            }
+            writer.write_message("/joint_states", schema, message, sec * 10**9 + nano, sec * 10**9 + nano)
+        writer.finish()
+    return path
+
+
+def lerobot(path):
+    import pyarrow
+    import pyarrow.parquet
+
+    (path / "meta").mkdir(parents=True)
+    (path / "data" / "chunk-000").mkdir(parents=True)
+    names = [f"{joint}.pos" for joint in JOINTS]
+    features = {"observation.state": {"names": names}, "action": {"names": {"motors": names}}}
+    (path / "meta" / "info.json").write_text(json.dumps({"features": features}))
+    twice = {
+        "episode_index": [0] * 6 + [1] * 6,
+        "timestamp": np.tile(TIME, 2),
+        "observation.state": np.degrees(np.concatenate([ANGLE, 2 * ANGLE])).tolist(),
+        "action": np.degrees(np.concatenate([ANGLE + 0.1, ANGLE])).tolist(),
+        "task": ["pick"] * 12,
+    }
+    pyarrow.parquet.write_table(pyarrow.table(twice), path / "data" / "chunk-000" / "file-000.parquet")
+    return path
+
+
+LEROBOT = LogMap.of(
+    {
+        "joints": {
+            joint: {
+                "angle": {"track": f"observation.state.{joint}.pos", "unit": "deg"},
+                "target": {"track": f"action.{joint}.pos", "unit": "deg"},
+            }
+            for joint in JOINTS
+        }
+    }
+)
+
+
+@pytest.mark.parametrize(("made", "name"), [(bag, "bag"), (mcap, "log.mcap")])
+def test_joint_states_need_no_mapping(tmp_path, made, name):
+    pytest.importorskip("rosbags")
+    pytest.importorskip("mcap_ros2")
+    (logged,) = recordings_of(made(tmp_path / name), JOINTS)
+    recording = logged.recording
+    np.testing.assert_allclose(recording.time, TIME, atol=1e-6)  # float64 has 0.2 µs left of seconds since 1970
+    np.testing.assert_array_equal(recording.angles, ANGLE)
+    np.testing.assert_array_equal(recording.torques, EFFORT)
+    assert recording.joint_names == JOINTS
+
+
+def test_a_data_set_has_episodes_names_and_targets(tmp_path):
+    pytest.importorskip("pyarrow")
+    path = lerobot(tmp_path / "set")
+    first, second = recordings_of(path, JOINTS, LEROBOT)
+    np.testing.assert_allclose(first.recording.angles, ANGLE)
+    np.testing.assert_allclose(second.recording.angles, 2 * ANGLE)
+    np.testing.assert_allclose(first.targets, ANGLE + 0.1)
+    assert first.recording.torques is None
+    (only,) = recordings_of(path, JOINTS, LEROBOT, [1])
+    assert only.recording.name == second.recording.name
+    with pytest.raises(InputError, match="no episode 2; it has 2"):
+        recordings_of(path, JOINTS, LEROBOT, [2])
+
+
+def table(path, rows):
+    path.write_text("t,q1,q2,i2\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    return path
+
+
+MAP = {
+    "time": "t",
+    "time_unit": "ms",
+    "joints": {
+        "shoulder": {"angle": "q1"},
+        "elbow": {
+            "angle": {"track": "q2", "unit": "deg", "sign": -1, "zero": 0.5},
+            "torque": {"track": "i2", "unit": "mA", "gear": 50, "constant": 0.1, "sign": -1},
+        },
+    },
+}
+
+
+def test_a_mapping_says_unit_sign_zero_gear_and_constant(tmp_path):
+    path = table(tmp_path / "log.csv", [(0, 0.1, 90, 200), (20, 0.2, 180, 400), (40, 0.3, 0, 0)])
+    (logged,) = recordings_of(path, JOINTS, LogMap.of(MAP))
+    np.testing.assert_allclose(logged.recording.time, [0, 0.02, 0.04])
+    np.testing.assert_allclose(logged.recording.angles[:, 0], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(logged.recording.angles[:, 1], 0.5 - np.radians([90, 180, 0]))
+    np.testing.assert_allclose(logged.recording.torques[:, 1], [-1.0, -2.0, 0.0])
+    assert np.isnan(logged.recording.torques[:, 0]).all()
+
+
+def test_rows_twice_out_of_order_and_lost_ones(tmp_path):
+    rows = [(40, 0.3, 0, 3), (0, 0.1, 0, 1), (20, "", 0, ""), (0, 9, 9, 9), (60, 0.4, 0, 4)]
+    (logged,) = recordings_of(table(tmp_path / "log.csv", rows), JOINTS, LogMap.of(MAP))
+    np.testing.assert_allclose(logged.recording.time, [0, 0.02, 0.04, 0.06])
+    # the first of two counts, what was lost stays lost, and a command is held
+    np.testing.assert_allclose(logged.recording.angles[:, 0], [0.1, np.nan, 0.3, 0.4])
+    np.testing.assert_allclose(logged.recording.torques[:, 1] / -5e-3, [1, 1, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"time_unit": "weeks"}, "time_unit: expected one of s"),
+        ({"joints": {}}, "expected tables"),
+        ({"joints": {"elbow": {"angle": {"track": "q2", "unit": "turns"}}}}, "expected one of rad"),
+        ({"joints": {"elbow": {"angle": {"track": "q2", "sign": 2}}}}, "expected sign as 1 or -1"),
+        ({"joints": {"elbow": {"angel": "q2"}}}, "unknown key 'angel'"),
+        ({"joints": {"elbow": {"angle": {"track": "q2", "zero": "x"}}}}, "zero as a number"),
+        ({"joints": {"wrist": {"angle": "q2"}}}, "joint 'wrist', the robot has shoulder, elbow"),
+        ({"joints": {"elbow": {"angle": "q9"}}}, "no track 'q9'; the log has q1, q2, i2"),
+    ],
+)
+def test_what_makes_no_sense_is_said_in_one_line(tmp_path, change, says):
+    path = table(tmp_path / "log.csv", [(0, 0.1, 0, 1), (20, 0.1, 0, 1)])
+    with pytest.raises(InputError, match=says) as told:
+        recordings_of(path, JOINTS, LogMap.of(MAP | change))
+    assert "\n" not in str(told.value)
+
+
+def test_files_that_are_none(tmp_path):
+    for name, content in (("a.mcap", b"nothing"), ("a.parquet", b"nothing"), ("a.bin", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=r"a\.(mcap|parquet|bin): "):
+            recordings_of(tmp_path / name, JOINTS, LEROBOT)
+    with pytest.raises(FileNotFoundError):
+        recordings_of(tmp_path / "none.csv", JOINTS)
