@@ -86,6 +86,7 @@ def test_relative_links_lead_to_files(page):
         assert place.exists(), f"{page.name} links to {target}"
 
 
+@pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarning")  # what a file has besides is told
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
 def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch):
     """Python blocks in their order, in one session; every TOML block is a body file."""
