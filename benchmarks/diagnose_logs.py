@@ -26,7 +26,7 @@ DFKI = ("00", "01", "02", "03", "04", "05", "11", "12", "13")
 ARMS: dict[str, dict] = {  # s, and what a rigid arm lacks, (shoulder, elbow) in N·m·s/rad, N·m, kg·m² and s
     "nothing": {"seconds": 10},
     "heavy": {"seconds": 10, "friction": (0.0, 0.15)},  # and all masses of the body 10 % too large
-    "heavy, stated": {"seconds": 10, "friction": (0.0, 0.15)},  # and the body says that they are known to 10 %
+    "stated": {"seconds": 10, "friction": (0.0, 0.15)},  # and the body says that they are known to 10 %
     "delay": {"seconds": 10, "damping": (0.0, 0.1), "friction": (0.15, 0.0), "delay": 0.01},
     "seven": {
         "seconds": 10,
@@ -55,8 +55,8 @@ def given(name: str) -> tuple:
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from robot_log import ARM, MASSES, robot_log
 
-    stated = {"mass": 0.1} if name == "heavy, stated" else {}
-    factor = 1.1 if name.startswith("heavy") else 1.0
+    stated = {"mass": 0.1} if name == "stated" else {}
+    factor = 1.1 if name in ("heavy", "stated") else 1.0
     links = [replace(link, mass=factor * mass) for link, mass in zip(ARM.links, MASSES, strict=True)]
     body = Body(ARM.name, links, gravity=ARM.gravity, uncertainty=stated)
     return robot_log(**ARMS[name]), body, False

@@ -36,6 +36,7 @@ COMMANDS = {
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
     "diagnose_logs": "diagnose_logs.py",
+    "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""
 
