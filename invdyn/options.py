@@ -16,7 +16,10 @@ BodyFile = Annotated[
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
-FORCES = ("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task")
+WITHOUT_FORCES = (
+    *("torque", "passive", "hide_torque", "learn_cameras", "calibration"),
+    *("workers", "scheduler", "device", "filters_per_task"),
+)
 """Options that a kinematic model takes none of."""
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
@@ -145,7 +148,7 @@ class Inference(Recorded):
         """Raise InputError for options, of this group and `others`, that a motion without forces has no use for."""
         from invdyn.recordings import InputError
 
-        own = {field.name: field.default for field in fields(self) if field.name in FORCES}
+        own = {field.name: field.default for field in fields(self) if field.name in WITHOUT_FORCES}
         given = [name for name, default in own.items() if getattr(self, name) != default]
         given += [name for name, value in others.items() if value is not None]
         if given:
@@ -154,7 +157,7 @@ class Inference(Recorded):
     @staticmethod
     def kinematic(arguments: dict[str, Any]) -> dict[str, Any]:
         """Of what `load` returns that which `inference.infer_kinematics` takes."""
-        return {name: value for name, value in arguments.items() if name not in FORCES}
+        return {name: value for name, value in arguments.items() if name not in WITHOUT_FORCES}
 
     @property
     def files(self) -> list[Path]:
