@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
+    "spatial_paper": "spatial_paper.py",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",
