@@ -16,11 +16,11 @@ BodyFile = Annotated[
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
-WITHOUT_FORCES = (
-    *("torque", "passive", "hide_torque", "learn_cameras", "calibration"),
-    *("workers", "scheduler", "device", "filters_per_task"),
+FORCES = (
+    *("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task"),
+    *("calibration", "learn_cameras"),
 )
-"""Options that a kinematic model takes none of."""
+"""Options that a kinematic model takes none of: of forces, and of cameras, which it does not know."""
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -148,7 +148,7 @@ class Inference(Recorded):
         """Raise InputError for options, of this group and `others`, that a motion without forces has no use for."""
         from invdyn.recordings import InputError
 
-        own = {field.name: field.default for field in fields(self) if field.name in WITHOUT_FORCES}
+        own = {field.name: field.default for field in fields(self) if field.name in FORCES}
         given = [name for name, default in own.items() if getattr(self, name) != default]
         given += [name for name, value in others.items() if value is not None]
         if given:
@@ -157,7 +157,7 @@ class Inference(Recorded):
     @staticmethod
     def kinematic(arguments: dict[str, Any]) -> dict[str, Any]:
         """Of what `load` returns that which `inference.infer_kinematics` takes."""
-        return {name: value for name, value in arguments.items() if name not in WITHOUT_FORCES}
+        return {name: value for name, value in arguments.items() if name not in FORCES}
 
     @property
     def files(self) -> list[Path]:
@@ -253,7 +253,10 @@ class Diagnosed(Recorded):
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
     ] = None
     tolerance: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+        float,
+        typer.Option(
+            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+        ),
     ] = 0.005
     mapping: Annotated[
         str | None,
