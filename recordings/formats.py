@@ -18,6 +18,7 @@ from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
 from .sleap_csv import FIRST, read_sleap_csv
+from .tracking.film import is_film
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,10 @@ def recognise(path: Path, name: str | None = None) -> str:
     by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc", ".mot": "mot"}
     if suffix not in by_suffix:
         check_readable(path)
+        if is_film(path):
+            raise InputError(
+                f"{path}: a film has no keypoints yet: run `invdyn track`, or `invdyn infer`, which does both"
+            )
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb, "
             f".trc or .mot (or say it: --format {'|'.join(FORMATS)})"
