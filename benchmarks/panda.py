@@ -3,8 +3,9 @@
 The robot is the Franka Emika Panda of `tests/trees.py`, which says where its numbers are from. MuJoCo plays it, from
 our file of it (`write_mjcf`), in steps of 1 ms by Runge–Kutta: a computed torque follows sums of five sinusoids of .1
 to 1 Hz, each with an amplitude of sd .1 rad (as in J. Swevers and others, "Optimal robot excitation and
-identification", IEEE Transactions on Robotics and Automation 13, 1997), and white torques of 2 % of each joint's, held for 50 ms, disturb it. Its encoders are read at 100 Hz with the given noise; torques are
-hidden. For each seed, rms errors of torque over joints, N·m, and the share of true torques in the 90 % intervals, of
+identification", IEEE Transactions on Robotics and Automation 13, 1997), and white torques of 2 % of each joint's, held
+for 50 ms, disturb it. Its encoders are read at 100 Hz with the given noise; torques are hidden. For each seed, rms
+errors of torque over joints, N·m, and the share of true torques in the 90 % intervals, of
 
     ours         `infer` from these encoders: noise, σ_τ and λ fitted; the smoothed mean torque
     hindsight    a Butterworth filter forth and back, differences, inverse dynamics; of 25 cut-offs, one for each joint,
@@ -13,7 +14,7 @@ hidden. For each seed, rms errors of torque over joints, N·m, and the share of 
 
 and seconds of CPU of ours on one thread. A tenth of the rows at each end does not count: filters end badly there.
 
-    python benchmarks/panda.py [--seeds 3] [--noise 1e-4 1e-3] [--seconds 2]
+    python benchmarks/panda.py [--seeds 3] [--noise 1e-4 1e-3] [--seconds 2] [--torque ornstein_uhlenbeck]
 """
 
 import argparse
@@ -31,7 +32,7 @@ import torch
 
 from invdyn.inference import infer, pooled
 from invdyn.inference.methods.differentiate import derivatives, winter_cutoff
-from invdyn.models import Tree, dynamics_for, write_mjcf
+from invdyn.models import TORQUE_PROCESSES, TorqueProcess, Tree, dynamics_for, write_mjcf
 from invdyn.recordings import Recording, Truth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -84,22 +85,23 @@ def played(tree: Tree, seed: int, seconds: float) -> Truth:
     return Truth(np.arange(rows) / RATE, angle, velocity, torque, tree.joint_names)
 
 
-def score(tree: Tree, seed: int, noise: float, seconds: float) -> dict[str, float]:
+def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorqueProcess) -> dict[str, float]:
     truth = played(tree, seed, seconds)
     measured = truth.angle + noise * np.random.default_rng(seed + 1000).normal(size=truth.angle.shape)
     recording = Recording(
         truth.time, np.empty((len(truth.time), 0, 3)), (), angles=measured, joint_names=tree.joint_names
     )
     began = time.process_time()
-    idata = infer(recording, tree, truth=truth, num_filters=16, num_particles=100, num_draws=8, seed=seed)
+    sizes = {"num_filters": 16, "num_particles": 100, "num_draws": 8}
+    idata = infer(recording, tree, truth=truth, torque=torque, seed=seed, **sizes)
     took = time.process_time() - began
     draws = pooled(idata)["torque"].transpose("sample", "time", "joint").values
     counted = slice(len(truth.time) // 10, -(len(truth.time) // 10))
     true = truth.torque[counted]
     low, high = np.quantile(draws, [0.05, 0.95], axis=0)[:, counted]
 
-    def off(torque: np.ndarray) -> np.ndarray:
-        return np.sqrt(((torque[counted] - true) ** 2).mean(0))
+    def off(found: np.ndarray) -> np.ndarray:
+        return np.sqrt(((found[counted] - true) ** 2).mean(0))
 
     def differentiated(cutoffs: np.ndarray) -> np.ndarray:
         state = [torch.tensor(x) for x in derivatives(truth.time, measured, cutoffs)]
@@ -126,12 +128,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--noise", type=float, nargs="+", default=[1e-4, 1e-3])
     parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--torque", choices=sorted(TORQUE_PROCESSES), default="ornstein_uhlenbeck")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
     rows = []
     for noise, seed in product(arguments.noise, range(arguments.seeds)):
-        rows.append(score(panda(), seed, noise, arguments.seconds))
+        rows.append(score(panda(), seed, noise, arguments.seconds, TORQUE_PROCESSES[arguments.torque]()))
         print(pd.DataFrame(rows[-1:]).to_string(index=False, header=len(rows) == 1, float_format="{:.4g}".format))
     print("\nmeans")
     print(pd.DataFrame(rows).groupby("noise, rad").mean().to_string(float_format="{:.4g}".format))
