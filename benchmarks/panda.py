@@ -14,7 +14,7 @@ errors of torque over joints, N·m, and the share of true torques in the 90 % in
 
 and seconds of CPU of ours on one thread. A tenth of the rows at each end does not count: filters end badly there.
 
-    python benchmarks/panda.py [--seeds 3] [--noise 1e-4 1e-3] [--seconds 2] [--torque ornstein_uhlenbeck]
+    python benchmarks/panda.py [--seeds 3] [--noise 1e-4 1e-3] [--seconds 2] [--torque matern32] [--method laplace]
 """
 
 import argparse
@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from invdyn.inference import infer, pooled
+from invdyn.inference import METHODS, infer, pooled
 from invdyn.inference.methods.differentiate import derivatives, winter_cutoff
 from invdyn.models import TORQUE_PROCESSES, TorqueProcess, Tree, dynamics_for, write_mjcf
 from invdyn.recordings import Recording, Truth
@@ -85,7 +85,7 @@ def played(tree: Tree, seed: int, seconds: float) -> Truth:
     return Truth(np.arange(rows) / RATE, angle, velocity, torque, tree.joint_names)
 
 
-def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorqueProcess) -> dict[str, float]:
+def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorqueProcess, method: str) -> dict[str, float]:
     truth = played(tree, seed, seconds)
     measured = truth.angle + noise * np.random.default_rng(seed + 1000).normal(size=truth.angle.shape)
     recording = Recording(
@@ -93,7 +93,7 @@ def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorquePro
     )
     began = time.process_time()
     sizes = {"num_filters": 16, "num_particles": 100, "num_draws": 8}
-    idata = infer(recording, tree, truth=truth, torque=torque, seed=seed, **sizes)
+    idata = infer(recording, tree, truth=truth, torque=torque, method=method, seed=seed, **sizes)
     took = time.process_time() - began
     draws = pooled(idata)["torque"].transpose("sample", "time", "joint").values
     counted = slice(len(truth.time) // 10, -(len(truth.time) // 10))
@@ -129,12 +129,14 @@ def main() -> None:
     parser.add_argument("--noise", type=float, nargs="+", default=[1e-4, 1e-3])
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--torque", choices=sorted(TORQUE_PROCESSES), default="ornstein_uhlenbeck")
+    parser.add_argument("--method", choices=sorted(METHODS), default="smc")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
     rows = []
     for noise, seed in product(arguments.noise, range(arguments.seeds)):
-        rows.append(score(panda(), seed, noise, arguments.seconds, TORQUE_PROCESSES[arguments.torque]()))
+        torque = TORQUE_PROCESSES[arguments.torque]()
+        rows.append(score(panda(), seed, noise, arguments.seconds, torque, arguments.method))
         print(pd.DataFrame(rows[-1:]).to_string(index=False, header=len(rows) == 1, float_format="{:.4g}".format))
     print("\nmeans")
     print(pd.DataFrame(rows).groupby("noise, rad").mean().to_string(float_format="{:.4g}".format))
