@@ -50,7 +50,7 @@ def arm() -> Tree:
         ),
         SpatialLink(
             "upper_arm",
-            Joint("shoulder", "universal"),
+            Joint("shoulder", "ball"),
             "trunk",
             origin=(0.0, 0.0, 0.0),
             rotation=AWAY,
@@ -61,7 +61,7 @@ def arm() -> Tree:
         ),
         SpatialLink(
             "forearm",
-            Joint("elbow", "universal"),
+            Joint("elbow"),
             "upper_arm",
             length=Learned(0.3),
             tip="wrist",
@@ -95,7 +95,7 @@ class Answer:
 
 
 FREE = ("emission.pixel_scale", "emission.bias_scale", "emission.keypoint_scale")
-TORQUE = {"torque.scale": [60.0, 60.0, 150.0, 5.0, 5.0, 2.5, 2.5], "torque.decay": 4.0}
+TORQUE = {"torque.scale": [60.0, 60.0, 150.0, 5.0, 5.0, 1.0, 2.5], "torque.decay": 4.0}
 """N and N·m: what carries the shoulder bears a trunk's weight; a swinging arm takes some N·m."""
 
 
