@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
+    "spatial_paper": "spatial_paper.py",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",
@@ -34,14 +35,27 @@ COMMANDS = {
     "vsmc_learn": "vsmc.py learn",
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
+    "diagnose_logs": "diagnose_logs.py",
 }
 """Script and arguments of each table."""
 
 
 def tables(printed: str) -> str:
-    """Rows of Markdown tables in what a script printed; a blank line between two tables."""
-    blocks = re.findall(r"(?:^\|.*\|[ ]*\n?)+", printed, re.MULTILINE)
-    return "\n\n".join(block.strip() for block in blocks)
+    """The Markdown tables in what a script printed; where there are several, under the line before each."""
+    found: list[tuple[str, list[str]]] = []
+    title, within = "", False
+    for line in printed.splitlines():
+        if line.startswith("|"):
+            if not within:
+                found.append((title, []))
+            found[-1][1].append(line.rstrip())
+            title, within = "", True
+        else:
+            title, within = line.strip() or title, False
+    texts = ["\n".join(rows) for _, rows in found]
+    if len(found) > 1:
+        texts = [f"**{title}**\n\n{text}" if title else text for (title, _), text in zip(found, texts, strict=True)]
+    return "\n\n".join(texts)
 
 
 def replaced(page: str, name: str, text: str) -> str:
