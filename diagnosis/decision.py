@@ -1,8 +1,10 @@
-"""The decision rule: every number that decides what a diagnosis says, in one place. Nothing else does.
+"""The decision rule: the numbers that turn evidence into what a diagnosis says, in one place.
 
-Numbers that only say how hard to look (how many candidates are refined, when a descent ends, grids, budgets) stand
-beside their algorithms; with time enough they change nothing. Each of these has its unit, meaning and source as
-:data:`RULE`'s fields say; `python benchmarks/decision_sensitivity.py` asks what changes at half and twice the value.
+The model's own stand with the model: priors of effects and their bounds (:mod:`.unknowns`), what values a name means
+(:meth:`Effect.credible`), sizes of the residual (:mod:`.whiten`). So do those of the check of signs and zeros before it
+(:mod:`.conventions`). Numbers that say how hard to look (how many candidates are refined, when a descent ends, grids,
+budgets) stand beside their algorithms: with time enough they should change nothing. Each field of :data:`RULE` has
+unit, meaning and source; `python benchmarks/decision_sensitivity.py` asks what half and twice the value change.
 
 Sources: *odds*, an argument about probabilities that stands beside it; *chance*, the level of a one-sided test under a
 right simulation; *measured*, on opened runs of the blind check, as said; *stated*, what is meant by a word, so that a

@@ -35,6 +35,7 @@ film_commands.register(app)
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
 StoOut = Annotated[Path | None, typer.Option(help="Torques for OpenSim: .sto.")]
+MotOut = Annotated[Path | None, typer.Option(help="Angles for OpenSim: .mot.")]
 CsvOut = Annotated[Path | None, typer.Option(help="Torques, angles and velocities with 90 % bands: .csv.")]
 
 
@@ -111,6 +112,7 @@ def infer(
     figure: FigureOut = None,
     film: FilmOut = None,
     sto: StoOut = None,
+    mot: MotOut = None,
     csv: CsvOut = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
@@ -133,7 +135,7 @@ def infer(
     given.check(method)
     if kinematic:
         given.check_kinematic(sto=sto, checkpoint=checkpoint)
-    outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, csv=csv)
+    outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, mot=mot, csv=csv)
     filmed = TrackedFilm.of(given, network, arm, person, tracks or out.with_suffix(".tracks.csv"))
     outputs.check(*given.files, *([] if filmed is None else filmed.files))
     if filmed is not None:
@@ -295,6 +297,7 @@ def plot(
     out: FigureOut = None,
     film: FilmOut = None,
     sto: StoOut = None,
+    mot: MotOut = None,
     csv: CsvOut = None,
 ) -> None:
     """Draw a saved posterior, or export its torques."""
@@ -303,7 +306,7 @@ def plot(
     from .outputs import Outputs
     from .summary import summary_text
 
-    outputs = Outputs(figure=out, film=film, sto=sto, csv=csv)
+    outputs = Outputs(figure=out, film=film, sto=sto, mot=mot, csv=csv)
     outputs.check(posterior)
     idata = load_posterior(posterior)
     with ProgressBar() as progress:
@@ -330,7 +333,7 @@ def demo(
     check_folder(out, [], [])
     out.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(
-        out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", out / "torques.csv"
+        out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", csv=out / "torques.csv"
     )
     arm_file, recording_file, truth_file = out / "arm.toml", out / "recording.csv", out / "truth.csv"
     outputs.check()

@@ -26,7 +26,7 @@ from PIL import Image
 from invdyn.inference import pooled
 from invdyn.recordings import InputError, atomic_path
 
-from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles
+from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles, unit_of
 
 if TYPE_CHECKING:
     from .overlay import Overlay
@@ -220,7 +220,7 @@ def still_parts(
         draw_bands(axes, time, bands[:, :, number], PURPLE)
         if f"truth_{shown}" in known:
             draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
-        axes.set_title(f"{joint} {shown} ({idata['posterior'][shown].attrs['units']})", loc="left")
+        axes.set_title(f"{joint} {shown} ({unit_of(idata, shown, number)})", loc="left")
         axes.set_xlim(time[0], time[-1])
         if number >= len(joints) - columns:
             axes.set_xlabel("time (s)")

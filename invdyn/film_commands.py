@@ -1,6 +1,7 @@
 """The commands from films to tracks: `invdyn label`, `invdyn train` and `invdyn track`."""
 
 import hashlib
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,6 +41,9 @@ def label(
         Path | None,
         typer.Option(help="Of `invdyn infer` from this film: label what surprises it most, not what differs most."),
     ] = None,
+    network: Annotated[
+        Path | None, typer.Option(help="Network of `invdyn train`, whose points are shown to be taken or corrected.")
+    ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
 ) -> None:
     """Label joints in the pictures of a film that are worth it, in a page of your browser."""
@@ -52,7 +56,7 @@ def label(
 
     from .label_server import LabelServer
 
-    check_outputs([out], [film, *([] if posterior is None else [posterior])])
+    check_outputs([out], [path for path in (film, posterior, network) if path is not None])
     before = read_labels(out) if out.exists() else None
     names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
     names = names or (() if before is None else before.names)
@@ -63,13 +67,14 @@ def label(
             f"{out}: labels of {', '.join(before.names)} are there: go on with these, or name another file"
         )
     source = Film(film)
+    suggest = None if network is None else _suggestions(network, names, source)
     labelled = set() if before is None else set(before.frames.tolist())
     with ProgressBar() as progress:
         if posterior is None:
             numbers = different(source, count, labelled, progress)
         else:
             numbers = _surprising(source, posterior, count, labelled)
-    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before)
+    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before, suggest)
     with server:
         typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
         if browser:
@@ -77,6 +82,29 @@ def label(
         with suppress(KeyboardInterrupt):  # each label is written when it is set
             server.serve_forever()
     typer.echo(f"{len(server.labels)} labelled pictures" + (f"\nlabels     {out}" if out.exists() else ""))
+
+
+def _suggestions(path: Path, names: tuple[str, ...], film: Any) -> Callable[[Any], Any]:
+    """From a picture of the film to (P, 3) of a network. Raises InputError for a keypoint that it does not know."""
+    import numpy as np
+    from PIL import Image
+
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tracking.heatmap import HeatmapTracker
+
+    tracker = HeatmapTracker.load(path)
+    if missing := [name for name in names if name not in tracker.keypoint_names]:
+        raise InputError(f"{path}: it does not track {missing[0]!r}, but {', '.join(tracker.keypoint_names)}")
+    places = [tracker.keypoint_names.index(name) for name in names]
+    height, width = tracker.picture_size
+
+    def suggest(picture: Any) -> Any:
+        small = Image.fromarray(picture).resize((width, height), Image.Resampling.BOX)
+        found = tracker.track(np.array(small))[places]
+        found[:, :2] = (found[:, :2] + 0.5) * [film.width / width, film.height / height] - 0.5
+        return found
+
+    return suggest
 
 
 def _surprising(film: Any, posterior: Path, count: int, labelled: set[int]) -> list[int]:

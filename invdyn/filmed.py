@@ -30,7 +30,7 @@ def film_of(
 
     Args:
         files, calibration, options: as `load_filmed`'s.
-        body: a file.
+        body: a file, or the name of one of ours.
         frames: which rows, such as "50:250".
         offsets: of cameras' clocks, such as "cam2=0.02".
         in_metres: option -> value, None or False where it is not given, of what only other recordings have.

@@ -8,7 +8,7 @@ import io
 import json
 import secrets
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
@@ -36,6 +36,7 @@ class LabelServer(ThreadingHTTPServer):
         names: of the P keypoints.
         out: the file of labels.
         before: labels that are there already; those of other pictures are kept.
+        suggest: from a picture to (P, 3), points that its user may take, and a confidence that is not shown.
     """
 
     daemon_threads = True
@@ -43,22 +44,28 @@ class LabelServer(ThreadingHTTPServer):
     def __init__(
         self,
         numbers: Sequence[int],
-        pictures: Sequence[np.ndarray],
+        pictures: Iterable[np.ndarray],
         names: Sequence[str],
         out: Path,
         before: Labels | None = None,
+        suggest: Callable[[np.ndarray], np.ndarray] | None = None,
     ):
-        super().__init__(("127.0.0.1", 0), _Handler)
         self.secret = secrets.token_urlsafe(16)
         self.numbers, self.names, self.out = list(numbers), tuple(names), out
-        self.size = pictures[0].shape[1::-1]
-        self.pictures = [_encoded(picture) for picture in pictures]
+        self.pictures: list[bytes] = []
+        self.suggested: list[list[list[float] | None]] = []
+        for picture in pictures:  # one at a time: a hundred of a large film would not fit into memory
+            self.size = picture.shape[1::-1]
+            self.pictures.append(_encoded(picture))
+            found = np.full((len(self.names), 3), np.nan) if suggest is None else suggest(picture)
+            self.suggested.append(_or_null(found[:, :2]))
         self.before = before
         self.points = np.full((len(self.numbers), len(self.names), 2), np.nan)
         if before is not None:
             known = {int(frame): row for frame, row in zip(before.frames, before.only(self.names).points, strict=True)}
             for i, number in enumerate(self.numbers):
                 self.points[i] = known.get(number, self.points[i])
+        super().__init__(("127.0.0.1", 0), _Handler)
 
     @property
     def address(self) -> str:
@@ -77,8 +84,9 @@ class LabelServer(ThreadingHTTPServer):
 
     def state(self) -> dict:
         """What the page begins with."""
-        points = [[None if np.isnan(p).any() else p.tolist() for p in row] for row in self.points]
-        return {"numbers": self.numbers, "names": self.names, "size": self.size, "points": points}
+        points = [_or_null(row) for row in self.points]
+        own = {"numbers": self.numbers, "names": self.names, "size": self.size}
+        return own | {"points": points, "suggested": self.suggested}
 
     def take(self, content: object) -> None:
         """Check and write points [[[u, v] or null, …], …] of all pictures. Raises InputError for anything else."""
@@ -146,6 +154,11 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
+
+
+def _or_null(points: np.ndarray) -> list[list[float] | None]:
+    """Points (P, 2) as JSON has them."""
+    return [None if np.isnan(point).any() else point.tolist() for point in points]
 
 
 def _encoded(picture: np.ndarray) -> bytes:

@@ -16,8 +16,11 @@ BodyFile = Annotated[
 LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
 MOST_WORKERS = 1024
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
-FORCES = ("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task")
-"""Options that a kinematic model takes none of."""
+FORCES = (
+    *("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task"),
+    *("calibration", "learn_cameras"),
+)
+"""Options that a kinematic model takes none of: of forces, and of cameras, which it does not know."""
 TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
 
 
@@ -250,7 +253,10 @@ class Diagnosed(Recorded):
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
     ] = None
     tolerance: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of a typical torque under which a gap does not matter.")
+        float,
+        typer.Option(
+            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+        ),
     ] = 0.005
     mapping: Annotated[
         str | None,

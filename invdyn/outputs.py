@@ -1,4 +1,4 @@
-"""What a command leaves behind: the posterior, its figure and film, its torques (.sto, .csv); a comparison."""
+"""What a command leaves: the posterior, its figure and film, torques (.sto, .csv), motion (.mot); a comparison."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -9,12 +9,12 @@ import arviz as az
 import numpy as np
 
 from invdyn.inference import Comparison, save_posterior
-from invdyn.recordings import InputError, write_moments, write_table, write_text
+from invdyn.recordings import InputError, write_moments, write_motion, write_table, write_text
 
 from .console import check_outputs
 from .film import check_film, save_film
 from .overlay import Overlay
-from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure
+from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure, shifts
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Outputs:
     figure: Path | None = None
     film: Path | None = None
     sto: Path | None = None
+    mot: Path | None = None
     csv: Path | None = None
 
     @property
@@ -54,14 +55,17 @@ class Outputs:
         """
         if self.sto is not None and "torque" not in idata["posterior"]:
             raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
+        time, joints = idata["posterior"]["time"].values, [str(name) for name in idata["posterior"]["joint"].values]
         if self.posterior is not None:
             save_posterior(idata, self.posterior)
         if self.csv is not None:
             write_table(curves(idata), self.csv)
         if self.sto is not None:
             low, _, median, _, high = quantiles(idata, "torque")
-            time, joints = idata["posterior"]["time"].values, idata["posterior"]["joint"].values
-            write_moments(self.sto, time, median, low, high, [str(joint) for joint in joints])
+            shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
+            write_moments(self.sto, time, median, low, high, joints, shifting)
+        if self.mot is not None:
+            write_motion(self.mot, time, quantiles(idata, "angle")[2], joints)
         if self.figure is not None:
             save_figure(plot_posterior(idata), self.figure)
         if self.film is not None:
@@ -74,6 +78,7 @@ class Outputs:
             "figure": self.figure,
             "film": self.film,
             "OpenSim": self.sto,
+            "motion": self.mot,
             "CSV": self.csv,
         }
         return "".join(f"\n{kind:<10} {path}" for kind, path in kinds.items() if path is not None)

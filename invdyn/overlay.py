@@ -14,7 +14,7 @@ import arviz as az
 import numpy as np
 
 from invdyn.recordings import InputError, Recording
-from invdyn.recordings.tracking.film import Film
+from invdyn.recordings.tracking.film import Film, read_pictures
 
 LONGEST = 720  # px of the pictures' longer side, as drawn
 
@@ -58,15 +58,11 @@ class Overlay:
         """RGB (h, w, 3) of rows, rising; some are scaled down. Raises InputError when the film is shorter."""
         factor = min(1.0, LONGEST / max(self.size))
         size = round(factor * self.size[0]), round(factor * self.size[1])
-        wanted = self._numbers[rows]
-        pictures = self.film.pictures(size, int(wanted[0]))
-        picture = next(pictures, None)
-        for number in wanted:
-            while picture is not None and picture.number < number:
-                picture = next(pictures, None)
-            if picture is None:
-                raise InputError(f"{self.film.path}: the film has no picture {number}")
-            yield picture.rgb
+        numbers = self._numbers[rows]
+        own, again = np.unique(numbers, return_counts=True)  # rows that bridge a gap may share a picture
+        for picture, count in zip(read_pictures(self.film, own.tolist(), size), again, strict=True):
+            for _ in range(count):
+                yield picture
 
 
 def _filled(track: np.ndarray) -> np.ndarray:

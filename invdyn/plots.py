@@ -14,6 +14,7 @@ from typing import Any
 import arviz as az
 import matplotlib
 import numpy as np
+import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -50,6 +51,7 @@ STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+SHIFTING = {"torque": "N", "angle": "m", "velocity": "m/s"}
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -85,7 +87,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             for row, joint in enumerate(joints):
                 axes = figure.add_subplot(grid[row, column])
                 axes.set_title(f"{joint} {name}", loc="left")
-                axes.set_ylabel(posterior[name].attrs["units"])
+                axes.set_ylabel(unit_of(idata, name, row))
                 draw_bands(axes, time, bands[:, :, row], color)
                 if name == "angle" and "angle" in observed:
                     draw_dots(axes, time, observed["angle"].values[:, row], color)
@@ -175,6 +177,19 @@ def quantiles(idata: az.InferenceData, variable: str, group: str = "posterior") 
     """QUANTILES (5, time, …) of a variable's draws, the filters weighted by their evidence."""
     draws = pooled(idata, group=group)[variable]
     return np.quantile(draws.transpose("sample", "time", ...).values, QUANTILES, axis=0)
+
+
+def unit_of(idata: az.InferenceData, name: str, joint: int) -> str:
+    """Unit of a joint's torque, angle or velocity: of a joint that shifts N, m and m/s."""
+    if shifts(idata)[joint]:
+        return SHIFTING[name]
+    return str(idata["posterior"][name].attrs["units"])
+
+
+def shifts(idata: az.InferenceData) -> np.ndarray:
+    """Which joints (K,) shift, as a slide does, where the others turn."""
+    joints = idata["posterior"].sizes["joint"]
+    return idata["constant_data"].get("turns", xr.DataArray(np.ones(joints))).values == 0
 
 
 def draw_bands(axes: Axes, time: np.ndarray, bands: np.ndarray, color: str) -> None:

@@ -1,5 +1,6 @@
 """`invdyn infer film.mp4`: the film is tracked into a table of pixels, which is then a recording like any other."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -73,6 +74,12 @@ class TrackedFilm:
         wanted = (self.base, *self.body.keypoint_names)
         kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
         film = Path(self.given.recording)
+        if (aspect := Film(film).aspect) != 1:
+            warnings.warn(
+                f"{film}: its pixels are not square (a player shows them {aspect:.3g} times as wide as high): no one "
+                "scale fits both directions; make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
+                stacklevel=2,
+            )
         tracks_of(film, self.tracks, self.network, self.arm, self.person, kept, progress, wanted)
         return replace(self.given, recordings=[str(self.tracks)], units="px")
 

@@ -40,20 +40,23 @@ class Sighted:
     """A tree before its sensors: what it shows in a pose, against rows.
 
     Attributes:
-        rows: (T, O) of keypoints and encoders, NaN where missing.
+        rows: (T, O) of pixels, keypoints and encoders, NaN where missing.
         noise: (O,) of each column.
         encoded: (T, K) what encoders read of coordinates, NaN where there are none.
     """
 
     def __init__(self, body: Tree, observations: Tensor, observation: Observation, numbers: Any, sd: np.ndarray):
         self.body, self.numbers, self.dynamics = body, numbers, dynamics_for(body)
-        self.keypoints, self.encoders = observation.keypoints, observation.encoders
+        self.pixels, self.keypoints, self.encoders = observation.pixels, observation.keypoints, observation.encoders
         every = observations.detach().cpu().double().numpy()
-        known = [each for each in (self.keypoints, self.encoders) if each is not None]
+        known = [each for each in (self.pixels, self.keypoints, self.encoders) if each is not None]
         parts = [every[:, observation.part(each)] for each in known]
         self.rows = np.concatenate([every[:, :0], *parts], 1)
         off = float((sd * self.dynamics.levers(numbers).numpy()).max()) / 1.5
         points = np.full(0 if self.keypoints is None else int(np.prod(self.keypoints.shape)), off)
+        if self.pixels is not None:
+            size = int(np.prod(self.pixels.shape))
+            points = np.concatenate([np.full(size, off / self.pixels.resolution), points])
         # A perfect simulation has no noise, but its slopes have rounding.
         self.noise = np.maximum(np.concatenate([points, sd if self.encoders else []]), 1e-6)
         self.encoded = parts[-1] if self.encoders else np.full((len(every), len(sd)), np.nan)
@@ -61,6 +64,8 @@ class Sighted:
     def seen(self, q: np.ndarray) -> np.ndarray:
         """Rows (..., O) of coordinates (..., K)."""
         angles, parts = torch.as_tensor(q), []
+        if self.pixels is not None:
+            parts.append(self.pixels.about(self.dynamics.keypoints(angles, self.numbers)))
         if self.keypoints is not None:
             parts.append(self.keypoints.tracked(self.dynamics.keypoints(angles, self.numbers)).flatten(-2))
         return torch.cat([*parts, *([angles] if self.encoders else [])], -1).numpy()

@@ -15,6 +15,7 @@ from .loader import load as load
 from .opensim import read_sto as read_sto
 from .opensim import read_trc as read_trc
 from .opensim import write_moments as write_moments
+from .opensim import write_motion as write_motion
 from .opensim import write_sto as write_sto
 from .pace import bridged as bridged
 from .paths import check_readable as check_readable

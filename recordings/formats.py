@@ -13,11 +13,12 @@ from typing import Any
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
-from .opensim import TRC_AXES, read_trc
+from .opensim import TRC_AXES, read_motion, read_trc
 from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
 from .sleap_csv import FIRST, read_sleap_csv
+from .tracking.film import is_film
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,13 @@ FORMATS: dict[str, Format] = {
         animals=False,
         axes=TRC_AXES,
     ),
+    "mot": Format(
+        "OpenSim .mot",
+        lambda path, fps, individual: read_motion(path),
+        own_times=True,
+        own_units=True,
+        animals=False,
+    ),
 }
 
 
@@ -93,12 +101,16 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_csv(path)
     if suffix in (".h5", ".hdf5"):
         return _recognise_h5(path)
-    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc"}
+    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc", ".mot": "mot"}
     if suffix not in by_suffix:
         check_readable(path)
+        if is_film(path):
+            raise InputError(
+                f"{path}: a film has no keypoints yet: run `invdyn track`, or `invdyn infer`, which does both"
+            )
         raise InputError(
-            f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb or "
-            f".trc (or say it: --format {'|'.join(FORMATS)})"
+            f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb, "
+            f".trc or .mot (or say it: --format {'|'.join(FORMATS)})"
         )
     return by_suffix[suffix]
 

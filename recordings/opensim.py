@@ -1,11 +1,11 @@
-"""OpenSim's tables: joint moments out (.sto), marker tracks in (.trc).
+"""OpenSim's tables: joint moments (.sto) and motions (.mot) out, marker tracks (.trc) and motions in.
 
 A .sto is a name, version, nRows, nColumns, inDegrees, `endheader`, a line of labels, then rows, all separated
 by tabs. OpenSim's ground has y up and z to the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
 https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,8 @@ from .units import METRES
 
 TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
 """Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
+HEADER = 100
+"""Lines within which a header says inDegrees."""
 
 
 def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
@@ -39,8 +41,9 @@ def write_moments(
     q05: np.ndarray,
     q95: np.ndarray,
     coordinates: Sequence[str],
+    shifting: Collection[str] = (),
 ) -> None:
-    """Write joint torques with their 90 % band as `<coordinate>_moment`, `_q05` and `_q95`.
+    """Write joint torques with their 90 % band as `<coordinate>_moment` (or `_force`), `_q05` and `_q95`.
 
     Args:
         path: the .sto file.
@@ -49,6 +52,7 @@ def write_moments(
         q05: (T, K) its 5 % quantile.
         q95: (T, K) its 95 % quantile.
         coordinates: K names of OpenSim coordinates.
+        shifting: those of them that shift, m and N.
 
     Raises:
         InputError: shapes that do not fit.
@@ -59,8 +63,38 @@ def write_moments(
     for suffix, values in (("moment", moment), ("q05", q05), ("q95", q95)):
         if np.shape(values) != shape:
             raise InputError(f"{suffix} must have shape {shape}, got {np.shape(values)}")
-        columns |= {f"{c}_{suffix}": np.asarray(values)[:, k] for k, c in enumerate(coordinates)}
+        for k, name in enumerate(coordinates):
+            own = "force" if suffix == "moment" and name in shifting else suffix
+            columns[f"{name}_{own}"] = np.asarray(values)[:, k]
     write_sto(columns, path)
+
+
+def write_motion(path: str | Path, time: np.ndarray, angles: np.ndarray, coordinates: Sequence[str]) -> None:
+    """Write a motion (.mot): angles (T, K), rad, by OpenSim coordinate, at `time` (T,) s. Raises as `write_sto`."""
+    write_sto({"time": time, **dict(zip(coordinates, np.asarray(angles).T, strict=True))}, path, "Coordinates")
+
+
+def read_motion(path: str | Path) -> Recording:
+    """Angles of a motion (.mot), as inverse kinematics writes it: rad, of joints by the coordinates' names.
+
+    A file in degrees has all its columns in degrees, as far as they turn. Raises InputError as `read_sto`, and where
+    there is no column of time first.
+    """
+    columns = read_sto(path)
+    in_degrees = any(line.replace(" ", "").strip() == "inDegrees=yes" for line in _text_lines(path)[:HEADER])
+    with about(path):
+        if next(iter(columns), None) != "time" or len(columns) < 2:
+            raise InputError("not a motion: expected time and then a column for each coordinate")
+        time = columns.pop("time")
+        angles = np.stack(list(columns.values()), axis=-1)
+        return Recording(
+            time=time,
+            keypoints=np.empty((len(time), 0, 3)),
+            keypoint_names=(),
+            angles=np.deg2rad(angles) if in_degrees else angles,
+            joint_names=tuple(columns),
+            name=Path(path).stem,
+        )
 
 
 def read_sto(path: str | Path) -> dict[str, np.ndarray]:

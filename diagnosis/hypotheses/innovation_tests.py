@@ -94,8 +94,10 @@ def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, fl
     """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
 
     Whatever their sizes and distribution, of ``errors`` (T, O). Of the faster half of all detections: at rest there is
-    no direction.
+    no direction; of encoders alone, nor is there any.
     """
+    if cause.model.observation.keypoints is None:
+        return 0.5, 0.5
     tips = seen_tips(cause.model, cause.path)
     errors = cause.model.observation.points(errors)
     velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)

@@ -33,11 +33,11 @@ PLAIN = 2.0
 """A factor on torques within this of 1 is a gain: for the diagnosis."""
 SMALL_ZERO = math.radians(7)
 """A zero that is less off is a tilt, or a centre of mass that is aside: for the diagnosis."""
-SMALL_OFFSET = 0.1
+SMALL_OFFSET = 0.2
 """Of a joint's rms torque: a constant torque that is smaller is for the diagnosis."""
 MANY = 3
 """Mistakes in one log, at most."""
-MISSED, BETTER, NEAR = 0.08, 0.55, 0.4
+MISSED, BETTER, NEAR = 0.05, 0.55, 0.4
 """A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
 log which is right has, whatever its arm has besides."""
 ALIKE = 1.15

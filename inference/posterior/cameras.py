@@ -58,10 +58,16 @@ def pixels_of(recording: Filmed, sites: list[tuple[int, int]], learn: tuple[str,
         size=torch.tensor(np.array(size, dtype=np.float64)),
         sites=tuple(site for _, site in sites),
         confidence=confidence if tells else None,
-        located=torch.tensor(recording.keypoints[:, order]),
+        resolution=_resolution(views.calibration, recording.keypoints[:, order]),
         timed="offset" in learn,
         posed="pose" in learn,
     )
+
+
+def _resolution(calibration: Calibration, points: np.ndarray) -> float:
+    """Metres that a pixel spans at the middle of points (T, P, 3), of a typical camera."""
+    middle = np.nanmedian(points.reshape(-1, 3), axis=0)
+    return float(np.median([np.linalg.norm(each.position - middle) / each.focal.mean() for each in calibration]))
 
 
 def started(pixels: Pixels, rows: np.ndarray, points: np.ndarray) -> dict[str, Any]:

@@ -37,6 +37,7 @@ from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.bodies.scalars import nominal
 from invdyn.models.kinematics import joint_angle_candidates
+from invdyn.models.observation.pixels import USUAL_BIAS
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
@@ -150,8 +151,7 @@ def arm_problem(
         # Where somebody else speaks in its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
-        shown, located = observation.in_space(observations)
-        body, notes = _charted(body, recording.time, located, shown, turning=not spoken)
+        body, notes = _charted(body, recording.time, observations, observation, turning=not spoken)
     values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
@@ -262,9 +262,13 @@ def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observat
     rows = observations.numpy()
     if observation.encoders:
         return np.maximum(jitter(rows[:, observation.part(observation.encoders)]), 1e-6)
-    if observation.keypoints is None:
+    if (pixels := observation.pixels) is not None:
+        # What lasts of a tracker's errors is no jitter, and several pixels as a rule.
+        noise = pixels.resolution * np.maximum(jitter(rows[:, observation.part(pixels)]), USUAL_BIAS)
+    elif observation.keypoints is not None:
+        noise = jitter(rows[:, observation.part(observation.keypoints)])
+    else:
         return np.ones(body.num_joints)
-    noise = jitter(rows[:, observation.part(observation.keypoints)])
     return np.clip(1.5 * noise.max() / dynamics_for(body).levers(body.parameters()).numpy(), 1e-6, 1.0)
 
 
@@ -278,12 +282,11 @@ def _start_values(
     values: dict[str, Any] = {}
     for sensor in observation.sensors:
         values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
-    shown, located = observation.in_space(observations)
-    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, located, shown)
+    sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, observations, observation)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
     values["noise.velocity"] = 1e-3
-    candidates = joint_angle_candidates(body, time, located, shown, numbers, sd)
+    candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
         speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])

@@ -28,7 +28,7 @@ OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
     "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
     "observed_data": {"position": TIPS, "angle": JOINTS},
     "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
-    | {"base": ("space",), "skeleton": ("edge", "end")},
+    | {"base": ("space",), "skeleton": ("edge", "end"), "turns": ("joint",)},
 }
 MISSING = {"observed_data", "constant_data"}
 """Groups in which a number may be missing."""

@@ -61,8 +61,7 @@ def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
     numbers = type(numbers)(*(value.detach().cpu().double() for value in numbers))
     time = model.time.cpu()
     sd = joint_angle_sd(model, numbers)
-    shown, rows = model.observation.in_space(observations)
-    candidates = joint_angle_candidates(model.body, time.numpy(), rows, shown, numbers, sd)
+    candidates = joint_angle_candidates(model.body, time.numpy(), observations, model.observation, numbers, sd)
     if candidates is None:
         return None
     return torch.stack([_path_through(model, torch.as_tensor(angles), time, numbers) for angles in candidates])
@@ -75,8 +74,8 @@ def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:
     elif model.observation.keypoints:
         sd = 1.5 * model.parameters["emission.keypoint_scale"].max() / model.dynamics.levers(numbers)
     elif pixels := model.observation.pixels:
-        noise = pixels.resolution * model.parameters["emission.pixel_scale"].median()
-        sd = 1.5 * noise.detach().cpu() / model.dynamics.levers(numbers)
+        noise = model.parameters["emission.pixel_scale"].median().detach().cpu()
+        sd = 1.5 * pixels.resolution * noise / model.dynamics.levers(numbers)
     else:
         sd = torch.ones(model.body.num_joints)
     return sd.detach().cpu().double().clamp(max=1.0).numpy()

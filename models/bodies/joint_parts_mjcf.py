@@ -18,8 +18,8 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
     found: dict[str, JointParts] = {}
     played: set[int] = set()
     for j, name in enumerate(names):
-        if model.jnt_type[j] not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            continue
+        if int(model.jnt_type[j]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+            continue  # an enum of MuJoCo's equals a number from one side alone
         dof = int(model.jnt_dofadr[j])
         own = [a for a in range(model.nu) if _drives(mujoco, model, a, j)]
         motor = None

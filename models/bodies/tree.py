@@ -305,6 +305,8 @@ class Tree(BodyBase):
         }
         own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
         found = {name: (dims[name], value) for name, value in own.items()}
+        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
+        found["turns"] = ["joint"], torch.tensor(turns).int()
         if self._stands:
             found["base"] = ["space"], own["origin"][..., 0, :]
         edges = self.skeleton

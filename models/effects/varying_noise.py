@@ -2,12 +2,13 @@
 σ (1 + slope (1 − c)).
 """
 
-from collections.abc import Mapping
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Self
 
 from pyro.distributions import Exponential
 from torch import Tensor
 
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.view import View
@@ -41,6 +42,12 @@ class VaryingNoise(Effect):
         if self.form:
             return (Parameter("slope", "1", Exponential(0.1)),)
         return (Parameter("slope", "s/m", Exponential(scale.speed[0] * scale.reach / 10.0)),)
+
+    @classmethod
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
+        """Every form; of a single joint its speed is the keypoint's, and says nothing else."""
+        found = super().everywhere(body, keypoints)
+        return [effect for effect in found if effect.form != "joints" or body.num_joints > 1]
 
     def tellable(self, commanded: bool, confident: bool) -> bool:
         """See :meth:`Effect.tellable`."""

@@ -135,19 +135,6 @@ class Observation:
             return rows[..., :0].reshape(*rows.shape[:-1], 0, 1)
         return self.of(self.keypoints, rows)
 
-    def in_space(self, rows: Tensor) -> tuple["Observation", Tensor]:
-        """For a start: an observation, and its rows (T, O), with about where keypoints are in place of their pixels."""
-        pixels = self.pixels
-        if pixels is None:
-            return self, rows
-        points = rows.new_full((len(rows), len(pixels.sites), 3), torch.nan)
-        if pixels.located is not None:
-            points = pixels.located.to(rows)
-        others = [each for each in self.sensors if each is not pixels]
-        parts = [points.flatten(-2), *(rows[..., self.part(each)] for each in others)]
-        keypoints = Keypoints(pixels.sites, names=pixels.names, coordinates=3)
-        return Observation(keypoints, *others, family=self.family), torch.cat(parts, -1)
-
     def with_points(self, rows: Tensor, points: Tensor) -> Tensor:
         """Rows (..., O) with other keypoints (..., P, d)."""
         if self.keypoints is None:

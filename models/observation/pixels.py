@@ -50,7 +50,7 @@ class Pixels(NoisySensor):
         size: (C, 2) width and height of the pictures, px.
         sites: which (P,), by place among the body's sites or by name.
         confidence: (T, C, P) the tracker's, or None.
-        located: (T, P, 3) m, about where the keypoints are, NaN where nobody knows: a start, no part of the likelihood.
+        resolution: metres that a pixel spans at the keypoints, about: for a start, no part of the likelihood.
         timed, posed: whether clocks, or poses, have parameters.
         lasting: whether b is there.
         names: of the sites, known once :meth:`bound`; then all ``sites`` are places.
@@ -63,7 +63,7 @@ class Pixels(NoisySensor):
     size: Tensor
     sites: tuple[Any, ...]
     confidence: Any = None
-    located: Tensor | None = None
+    resolution: float = 3e-3
     timed: bool = False
     posed: bool = False
     lasting: bool = True
@@ -189,11 +189,7 @@ class Pixels(NoisySensor):
         return self.begun(parameters) * (-torch.expm1(-2 * dt / parameters["emission.bias_time"])).sqrt()
 
     # -- a start -----------------------------------------------------------------------------------
-    @property
-    def resolution(self) -> float:
-        """Metres that a pixel spans at the keypoints' typical distance; of the first camera's, if none is known."""
-        place = -torch.einsum("cij,ci->cj", self.cameras.rotation, self.cameras.translation)
-        middle = place.new_zeros(3)
-        if self.located is not None and bool((known := torch.isfinite(self.located).all(-1)).any()):
-            middle = self.located[known].to(place).median(0).values
-        return float(((place - middle).norm(dim=-1) / self.cameras.focal.mean(-1)).median())
+    def about(self, points: Tensor) -> Tensor:
+        """Pixels (..., C P 2) of all sites' ``points`` (..., S, 3), the picture's middle where a camera sees none."""
+        pixels, seen = project(self.cameras.to(points.device, points.dtype), self._of_sites(points))
+        return torch.where(seen[..., None], pixels, self.size.to(pixels)[:, None] / 2).flatten(-3)

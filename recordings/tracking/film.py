@@ -6,7 +6,7 @@ and says by how much to turn them; here they come as one sees them. Pixels: u ri
 first; they are the stored ones, whatever shape a player gives them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -41,8 +41,8 @@ class Film:
     Attributes:
         path: the file.
         width, height: of its pictures as one sees them, px.
-        duration: s, or 0 where the file does not say.
         expected: number of pictures, as the file announces it; it need not be true, and may be 0.
+        aspect: width of a stored pixel over its height, as a player shows it; 1 where the file does not say.
 
     Raises:
         InputError: a file that is no film, or that this ffmpeg cannot decode; or PyAV is missing.
@@ -57,15 +57,16 @@ class Film:
         self.height, self.width = first.rgb.shape[:2]
         with self._open() as container:
             stream = container.streams.video[0]
-            self.duration = float(container.duration or 0) / 1e6
-            rate = float(stream.average_rate or 0)
-            self.expected = int(stream.frames or round(self.duration * rate))
+            seconds, rate = float(container.duration or 0) / 1e6, float(stream.average_rate or 0)
+            self.expected = int(stream.frames or round(seconds * rate))
+            self.aspect = float(stream.sample_aspect_ratio or 1)
 
     def pictures(self, size: tuple[int, int] | None = None, start: int = 0) -> Iterator[Picture]:
         """All pictures from number `start` on; `size` (height, width) has them scaled by averaging over areas.
 
         Raises InputError for a film that ends in the middle of a picture, or changes its size.
         """
+        av = import_av(self.path)
         began, last, shape, number = None, -np.inf, None, 0
         with self._open() as container:
             try:
@@ -82,7 +83,7 @@ class Film:
                     shape = (frame.height, frame.width)
                     if number >= start:
                         yield Picture(number, time, _upright(frame, size))
-            except import_av().error.FFmpegError as error:
+            except av.error.FFmpegError as error:
                 raise InputError(
                     f"{self.path}: the film cannot be decoded after picture {number} ({first_line(error)}): "
                     "is the file whole?"
@@ -100,18 +101,14 @@ class Film:
         return container
 
 
-def read_pictures(film: Film, numbers: list[int], size: tuple[int, int] | None = None) -> list[np.ndarray]:
-    """The pictures (H, W, 3) of those numbers, in their order. Raises InputError where the film is shorter."""
-    wanted, found = set(numbers), {}
-    if wanted:
-        for picture in film.pictures(size, min(wanted)):
-            if picture.number in wanted:
-                found[picture.number] = picture.rgb
-            if len(found) == len(wanted):
-                break
-    if missing := sorted(wanted - set(found)):
-        raise InputError(f"{film.path}: there is no picture {missing[0]} in this film: are the labels another film's?")
-    return [found[number] for number in numbers]
+def read_pictures(film: Film, numbers: Sequence[int], size: tuple[int, int] | None = None) -> Iterator[np.ndarray]:
+    """The pictures (H, W, 3) of those numbers, which must rise. Raises InputError where the film is shorter."""
+    pictures = film.pictures(size, numbers[0] if len(numbers) else 0)
+    for number in numbers:
+        picture = next((each for each in pictures if each.number == number), None)
+        if picture is None:
+            raise InputError(f"{film.path}: there is no picture {number} in this film: are the labels another film's?")
+        yield picture.rgb
 
 
 def import_av(path: str | Path | None = None) -> ModuleType:

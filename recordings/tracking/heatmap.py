@@ -46,7 +46,7 @@ class HeatmapTracker:
     ):
         self.network = network.eval()
         self.keypoint_names: tuple[str, ...] = tuple(keypoint_names)
-        self.picture_size: tuple[int, int] | None = picture_size
+        self.picture_size = picture_size
         self.mean, self.deviation = tuple(mean), tuple(deviation)
         self.calibration, self.tolerance, self.widths = calibration, tolerance, tuple(widths)
         self.memory = np.empty(0)

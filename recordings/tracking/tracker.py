@@ -26,14 +26,18 @@ class Tracker(Protocol):
     """Finds keypoints in pictures that come one after the other.
 
     Attributes:
-        keypoint_names: of the P keypoints.
-        picture_size: (height, width) in which it wants the pictures, or None for as they are.
         memory: a vector of any length, what it carries from one picture to the next; setting it goes on from there.
     """
 
-    keypoint_names: tuple[str, ...]
-    picture_size: tuple[int, int] | None
     memory: np.ndarray
+
+    @property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """Of the P keypoints."""
+
+    @property
+    def picture_size(self) -> tuple[int, int] | None:
+        """(height, width) in which it wants the pictures, or None for as they are."""
 
     def track(self, picture: np.ndarray) -> np.ndarray:
         """From RGB (H, W, 3) uint8 to (P, 3): u, v in px of that picture, and confidence from 0 to 1.

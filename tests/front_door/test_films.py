@@ -9,6 +9,7 @@ from invdyn.inference import load_posterior, pooled
 from invdyn.overlay import Overlay
 from invdyn.recordings import Recording, load
 from invdyn.recordings.tracking.film import Film
+from invdyn.recordings.tracking.heatmap import HeatmapTracker
 from invdyn.recordings.tracking.labels import Labels, write_labels
 
 TRAIN = ("train", "f.mov", "--labels", "l.csv", "--out", "n.safetensors", "--size", "40", "--steps", "90")
@@ -81,7 +82,7 @@ def words(call, **changes):
         (["track", "l.csv", *TRACK[2:]], "l.csv: not a film that can be decoded"),
         (["track", "no.mp4", *TRACK[2:]], "no.mp4: No such file"),
         (words(TRAIN, labels="no.csv"), "no.csv: No such file"),
-        (words(TRAIN, labels="f.mov"), "f.mov: cannot tell the format from the suffix"),
+        (words(TRAIN, labels="f.mov"), "f.mov: a film has no keypoints yet: run `invdyn track`"),
         ([*TRAIN, "--labels", "l.csv"], "1 films and 2 files of labels"),
         (words(TRAIN, size="8"), "a network's pictures are from 16 to 4096 px, got 8"),
         (words(TRAIN, steps="0"), "Invalid value for '--steps'"),
@@ -153,6 +154,20 @@ def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
     assert np.sqrt(np.mean((found - truth) ** 2)) < 0.05  # rad: half a pixel of ten
     with Image.open("arm.gif") as film:
         assert film.n_frames > 20
+
+
+def test_infer_keeps_what_was_tracked(folder, run, quick_inference, monkeypatch):
+    (folder / "arm.toml").write_text(BODY)
+    assert run(*INFER, "--checkpoint", "kept").exit_code == 0
+    first = (folder / "arm.tracks.csv").read_bytes()
+    assert {path.suffix for path in (folder / "kept.tracking").iterdir()} == {".json", ".safetensors"}
+    seen = []
+    track = HeatmapTracker.track
+    monkeypatch.setattr(HeatmapTracker, "track", lambda self, rgb: seen.append(1) or track(self, rgb))
+    assert run(*INFER, "--checkpoint", "kept").exit_code == 0
+    assert len(seen) == 80 - 64
+    assert (folder / "arm.tracks.csv").read_bytes() == first
+    assert quick_inference[0]["recording"].length_unit == "m"
 
 
 def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):

@@ -16,7 +16,9 @@ from invdyn.label_server import LabelServer
 from invdyn.recordings import InputError
 from invdyn.recordings.tracking.choose import different, surprising
 from invdyn.recordings.tracking.film import Film
+from invdyn.recordings.tracking.heatmap import HeatmapTracker
 from invdyn.recordings.tracking.labels import Labels, read_labels, write_labels
+from invdyn.recordings.tracking.unet import UNet
 from invdyn.surprise import surprise
 
 
@@ -46,7 +48,9 @@ def served(tmp_path):
     """A server of two pictures, with labels of a third before it."""
     write_labels(Labels(np.array([2]), joints([0.2])[1], NAMES), tmp_path / "l.csv")
     pictures = [picture(each) for each in joints([0.1, 0.5])[1]]
-    server = LabelServer([4, 9], pictures, NAMES, tmp_path / "l.csv", read_labels(tmp_path / "l.csv"))
+    suggested = iter([np.full((2, 3), np.nan), np.array([[5.0, 6.0, 0.9], [np.nan, np.nan, np.nan]])])
+    before = read_labels(tmp_path / "l.csv")
+    server = LabelServer([4, 9], pictures, NAMES, tmp_path / "l.csv", before, lambda _: next(suggested))
     thread = threading.Thread(target=server.serve_forever)
     with server:
         thread.start()
@@ -80,15 +84,18 @@ def test_labels_are_set_in_a_browser(browser, served):
     assert labels.frames.tolist() == [2, 4]
     step = 40 / canvas.size["width"]  # px of the film on one of the screen
     np.testing.assert_allclose(labels.points[1], [[20, 22], [12, 30]], atol=step)
+    assert step < 0.1  # small pictures are shown large
     at(12, 30).click_and_hold().perform()
     at(15, 31).release().perform()  # the second one is dragged
     wait.until(lambda _: np.allclose(read_labels(served.out).points[1, 1], [15, 31], atol=2 * step))
     ActionChains(browser).send_keys(Keys.ARROW_RIGHT).perform()
     wait.until(lambda _: browser.find_element("id", "where").text == "Picture 2 of 2 (number 9)")
-    ActionChains(browser).send_keys("h").perform()  # the elbow cannot be seen here
-    at(25, 28).click().perform()
+    ActionChains(browser).send_keys(Keys.ENTER).perform()  # takes the elbow that is suggested
     said("2 of 2 pictures labelled, written")
-    assert read_labels(served.out).seen.tolist() == [[True, True], [True, True], [False, True]]
+    assert read_labels(served.out).points[2, 0].tolist() == [5, 6]
+    ActionChains(browser).send_keys("1").send_keys("h").perform()  # no, it cannot be seen here
+    at(25, 28).click().perform()
+    wait.until(lambda _: read_labels(served.out).seen.tolist() == [[True, True], [True, True], [False, True]])
     browser.find_element("id", "done").click()
     said("Labels are written; you may close this page.")
 
@@ -165,6 +172,12 @@ def test_the_command_labels_and_goes_on(tmp_path, monkeypatch, run):
     outcome = run(*call)
     assert outcome.stdout.endswith("6 labelled pictures\nlabels     l.csv\n")
     assert len(read_labels(tmp_path / "l.csv")) == 6
+    HeatmapTracker(UNet(2, (8,)), NAMES, (20, 20), [9.0] * 3, [9.0] * 3, widths=(8,)).save("n.safetensors")
+    shown = []
+    monkeypatch.setattr(LabelServer, "serve_forever", lambda server: shown.extend(server.suggested))
+    assert run(*call, "--network", "n.safetensors").exit_code == 0
+    assert np.array(shown).shape == (3, 2, 2)
+    assert (np.array(shown) < 41).all()
     outcome = run(*call, "--keypoints", "hand")
     assert outcome.exit_code == 2
     assert "labels of elbow, wrist are there" in outcome.stderr

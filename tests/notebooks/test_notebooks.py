@@ -152,3 +152,24 @@ def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     answers = [cell for cell in cells if "hide-cell" in cell.metadata.get("tags", ())]
     assert len(answers) >= 2
     assert all(cell.metadata["jupyter"] == {"source_hidden": True, "outputs_hidden": True} for cell in answers)
+
+
+def test_three_d_holds_what_it_says():
+    """The mouse is there or simulated; either way its hidden frames are predicted."""
+    notebook = jupytext.read(FOLDER / "05_three_d.py")
+    text = printed(run(notebook))
+    rows = re.findall(r"outer sample size (\d+\.\d) of 16, 90 % bands hold (\d\.\d+) .* (\d+)% of the prior", text)
+    sizes, held, removed = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
+    assert sizes.min() > 14
+    assert abs(held.mean() - 0.9) < 0.12  # of 240 torques each, correlated over many rows
+    assert removed[0] < removed[1] < removed[2]
+    assert re.search(r"same points to \de-1[5-9] m", text)
+    values = [float(value) for value in re.findall(r"smallest singular value (\d\.\d+) m/rad", text)]
+    assert values[0] > values[1] > values[2] == 0
+    assert "unseen: ['shoulder_roll']" in text
+    lengths = dict(re.findall(r"(upper_arm|forearm): (\d\.\d\d) ±", text))
+    assert float(lengths["upper_arm"]) == pytest.approx(2.5, abs=0.3)
+    assert float(lengths["forearm"]) == pytest.approx(1.5, abs=0.3)
+    assert 0.75 < float(re.search(r"90 % bands hold (\d\.\d+) of \d+ hidden", text)[1]) <= 1
+    assert ("cannot be had here" in text) == ("INVDYN_DATA" not in os.environ)
+    assert figures(notebook) == 3

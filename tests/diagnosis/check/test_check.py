@@ -53,7 +53,7 @@ def test_two_mistakes_are_found_one_after_the_other(log):
 
 @pytest.mark.parametrize("damping", [0.0, 0.4])
 def test_a_log_that_is_right_has_none_though_the_arm_has_friction(damping):
-    found = check(robot_log(3.0, damping, camera=False).at(slice(None, None, 4)), ARM, effects=False)
+    found = check(robot_log(3.0, (damping, damping), camera=False).at(slice(None, None, 4)), ARM, effects=False)
     assert not found.mistakes
     assert found.unexplained < 0.08
 

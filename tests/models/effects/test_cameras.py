@@ -217,6 +217,12 @@ def test_noise_may_grow_with_the_speed_of_the_joints(seen):
     assert sd == pytest.approx(np.broadcast_to(own * (1 + 0.3 * speed), sd.shape), rel=1e-5)
 
 
+def test_noise_of_a_single_joint_has_one_law(arm):
+    """Its speed is the keypoint's."""
+    forms = [[effect.form for effect in VaryingNoise.everywhere(arm(n).body, ())] for n in (1, 2)]
+    assert forms == [[None, "confidence"], [None, "confidence", "joints"]]
+
+
 def test_noise_grows_as_the_tracker_gets_unsure(arm, having, states):
     """Of tips that are tracked; where nobody says how sure it was, nothing changes."""
     confidence = np.full((12, 2), 0.9)

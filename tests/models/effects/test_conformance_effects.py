@@ -48,7 +48,7 @@ def at_all_places(name, model):
         found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
     for _ in range(form.count("softer")):
         found = [effect.softened() for effect in found]
-    several = EFFECTS[plain].site in ("pair", "keypoints")
+    several = EFFECTS[plain].site in ("pair", "keypoints") or form == "joints:"
     assert found or (several and model.body.num_joints == 1)
     return found
 

@@ -1,0 +1,51 @@
+"""A log against a robot's own file: the change is named, and the corrected copy rolls out as the log does."""
+
+import json
+
+import pytest
+from robot_xml import play, robot
+
+from invdyn.diagnosis.diagnose import diagnose, save
+from invdyn.diagnosis.report.sentences import details
+from invdyn.diagnosis.write_back.write_back import check_write_back, write_back
+from invdyn.models import Body
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*clockwise")
+KEPT = ("viscous_friction", "armature", "actuator_gain")
+"""Effects that are looked for: the whole catalogue takes long, and shows no more."""
+
+
+def test_damping_of_a_file_is_corrected(tmp_path):
+    file, copy = tmp_path / "robot.xml", tmp_path / "corrected.xml"
+    file.write_text(robot())
+    body = Body.load(file)
+    true = robot().replace('damping="0.1"', 'damping="0.35"')
+    log, held_out = (play(true, 3.0, seed).at(slice(None, None, 2)) for seed in (0, 1))
+    found = diagnose(log, body, without=[name for name in EFFECTS if name not in KEPT], most=1)
+    written = write_back(found, file, body, copy, held_out, True)
+    (change,) = written.written.changes
+    assert (change["place"], change["quantity"], change["from"]) == ("elbow", "damping", 0.1)
+    assert change["to"] == pytest.approx(0.35, rel=0.03)
+    assert change["interval_90"][0] < change["to"] < change["interval_90"][1]
+    angles = written.written.rollout["total_rms_rad"]
+    assert angles["after"] < 0.15 * angles["before"]
+    assert any("goes from 0.100 to" in sentence for sentence in details(written))
+    save(written, tmp_path)
+    said = json.loads((tmp_path / "diagnosis.json").read_text())
+    damping = said["causes"][0]["effects"][0]["parameters"]["damping"]
+    assert damping["from"] == 0.1
+    assert damping["to"] == pytest.approx(change["to"])
+    assert said["write_back"]["rollout"]["held_out"]
+    assert "The corrected file" in (tmp_path / "report.html").read_text()
+
+
+def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):
+    file = tmp_path / "robot.xml"
+    file.write_text(robot())
+    with pytest.raises(InputError, match=r"expected a name that ends in \.xml"):
+        check_write_back(file, tmp_path / "out.toml")
+    file.write_text(robot().replace("<worldbody>", '<asset><mesh file="a.stl"/></asset><worldbody>', 1))
+    with pytest.raises(InputError, match="the same folder"):
+        check_write_back(file, tmp_path.parent / "out.xml")

@@ -1,0 +1,137 @@
+"""A film of several cameras bound to a body: its rows, and what is fitted of lengths, clocks and poses."""
+
+import numpy as np
+import pytest
+import torch
+from scenes import looking, ring
+
+from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
+from invdyn.inference.posterior.cameras import pinhole
+from invdyn.inference.posterior.initialise import arm_problem
+from invdyn.inference.task import free_parameters
+from invdyn.models import ArmModel, Joint, Keypoints, Learned, Observation, SpatialLink, Tree
+from invdyn.models.observation import pinhole as in_torch
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.cameras import Calibration, Views, filmed, project
+
+FRAMES, RATE, FINE = 24, 30.0, 10
+HANGING = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+KNOWN = {"torque.scale": 1.0, "torque.decay": 4.0, "emission.pixel_scale": 1.0, "emission.bias_scale": 2.0}
+KNOWN |= {"emission.bias_time": 0.3, "initial.angle_scale": 0.5}
+
+
+def rod(length=0.4):
+    """A stick that hangs before the cameras, and its tip."""
+    inertia = (0.01, 0.02, 0.02, 0.0, 0.0, 0.0)
+    link = SpatialLink(
+        "rod",
+        Joint("pivot", "universal"),
+        origin=(0.0, 0.0, 1.0),
+        rotation=HANGING,
+        length=length,
+        tip="tip",
+        mass=1.0,
+        inertia=inertia,
+    )
+    return Tree("rod", [link])
+
+
+def views_of(calibration, offsets=(), seed=0):
+    """What trackers give: noise of 1 px, 2 px that last, a camera's clock ahead; and the pixels' true middle."""
+    moments = np.arange(FRAMES * FINE) / (FINE * RATE)
+    own = {"initial.angle": [0.6, 0.3], "initial.angle_scale": 0.1, "initial.velocity": [5.0, 1.0]}
+    torch.manual_seed(seed)
+    slack = {"noise.angle": 1e-6, "noise.velocity": 1e-6}
+    model = ArmModel(rod(), moments, Observation(Keypoints([0])), parameters={**KNOWN_TORQUE, **own, **slack})
+    angles = model.split(model.simulate()[0])[1]
+    points = model.dynamics.keypoints(angles, model.body_parameters()).numpy()
+    rows = np.arange(FRAMES) * FINE
+    rng, pixels = np.random.default_rng(seed), []
+    for c, camera in enumerate(calibration):
+        at = moments[rows] - (offsets[c] if offsets else 0.0)
+        shown = np.stack([np.interp(at, moments, column) for column in points.reshape(len(points), 3).T], -1)
+        pixels.append(project(camera, shown[:, None]))
+    whole = np.stack(pixels, 1)
+    lasting = 2 * rng.standard_normal(whole.shape)
+    keep = np.exp(-1 / (0.3 * RATE))
+    for t in range(1, FRAMES):
+        lasting[t] = keep * lasting[t - 1] + np.sqrt(1 - keep**2) * lasting[t]
+    whole = whole + lasting + rng.standard_normal(whole.shape)
+    return Views(calibration, moments[rows], whole, np.ones(whole.shape[:3]), ("tip",))
+
+
+KNOWN_TORQUE = {name: value for name, value in KNOWN.items() if name.startswith("torque.")}
+
+
+def test_cameras_are_the_readers():
+    points = np.random.default_rng(0).normal(0, 0.3, (5, 2, 3)) + np.array([0, 0, 1])
+    bent = looking("fish", (3.0, 0, 1.0), distortion=(0.02, -0.01, 0.002, 0.0), fisheye=True)
+    calibration = Calibration((*ring(2), bent), metric=True)
+    ours, seen = in_torch.project(pinhole(calibration), torch.as_tensor(points))
+    assert seen.all()
+    for c, camera in enumerate(calibration):
+        np.testing.assert_allclose(ours[:, c], project(camera, points), rtol=0, atol=1e-9)
+
+
+def test_rows_and_start():
+    views = views_of(ring(3))
+    views.pixels[4, 1] = np.nan
+    problem = arm_problem(filmed(views), rod(), family="student_t")
+    seen = problem.model.observation.of(problem.model.observation.pixels, problem.observations)
+    np.testing.assert_array_equal(seen, views.pixels)
+    p = problem.model.parameters
+    assert 0.5 < p["emission.pixel_scale"].median() < 2  # px, 1
+    assert 1 < p["emission.bias_scale"].median() < 4  # px, 2 beside 1 of noise
+    path = problem.model.initial_paths(problem.observations)
+    assert torch.isfinite(problem.model.log_joint(path, problem.observations)).all()
+    names = {free.name for free in free_parameters(problem)}
+    assert {"emission.pixel_scale", "emission.bias_scale", "emission.bias_time"} <= names
+    assert not any(name.startswith("camera.") for name in names)
+    learned = arm_problem(filmed(views), rod(), learn_cameras=("offset", "pose"))
+    entries = {free.name: free.entries for free in free_parameters(learned) if free.name.startswith("camera.")}
+    assert entries == {
+        "camera.offset": (1, 2),
+        "camera.turn": tuple(range(3, 9)),
+        "camera.shift": tuple(range(3, 9)),
+    }
+
+
+def test_what_cannot_be_learned_is_told():
+    film = filmed(views_of(ring(2)))
+    with pytest.raises(InputError, match="of cameras offset and pose may be learned, got 'lens'"):
+        arm_problem(film, rod(), learn_cameras=("lens",))
+    points = Recording(film.time, film.keypoints, film.keypoint_names)
+    with pytest.raises(InputError, match="is no film of several cameras"):
+        arm_problem(points, rod(), learn_cameras=("pose",))
+
+
+def test_a_clock_that_is_20_ms_ahead_is_found():
+    views = views_of(ring(3), offsets=(0.0, 0.02, 0.0))
+    problem = arm_problem(filmed(views), rod(), parameters=KNOWN, learn_cameras=("offset",), substeps=1)
+    found = fit(problem.model, problem.observations, [Free("camera.offset", sd=1.0, entries=(1, 2), unit=0.05)])
+    sd = 0.05 * found.log_sd["camera.offset"]
+    off = found.model.parameters["camera.offset"].numpy()[1:] - [0.02, 0.0]
+    assert found.converged
+    assert (sd < 5e-3).all()  # s; what lasts, 2 px, is 6 mm, and the tip moves at 2 m/s
+    assert (np.abs(off) < 3 * sd).all()
+
+
+def test_a_length_is_learned_from_two_cameras():
+    problem = arm_problem(filmed(views_of(ring(2))), rod(Learned(0.3)), parameters=KNOWN, substeps=1)
+    (free,) = [free for free in free_parameters(problem, tuple(KNOWN)) if free.name == "body.sites"]
+    found = fit(problem.model, problem.observations, [free])
+    sd = 0.4 * found.log_sd["body.sites"][0]
+    assert sd < 0.01
+    assert abs(float(found.model.parameters["body.sites"][0, 0]) - 0.4) < 3 * sd
+
+
+def test_parameters_with_a_unit_are_shifted_and_others_scaled():
+    problem = arm_problem(filmed(views_of(ring(2))), rod(), parameters=KNOWN, learn_cameras=("offset",), substeps=1)
+    parameters = LogParameters(
+        problem.model, [Free("camera.offset", entries=(1,), unit=0.05), Free("torque.scale", tied=True)]
+    )
+    moved = parameters.at(torch.tensor([-0.4, np.log(2.0)], dtype=torch.float64)).parameters
+    torch.testing.assert_close(moved["camera.offset"], torch.tensor([0.0, -0.02], dtype=torch.float64))
+    torch.testing.assert_close(moved["torque.scale"], torch.tensor([2.0, 2.0], dtype=torch.float64))
+    many = parameters.at(torch.zeros(5, 2, dtype=torch.float64)).parameters
+    assert many["camera.offset"].shape == (5, 1, 2)
