@@ -31,6 +31,8 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
+    "tracking_dfki": "tracking.py dfki",
+    "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",
     "vsmc_learn": "vsmc.py learn",
     "diagnose_speed": "diagnose_speed.py",

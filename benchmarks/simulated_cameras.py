@@ -1,11 +1,13 @@
 """Torques in 3-D from simulated cameras: are the intervals as wide as they say?
 
-An arm of two links in space, driven by random torques, is seen by cameras on a circle of 3 m, at 30 frames a second.
-Each detection is off by noise, Student-t with 4 degrees of freedom, by an error that lasts, an Ornstein–Uhlenbeck process
-of its own, and one in twenty is missing. Cases: two, three and four cameras; four, which all lose the elbow for a third of the film; four, of which
-one has a clock 20 ms ahead that is to be found. Coverage is of 90 % intervals of all joints' torques, angles, and of
-points, over all rows and seeds, with noise and torque scale as simulated (`--fit`: fitted by marginal likelihood, at ten times the cost). `white`: the same
-with all errors taken for white, of the same size. `points`: triangulated, then inferred, their noise fitted from jitter and misfit alone.
+An arm of two links in space, driven by random torques, is seen at 30 frames a second by cameras on a circle of 3 m.
+Each detection is off by noise, Student-t with 4 degrees of freedom, by an error that lasts, an Ornstein–Uhlenbeck
+process of its own, and one in twenty is missing. Cases: two, three and four cameras; four, which all lose the elbow for
+a third of the film ("hidden"); four, of which one has a clock 20 ms ahead that is to be found ("clock").
+
+Coverage is of 90 % intervals of all joints' torques, angles, and of points, over all rows and seeds, with noise and
+torques' size as simulated (`--fit`: fitted by marginal likelihood, at ten times the cost). "white": the same with all
+errors taken for white, of the same size. "points": triangulated, then inferred, with noise from jitter and misfit.
 
     python benchmarks/simulated_cameras.py [--seeds 20] [--cases two three …] [--fit]
 """
@@ -185,7 +187,8 @@ def main() -> None:
             clock = f"{values.mean():.1f} ± {values.std():.1f}, stated {sds.mean():.1f}"
         print(
             f"| {case} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | {mean['point']:.3f} | "
-            f"{mean['te']:.2f}, {mean['ts']:.2f} | {1e3 * mean['pe']:.1f}, {1e3 * mean['ps']:.1f} | {clock} | {mean['s']:.1f} |",
+            f"{mean['te']:.2f}, {mean['ts']:.2f} | {1e3 * mean['pe']:.1f}, {1e3 * mean['ps']:.1f} | {clock} | "
+            f"{mean['s']:.1f} |",
             flush=True,
         )
 

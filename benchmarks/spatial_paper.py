@@ -81,8 +81,8 @@ def main() -> None:
                 rows.append(score(problem, seed))
             except Diverged:
                 diverged.append(seed)
-        title = "the planar arm, keypoints' sd .22, ε .01" if noise == PLANAR else f"keypoints' sd {noise:g}"
-        print(f"\n{title}, {len(rows)} seeds\n\n| | min | median | mean | max |\n|---|---|---|---|---|")
+        title = "planar arm, keypoints off by .22 m" if noise == PLANAR else f"keypoints off by {noise:g} m"
+        print(f"\n| {title}, {len(rows)} seeds | min | median | mean | max |\n|---|---|---|---|---|")
         for name in rows[0]:
             values = np.array([row[name] for row in rows])
             cells = (values.min(), np.median(values), values.mean(), values.max())

@@ -37,7 +37,6 @@ from invdyn.surprise import surprise
 DATA = Path(os.environ["INVDYN_DATA"])
 FAR = 20.0  # px of 1,080
 CHATTER = 4.45  # s
-PUBLISHED = "published tracks"
 
 
 def published() -> tuple[list[dict[str, str]], Labels, np.ndarray]:
@@ -58,101 +57,84 @@ def metres(rows: list[dict[str, str]], points: np.ndarray) -> Recording:
     return Recording(times, level @ np.array([[c, -s], [s, c]]), ("elbow", "wrist"))
 
 
-def report(name: str, points: np.ndarray, confidence: np.ndarray, labels: Labels, held: np.ndarray) -> None:
-    error = np.linalg.norm(points - labels.points, axis=-1)[held]
-    sure = confidence[held]
-    elbow, tip = np.median(error, 0)
-    print(
-        f"{name}: {held.sum()} pictures, median px elbow/tip {elbow:.2f}/{tip:.2f}, "
-        f"off by > {FAR:g} px: {np.mean(error > FAR):.2%} of points",
-        flush=True,
-    )
+def calibration(confidence: np.ndarray, error: np.ndarray) -> None:
+    """Rows: how many of the points of some confidence are right (T, P), within 2 % of the picture's side."""
+    print("| confidence | points | said | right |\n|---|---|---|---|")
     for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.0)):
-        here = (sure >= low) & (sure < high)
+        here = (confidence >= low) & (confidence < high)
         if here.any():
-            right = np.mean(error[here] <= 0.02 * 1080)
-            said = sure[here].mean()
-            print(f"  confidence {low:.2f} to {high:.2f}: {here.sum()} points, right {right:.3f}, said {said:.3f}")
+            said, right = confidence[here].mean(), np.mean(error[here] <= 0.02 * 1080)
+            print(f"| {low:.2f} to {high:.2f} | {here.sum()} | {said:.3f} | {right:.3f} |", flush=True)
 
 
-def torques(name: str, recording: Recording, body: Body, method: str) -> None:
+def torques(recording: Recording, body: Body, method: str) -> str:
+    """RMSE against the measured ones less friction, in all five seconds and before the chatter."""
     film = case("film", body)
     recording = recording.at(np.isin(recording.time, film.recording.time))
-    if name == PUBLISHED:
-        np.testing.assert_allclose(recording.keypoints, film.recording.keypoints)
     idata = infer(recording, film.body, method=method, family="student_t", hide_torque=True, seed=0)
     mean = pooled(idata)["torque"].transpose("sample", "time", "joint").values.mean(0)
-    for part, rows in (("0–5 s", slice(None)), (f"0–{CHATTER} s", recording.time < CHATTER)):
-        error = np.sqrt(np.mean((mean - film.truth.torque)[rows] ** 2, 0))
-        print(
-            f"{name}: torque RMSE {part} against measured less friction {error[0]:.3f}/{error[1]:.3f} N·m", flush=True
-        )
+    squares = (mean - film.truth.torque) ** 2
+    parts = (squares, squares[recording.time < CHATTER])
+    return " | ".join("{:.3f} / {:.3f}".format(*np.sqrt(part.mean(0))) for part in parts)
 
 
 def dfki(steps: int, method: str, seed: int) -> None:
     rows, labels, reliable = published()
     film = Film(DATA / "dfki_double_pendulum/video/experiment_swingup_pendubot_tvlqr.m4v")
     body = Body.from_toml(files("invdyn.models") / "bodies" / "dfki_design_a0.toml")
-    torques(PUBLISHED, metres(rows, labels.points), body, method)
+    table = [f"| published | | | | | | {torques(metres(rows, labels.points), body, method)} |"]
     unlabelled = np.setdiff1d(np.arange(film.expected), labels.frames[reliable])  # a person would skip these, too
     chosen = set(different(film, 100, unlabelled.tolist()))
-    for turn in ("100 labels", "after one round of relabelling"):
+    for turn in ("100 labels", "one round of relabelling"):
         mine = np.isin(labels.frames, list(chosen))
+        held = reliable & ~mine
         start = time.process_time()
-        given = examples([film], [labels.chosen(mine)])
-        trained = train(given, steps=steps, seed=seed, progress=_say)
-        print(f"{turn}: {mine.sum()} labels, training {time.process_time() - start:.0f} CPU-s", flush=True)
-        print(f"  said of labels held out: median {np.median(trained.errors):.2f} px", flush=True)
+        trained = train(examples([film], [labels.chosen(mine)]), steps=steps, seed=seed, progress=_say)
+        training = time.process_time() - start
         start = time.process_time()
         times, tracks = track_film(film, trained.tracker)
-        print(f"  tracking {len(times) / (time.process_time() - start):.0f} frames a core-second", flush=True)
+        pace = len(times) / (time.process_time() - start)
         points, confidence = tracks[labels.frames, :, :2], tracks[labels.frames, :, 2]
-        report(turn, points, confidence, labels, reliable & ~mine)
-        torques(turn, metres(rows, points), body, method)
-        idata = infer(
-            metres(rows, points),
-            body.with_values(length=[0.3, 0.22]),
-            method="laplace",
-            family="student_t",
-            hide_torque=True,
-            seed=0,
+        error = np.linalg.norm(points - labels.points, axis=-1)
+        calibration(confidence[held], error[held])
+        elbow, tip = np.median(error[held], 0)
+        table.append(
+            f"| {turn} ({mine.sum()}) | {training:.0f} | {pace:.0f} | {held.sum()} | {elbow:.2f} / {tip:.2f} | "
+            f"{np.mean(error[held] > FAR):.2%} | {torques(metres(rows, points), body, method)} |"
         )
-        far = np.where(reliable, surprise(idata), -np.inf)
-        strays = np.linalg.norm(points - labels.points, axis=-1).max(1) > FAR
-        worst = surprising(far, labels.frames, 25, chosen)
-        hit = strays[np.isin(labels.frames, worst)].sum()
-        print(f"  of the 25 most surprising pictures {hit} are off, of all others {(strays & reliable).sum() - hit}")
+        longer = body.with_values(length=[0.3, 0.22])  # the tracked disc sits beyond the link's end
+        options = {"method": "laplace", "family": "student_t", "hide_torque": True, "seed": 0}
+        idata = infer(metres(rows, points), longer, **options)
+        worst = surprising(np.where(reliable, surprise(idata), -np.inf), labels.frames, 25, chosen)
+        off = reliable & (error.max(1) > FAR)
+        print(
+            f"of the 25 most surprising pictures {off[np.isin(labels.frames, worst)].sum()} are off, of all {off.sum()}"
+        )
         chosen |= set(worst)
+    print(
+        "\n| tracks (labels) | training, CPU-s | pictures a core-second | held out | median px, elbow / tip "
+        "| off by > 20 px | torque RMSE, 0–5 s, N·m | 0–4.45 s |\n|---|---|---|---|---|---|---|---|"
+    )
+    print("\n".join(table))
 
 
 def people() -> None:
-    films = [
-        (f"multiview_walker/cam0{n}.mp4", f"multiview_walker/cam0{n}_mediapipe2d.csv", "largest") for n in (1, 2, 3, 4)
-    ]
-    films.append(("sports2d/demo.mp4", "sports2d/demo_mediapipe2d.csv", "largest"))
-    for name, table, person in films:
-        reference, _ = read_table(DATA / table)
+    films = [f"multiview_walker/cam0{number}" for number in (1, 2, 3, 4)] + ["sports2d/demo"]
+    print("| film | arm | found, theirs | median px apart, shoulder / elbow / wrist | pictures a core-second |")
+    print("|---|---|---|---|---|")
+    for name in films:
+        reference, _ = read_table(DATA / f"{name}_mediapipe2d.csv")
         for arm in ("left", "right"):
             start = time.process_time()
-            times, tracks = track_film(Film(DATA / name), person_tracker(arm, person))
-            seconds = time.process_time() - start
-            theirs = np.stack(
-                [
-                    np.stack([reference[f"{arm[0].upper()}_{point}_{axis}"] for axis in "xy"], -1)
-                    for point in ("shoulder", "elbow", "wrist")
-                ],
-                1,
-            )[: len(times)]
-            apart = np.linalg.norm(
-                tracks[..., :2] + 0.5 - theirs, axis=-1
-            )  # MediaPipe counts from the first one's corner
-            median = "/".join(f"{each:.1f}" for each in np.nanmedian(apart, 0))
-            print(
-                f"{name} {arm}: found in {np.isfinite(tracks[:, 0, 0]).sum()} of {len(times)} pictures (theirs "
-                f"{np.isfinite(theirs[:, 0, 0]).sum()}), median px apart shoulder/elbow/wrist {median}, "
-                f"{len(times) / seconds:.0f} frames a core-second",
-                flush=True,
-            )
+            times, tracks = track_film(Film(DATA / f"{name}.mp4"), person_tracker(arm, "largest"))
+            pace = len(times) / (time.process_time() - start)
+            columns = [f"{arm[0].upper()}_{point}_{axis}" for point in ("shoulder", "elbow", "wrist") for axis in "xy"]
+            theirs = np.stack([reference[column] for column in columns], -1).reshape(-1, 3, 2)[: len(times)]
+            # MediaPipe counts pixels from the first one's corner
+            apart = np.nanmedian(np.linalg.norm(tracks[..., :2] + 0.5 - theirs, axis=-1), 0)
+            found = [int(np.isfinite(each[:, 0, 0]).sum()) for each in (tracks, theirs)]
+            median = " / ".join(f"{each:.1f}" for each in apart)
+            print(f"| {name} | {arm} | {found[0]}, {found[1]} of {len(times)} | {median} | {pace:.0f} |", flush=True)
 
 
 def _say(done: int, total: int, what: str) -> None:

@@ -102,7 +102,7 @@ def draw_effect(kind: type, file: Path) -> None:
         axes.plot(time, ideal[:, shown], color="0.6", label="ideal")
         axes.plot(time, real[:, shown], color="#0072B2", linewidth=1, label=kind.phrase)
         axes.set(xlabel="time (s)", ylabel=f"{('elbow', 'wrist')[shown // 2]} {'xy'[shown % 2]} (m)")
-        axes.legend(frameon=False, ncols=2, loc="upper right")
+        axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0)
         figure.savefig(file, metadata={"Date": None})
         plt.close(figure)
 

@@ -27,7 +27,6 @@
 # %matplotlib inline
 import os
 import warnings
-from importlib.resources import files
 from pathlib import Path
 
 warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
@@ -39,8 +38,8 @@ import torch
 
 from invdyn.inference import Problem, SMCOptions, infer_kinematics, learned_lengths, pooled, smc
 from invdyn.inference.posterior.visibility import visibility
+from invdyn.inputs import load_body
 from invdyn.models import ArmModel, Joint, KinematicModel, SpatialLink, Tree
-from invdyn.models.bodies.in_space import load
 from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION
 from invdyn.recordings import Recording
@@ -56,7 +55,7 @@ plt.rcParams["axes.prop_cycle"] = plt.cycler(color=[BLUE, VERMILION, PURPLE])
 # twelve numbers in the state. Here is the body as its file says it, and the beginning of its motion.
 
 # %%
-body = load(files("invdyn.models") / "bodies" / "paper_spatial_arm.toml")
+body = load_body("paper_spatial_arm")
 model = paper_arm(body, num_frames=60)
 recording, truth = record(model, seed=4)
 print(f"coordinates: {', '.join(body.joint_names)}")

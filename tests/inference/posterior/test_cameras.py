@@ -5,7 +5,10 @@ import pytest
 import torch
 from scenes import looking, ring
 
+from invdyn.inference import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
+from invdyn.inference.methods.laplace import laplace
+from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.task import free_parameters
@@ -123,6 +126,18 @@ def test_a_length_is_learned_from_two_cameras():
     sd = 0.4 * found.log_sd["body.sites"][0]
     assert sd < 0.01
     assert abs(float(found.model.parameters["body.sites"][0, 0]) - 0.4) < 3 * sd
+
+
+def test_filters_agree_with_the_gaussian_smoother():
+    """Of noise that is Gaussian, and a rod that turns little within it: both have nearly the same evidence."""
+    problem = arm_problem(filmed(views_of(ring(2))), rod(), parameters=KNOWN, substeps=1)
+    options = SMCOptions(num_filters=4, num_particles=100, num_draws=2)
+    by_filters, smoothed = (method(problem, options=options) for method in (smc, laplace))
+    assert by_filters.attrs["log_evidence"] == pytest.approx(smoothed.attrs["log_evidence"], abs=0.5)
+    assert by_filters.attrs["outer_ess"] > 2  # of 4
+    torques = [each["posterior"]["torque"].mean(("chain", "draw")) for each in (by_filters, smoothed)]
+    spread = smoothed["posterior"]["torque"].std(("chain", "draw"))
+    assert float(np.abs(torques[0] - torques[1]).mean()) < float(spread.mean())  # 8 draws of each
 
 
 def test_parameters_with_a_unit_are_shifted_and_others_scaled():
