@@ -251,8 +251,11 @@ def fit(
 
 
 def _laplace(objective: _Objective, hessian: np.ndarray) -> np.ndarray:
-    """Covariance of φ from the Hessian at the optimum."""
-    # Directions in which it is not yet convex fall back to the prior's own curvature.
-    values, vectors = np.linalg.eigh(hessian)
-    values = np.maximum(values, 1 / objective.sd.max() ** 2)
-    return vectors / values @ vectors.T
+    """Covariance of φ from the Hessian at the optimum; in no direction wider than the prior.
+
+    In units of the prior's sd the prior alone has curvature 1. Where the evidence is not convex that stands in.
+    """
+    sd = objective.sd
+    values, vectors = np.linalg.eigh(sd[:, None] * hessian * sd)
+    vectors = sd[:, None] * vectors
+    return vectors / np.maximum(values, 1.0) @ vectors.T

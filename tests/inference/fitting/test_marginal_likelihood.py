@@ -125,6 +125,18 @@ def test_the_prior_holds_what_the_data_do_not_tell(chain):
     assert found.log_sd["transition_root"] == pytest.approx([0.5], rel=0.05)
 
 
+def test_where_the_evidence_is_not_convex_no_parameter_is_wider_than_its_prior(chain, y):
+    """Stopped far from the optimum: each parameter has a prior of its own width."""
+    start = chain.model(STEPS)
+    start = start.replace(emission_root=start.parameters["emission_root"] / 40)
+    prior = {"transition_root": 2.0, "emission_root": 0.3}
+    free = [Free(name, tied=True, sd=sd) for name, sd in prior.items()]
+    found = fit(start, torch.as_tensor(y), free, max_iterations=1)
+    hessian = _Objective(start, torch.as_tensor(y), free, found.path).hessian(found.phi)
+    assert np.linalg.eigvalsh(hessian).min() < 1 / 0.3**2
+    assert all(found.log_sd[name] <= sd * (1 + 1e-9) for name, sd in prior.items())
+
+
 def test_unknown_parameters_are_refused(chain, y):
     with pytest.raises(KeyError, match=r"no parameter torque\.scale"):
         fit(chain.model(STEPS), torch.as_tensor(y), [Free("torque.scale")])
