@@ -65,7 +65,7 @@ def test_a_trackers_file_becomes_the_arms_tips(folder, kind, group):
     file, options = write(kind, places((2.0, 1.5)))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        recording = group(recording=file, body="arm.toml", **options).load()["recording"]
+        recording = group(recordings=[file], body="arm.toml", **options).load()["recording"]
     told = [str(each.message) for each in caught if each.category is UserWarning]
     assert told == (["coordinate z is 0 throughout: left out"] if kind == "trc" else [])
     assert recording.keypoint_names == NAMES[1:]
