@@ -136,7 +136,7 @@ def infer(
     if kinematic:
         given.check_kinematic(sto=sto, checkpoint=checkpoint)
     outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, mot=mot, csv=csv)
-    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.with_suffix(".tracks.csv"))
+    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.parent / f"{out.stem}.tracks.csv")
     outputs.check(*given.files, *([] if filmed is None else filmed.files))
     if filmed is not None:
         check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])

@@ -44,6 +44,7 @@ def covered(draws, truth):
     return ((low <= truth) & (truth <= high)).mean()
 
 
+@pytest.mark.filterwarnings("ignore:.*passes a pitch of 80:UserWarning")  # it does, and a walk knows no torques
 def test_lengths_and_hidden_rows_of_a_tree(tmp_path):
     recording, truth, points = walk()
     idata = infer_kinematics(recording, paper_arm(), learn_lengths=True, method="laplace", truth=truth, **SMALL)

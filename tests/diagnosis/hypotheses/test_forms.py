@@ -18,7 +18,7 @@ from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import ClockRate, SoftTissue
 from invdyn.recordings import Recording
 
-FORMS = {"clock_rate.frames", "varying_noise.confidence", "soft_tissue.tip.sliding"}
+FORMS = {"clock_rate.frames", "varying_noise.confidence", "soft_tissue.tip.sliding", "actuator_gain.pivot.geared"}
 
 
 def unsure(recording, seed=5):
@@ -42,7 +42,9 @@ def test_forms_are_considered_where_a_recording_could_show_them():
     assert forms(unsure(told), PENDULUM) == FORMS
     still = Recording(told.time, told.keypoints, told.keypoint_names)
     assert forms(still, PENDULUM, passive=True) == {"soft_tissue.tip.sliding"}
-    left = considered(diagnosis_problem(unsure(told), PENDULUM), ["clock_rate", "varying_noise", "soft_tissue"])
+    left = considered(
+        diagnosis_problem(unsure(told), PENDULUM), ["clock_rate", "varying_noise", "soft_tissue", "actuator_gain"]
+    )
     assert not [effect for effect in left if effect.form is not None]
 
 

@@ -88,7 +88,8 @@ def test_columns_of_every_effect(regime, name):
             assert len(hypothesis.free) == len(hypothesis.columns) == len(hypothesis.sd) == len(hypothesis.lower)
             assert set(hypothesis.point) == {p.name for p in effect.parameters(here.model.scale)}
             assert min(hypothesis.sd) > 0
-            assert max(hypothesis.lower) <= 0
+            # A gear begins where a gain by its usual form ends.
+            assert max(hypothesis.lower) <= (1 if effect.form == "geared" else 0)
         if not effect.located:
             assert np.exp([h.log_weight for h in found]).sum() == pytest.approx(1.0)
 
