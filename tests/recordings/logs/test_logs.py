@@ -114,6 +114,34 @@ def test_joint_states_need_no_mapping(tmp_path, made, name):
     assert recording.joint_names == JOINTS
 
 
+def test_a_bags_own_definitions_are_not_compiled(tmp_path, monkeypatch):
+    store = pytest.importorskip("rosbags.typesys.store")
+    path = bag(tmp_path / "bag")
+
+    def compiled(*_):
+        raise AssertionError("a definition from the bag would run as Python")
+
+    monkeypatch.setattr(store.Typestore, "register", compiled)
+    (logged,) = recordings_of(path, JOINTS)
+    np.testing.assert_array_equal(logged.recording.angles, ANGLE)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_damaged_bag_is_read_or_one_line(tmp_path, seed):
+    pytest.importorskip("rosbags")
+    database = next(bag(tmp_path / "bag").glob("*.db3"))
+    content, rng = bytearray(database.read_bytes()), np.random.default_rng(seed)
+    if seed % 3 == 0:
+        content = content[: rng.integers(len(content))]
+    for place in rng.integers(len(content), size=30 if len(content) and seed % 3 else 0):
+        content[place] = rng.integers(256)
+    database.write_bytes(content)
+    try:
+        recordings_of(tmp_path / "bag", JOINTS)
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
 def test_a_data_set_has_episodes_names_and_targets(tmp_path):
     pytest.importorskip("pyarrow")
     path = lerobot(tmp_path / "set")
