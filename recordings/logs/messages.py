@@ -15,6 +15,7 @@ import numpy as np
 
 from .tracks import Episode, Track
 
+KINDS = ("JointState", "JointTrajectory", "Float64MultiArray", "Float32MultiArray")
 QUANTITIES = ("position", "velocity", "effort")
 POINT = {"position": "positions", "velocity": "velocities", "effort": "effort"}
 

@@ -6,7 +6,7 @@ Messages are read by the definitions that `rosbags` brings along. A bag's own wo
 from pathlib import Path
 
 from ..errors import InputError, first_line
-from .messages import Collected
+from .messages import KINDS, Collected
 from .tracks import Episode, needed
 
 
@@ -29,6 +29,3 @@ def read_bag(path: Path, time: str | None = None) -> list[Episode]:
     except (ReaderError, SerdeError, DatabaseError, ValueError) as error:
         raise InputError(f"{path}: no ROS 2 bag that can be read: {first_line(error)}") from error
     return [found.episode()]
-
-
-KINDS = ("JointState", "JointTrajectory", "Float64MultiArray", "Float32MultiArray")
