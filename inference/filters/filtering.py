@@ -52,11 +52,15 @@ class SMCOptions:
     device: str = "cpu"
     filters_per_task: int | None = None
 
+    @property
+    def at_once(self) -> int:
+        """Number of filters in a task, but for the rest in the last one."""
+        return min(self.num_filters, self.filters_per_task or (32 if self.device == "cpu" else self.num_filters))
+
     def tasks(self) -> list[int]:
         """Number of filters in each task, the last one's being the rest."""
-        size = self.filters_per_task or (32 if self.device == "cpu" else self.num_filters)
-        whole, rest = divmod(self.num_filters, size)
-        return [size] * whole + [rest] * (rest > 0)
+        whole, rest = divmod(self.num_filters, self.at_once)
+        return [self.at_once] * whole + [rest] * (rest > 0)
 
     def check(self) -> None:
         """Raise InputError for a device that torch does not have here, or tasks of no filters."""

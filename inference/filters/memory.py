@@ -8,6 +8,7 @@ particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
 """
 
 import os
+import sys
 from pathlib import Path
 
 from invdyn.inference.filters.filtering import SMCOptions
@@ -23,15 +24,20 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
     And as :meth:`.SMCOptions.check` does.
     """
     options.check()
-    state, at_once = 3 * joints, max(options.tasks())
+    state = 3 * joints
     taken = {
         "--filters × --draws": 16 * rows * options.num_filters * options.num_draws * state,
-        "--particles": 4 * rows * at_once * options.num_particles * (state + 2) if PARTICLES & {*methods} else 0,
+        "--particles": 4 * rows * options.at_once * options.num_particles * (state + 2)
+        if PARTICLES & {*methods}
+        else 0,
     }
     what, most = max(taken.items(), key=lambda each: each[1])
+    most = min(most, int(sys.float_info.max))  # a count may have any number of digits
     if most > (there := total_memory()):
+        counts = options.num_filters, options.num_particles, options.num_draws
+        filters, particles, draws = (str(count) if count < 1e18 else "far too many" for count in counts)
         raise InputError(
-            f"{what}: {options.num_filters} filters of {options.num_particles} particles and {options.num_draws} draws "
+            f"{what}: {filters} filters of {particles} particles and {draws} draws "
             f"over {rows} rows take {most / 1e9:.3g} GB of memory or more, and {there / 1e9:.3g} are there: take fewer"
         )
 

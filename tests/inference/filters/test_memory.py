@@ -24,6 +24,14 @@ def test_what_is_asked_for_is_what_states_weights_and_trajectories_take():
         check_memory(100, 2, SMCOptions(64, 1, 1_628), ("smc",))
 
 
+@pytest.mark.parametrize("count", [2**63, 10**30, 10**400])
+@pytest.mark.parametrize("which", ["num_filters", "num_particles", "num_draws"])
+def test_a_count_of_any_number_of_digits_is_told(count, which):
+    with pytest.raises(InputError, match=r"far too many .* of memory or more") as told:
+        check_memory(100, 2, SMCOptions(**{which: count}), ("smc",))
+    assert len(str(told.value)) < 200
+
+
 def test_only_methods_with_particles_count_them():
     many = SMCOptions(2, 10**9, 1)
     check_memory(100, 2, many, ("laplace", "nuts"))
