@@ -26,7 +26,8 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.bodies.tree import Tree, TreeParameters
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.models.observation.observation import Observation
 

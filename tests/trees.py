@@ -9,7 +9,8 @@ import torch
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import UNTURNED
-from invdyn.models.bodies.tree import SpatialLink, Tree
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
 
 F64 = torch.float64
 UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))

@@ -23,21 +23,20 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_chain, body_mjcf, body_toml, body_urdf, body_xml, joint_parts_toml, robot_file
+from invdyn.models.bodies import body_chain, body_toml, body_xml, joint_parts_toml, robot_file
+from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.joint_parts import JointParts
-from invdyn.models.bodies.parts import Robot
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
     KNOWN,
     QUANTITIES,
-    SMALLEST,
     UNKNOWN,
     BodyError,
     Learned,
     Scalar,
     check_keys,
     check_name,
-    checked,
     nominal,
     number,
     prior,
@@ -45,11 +44,8 @@ from invdyn.models.bodies.scalars import (
 )
 from invdyn.models.bodies.whole_file import read_whole
 
-__all__ = ["Body", "BodyError", "BodyParameters", "Learned", "Link"]
-
 MOST_LINKS = 100  # an arm has seven, a snake robot thirty
 FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
-MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
 
 
 class BodyParameters(NamedTuple):
@@ -71,57 +67,7 @@ class BodyParameters(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Link:
-    """One rigid link. Each of its scalars is a number, a scalar Pyro distribution (its prior) or `Learned`.
-
-    `parts` are what its joint has besides the hinge: friction, a spring, a motor; None for nothing.
-
-    Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive, a negative
-    inertia, a prior that allows such, a centre of mass more than three lengths from the joint, and a link
-    that has neither com nor inertia to resist a torque.
-    """
-
-    name: str
-    joint: str
-    tip: str
-    length: Scalar
-    mass: Scalar
-    com: Scalar | None = None
-    inertia: Scalar | None = None
-    parts: JointParts | None = None
-
-    def __post_init__(self) -> None:
-        for key in ("name", "joint", "tip"):
-            check_name(getattr(self, key), f"{key} of a link")
-        where = f"link '{self.name}'"
-        for key in QUANTITIES:
-            value = getattr(self, key)
-            if value is not None or key in ("length", "mass"):
-                object.__setattr__(self, key, checked(value, key, where))
-        length, mass, com, inertia = (self.nominal(key) for key in QUANTITIES)
-        if abs(com) > MAX_COM * length:
-            raise BodyError(
-                f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
-                f"got {com:g} m; are both in metres?"
-            )
-        about_joint = inertia + mass * com * com
-        if not math.isfinite(about_joint):
-            raise BodyError(f"{where}: its moment about the joint is too large for a number; are the units SI?")
-        if about_joint < SMALLEST["inertia"]:
-            raise BodyError(f"{where}: com and inertia are both 0, or nearly so: nothing would resist a torque")
-
-    def nominal(self, quantity: str) -> float:
-        """Return a scalar as a float: priors at their mean, learned ones at their start, defaults filled."""
-        value = getattr(self, quantity)
-        if value is not None:
-            return nominal(value)
-        if quantity == "com":
-            return self.nominal("length") / 2
-        return self.nominal("mass") * self.nominal("length") * self.nominal("length") / 12
-
-
-@dataclass(frozen=True)
-class Body(BodyBase):
+class Body(FromFiles, BodyBase):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
     Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite
@@ -367,11 +313,6 @@ class Body(BodyBase):
         return cls.from_robot(robot_file.of(content, str(path)), path)
 
     @classmethod
-    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
-        """The body of a file's parts; see `load`."""
-        return cls._of(body_chain.tables(robot, str(path)), path)
-
-    @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
         """The body of a TOML file's tables; see `load`."""
         return cls._of(body_toml.of(tables, str(path)), path)
@@ -381,25 +322,12 @@ class Body(BodyBase):
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
         return cls._of(body_toml.read(path), path)
 
-    @classmethod
-    def from_mjcf(cls, path: str | Path) -> Self:
-        """Read a planar chain of hinges from MuJoCo's format (extra `robots`); see `body_mjcf`.
+    @staticmethod
+    def link_of(table: dict) -> Link:
+        """A link of a table."""
+        return Link(**table)
 
-        Warns of what the file has and a rigid body lacks. Raises `BodyError`, which names the file, or `OSError`.
-        """
-        return cls.from_robot(body_mjcf.read(path), path)
-
-    @classmethod
-    def from_urdf(cls, path: str | Path) -> Self:
-        """Read a planar chain of revolute joints from URDF; warns and raises as `from_mjcf`."""
-        return cls.from_robot(body_urdf.read(path), path)
-
-    @classmethod
-    def _of(cls, tables: dict, path: str | Path) -> Self:
-        try:
-            return cls(**tables | {"links": [Link(**link) for link in tables["links"]]})
-        except BodyError as error:
-            raise BodyError(f"{path}: {error}") from error
+    tables_of = staticmethod(body_chain.tables)
 
     def to_toml(self, path: str | Path) -> None:
         """Write a body file that `from_toml` reads back.

@@ -19,7 +19,8 @@ from invdyn.models.bodies.inertia import six, tensor
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.rotations import LETTERS, about, numbers
 from invdyn.models.bodies.scalars import BodyError, number
-from invdyn.models.bodies.tree import SpatialLink, Tree
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
 
 
 class Row(NamedTuple):

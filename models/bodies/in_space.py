@@ -12,7 +12,9 @@ from invdyn.models.bodies import body_toml, body_xml, robot_file, tree_toml
 from invdyn.models.bodies.body import Body, BodyParameters
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.parts import is_planar_chain
-from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.bodies.whole_file import read_whole
 
 

@@ -12,11 +12,11 @@ free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `bod
 Hartenberg: `dh.py`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pyro
@@ -25,103 +25,19 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_mjcf, body_tree, body_urdf, tree_toml
+from invdyn.models.bodies import body_tree, tree_toml
+from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
-from invdyn.models.bodies.parts import Robot
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
-from invdyn.models.bodies.rotations import UNTURNED, about, from_rows, numbers
-from invdyn.models.bodies.scalars import (
-    SMALLEST,
-    BodyError,
-    Learned,
-    Scalar,
-    check_name,
-    checked_scalar,
-    checked_scalars,
-    nominal,
-)
-
-__all__ = ["SpatialLink", "Tree", "TreeParameters"]
-
-Vector = Sequence[Scalar]
-
-
-class TreeParameters(NamedTuple):
-    """The numbers of a tree of L links and S sites as tensors; leading dimensions are many parameter sets.
-
-    `mass` (..., L), `com` (..., L, 3), `inertia` (..., L, 6), joints' `position` (..., L, 3) and `rotation`
-    (..., L, 3, 3) in the parents' frames, `sites` (..., S, 3), `gravity` (..., 3). Units at the top of this file.
-    """
-
-    mass: Tensor
-    com: Tensor
-    inertia: Tensor
-    position: Tensor
-    rotation: Tensor
-    sites: Tensor
-    gravity: Tensor
-
-    def to(self, *args: Any, **kwargs: Any) -> "TreeParameters":
-        """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
-        return TreeParameters(*(value.to(*args, **kwargs) for value in self))
+from invdyn.models.bodies.rotations import about, numbers
+from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
+from invdyn.models.bodies.spatial_link import SpatialLink, ordered
+from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, moments
 
 
 @dataclass(frozen=True)
-class SpatialLink:
-    """One rigid link and its joint. Its scalars are numbers, scalar Pyro distributions (priors) or `Learned`.
-
-    `rotation` has the rows of a matrix. Raises `BodyError` for scalars that are not finite, a mass, length or moment
-    that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
-    """
-
-    name: str
-    joint: Joint
-    parent: str = WORLD
-    origin: Vector | None = None
-    rotation: Sequence[Sequence[float]] = UNTURNED
-    mass: Scalar = 0.0
-    com: Vector | None = None
-    inertia: Vector | None = None
-    length: Scalar | None = None
-    tip: str | None = None
-    sites: Mapping[str, Vector] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_name(self.name, "name of a link")
-        where = f"link '{self.name}'"
-        check_name(self.parent, f"{where}: parent")
-        if self.name == WORLD or not isinstance(self.joint, Joint):
-            raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
-        keep = object.__setattr__
-        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", smallest=SMALLEST["mass"]))
-        for key, unit in (("origin", "m"), ("com", "m")):
-            if getattr(self, key) is not None:
-                keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in {unit}"))
-        if self.inertia is not None:
-            what = f"{where}: inertia in kg·m²"
-            products = checked_scalars(self.inertia, 6, what)
-            moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
-            keep(self, "inertia", (*moments, *products[3:]))
-        if self.length is not None:
-            what = f"{where}: length in m"
-            keep(self, "length", checked_scalar(self.length, what, positive=True, smallest=SMALLEST["length"]))
-        if (self.tip is not None) != (self.length is not None):
-            raise BodyError(f"{where}: expected length and tip together: the tip is a site at (length, 0, 0)")
-        keep(self, "rotation", from_rows(self.rotation, f"{where}: rotation"))
-        for name in (*([] if self.tip is None else [self.tip]), *self.sites):
-            check_name(name, f"{where}: name of a site")
-        sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
-        keep(self, "sites", sites)
-
-    @property
-    def points(self) -> dict[str, Vector | None]:
-        """All of its sites by name: the tip first, as None, because it is where the length puts it."""
-        return ({} if self.tip is None else {self.tip: None}) | dict(self.sites)
-
-
-@dataclass(frozen=True)
-class Tree(BodyBase):
+class Tree(FromFiles, BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
@@ -151,12 +67,12 @@ class Tree(BodyBase):
             for name in names:
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
-        object.__setattr__(self, "links", _ordered(self.links, where))
+        object.__setattr__(self, "links", ordered(self.links, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self.turning(), strict=True):
-            moments = self._inertia(link, nominal(link.mass), None if link.length is None else nominal(link.length))
-            check_inertia(tensor(np.array([nominal(x) for x in moments])), turning, f"{where}: link '{link.name}'")
+            own = moments(link, nominal(link.mass), None if link.length is None else nominal(link.length))
+            check_inertia(tensor(np.array([nominal(x) for x in own])), turning, f"{where}: link '{link.name}'")
 
     @property
     def num_joints(self) -> int:
@@ -197,7 +113,11 @@ class Tree(BodyBase):
         self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
     ) -> TreeParameters:
         """Return the `TreeParameters` at the nominal values: priors at their means, learned ones at their starts."""
-        return self._assemble(lambda value, _: torch.tensor(nominal(value), dtype=dtype, device=device))
+
+        def draw(value: Scalar, site: str) -> Tensor:
+            return torch.tensor(nominal(value), dtype=dtype, device=device)
+
+        return assembled(self.links, self.parents, self.gravity, draw)
 
     def sample(
         self, prefix: str = "", dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
@@ -218,48 +138,7 @@ class Tree(BodyBase):
             positive = site.rpartition(".")[2] in ("mass", "length", *(f"inertia_{name}" for name in NAMES[:3]))
             return pyro.param(prefix + site, number, constraint=constraints.positive if positive else constraints.real)
 
-        return self._assemble(draw)
-
-    def _assemble(self, draw: Callable[[Scalar, str], Tensor]) -> TreeParameters:
-        def drawn(values: Vector, link: SpatialLink, word: str, letters: Sequence[str] = "xyz") -> list[Tensor]:
-            return [
-                value if isinstance(value, Tensor) else draw(value, f"{link.name}.{word}_{letter}")
-                for value, letter in zip(values, letters, strict=True)
-            ]
-
-        mass, com, inertia, position, sites, lengths = [], [], [], [], [], []
-        for link, parent in zip(self.links, self.parents, strict=True):
-            mass.append(draw(link.mass, f"{link.name}.mass"))
-            length = None if link.length is None else draw(link.length, f"{link.name}.length")
-            lengths.append(length)
-            stretch = 0.0 if parent < 0 or lengths[parent] is None else lengths[parent]
-            com.append(drawn(self._com(link, length), link, "com"))
-            inertia.append(drawn(self._inertia(link, mass[-1], length), link, "inertia", NAMES))
-            position.append(drawn((stretch, 0.0, 0.0) if link.origin is None else link.origin, link, "origin"))
-            sites += [drawn((length, 0.0, 0.0) if at is None else at, link, name) for name, at in link.points.items()]
-        like: dict[str, Any] = {"dtype": mass[0].dtype, "device": mass[0].device}
-        return TreeParameters(
-            mass=_stacked(mass),
-            com=_rows(com),
-            inertia=_rows(inertia),
-            position=_rows(position),
-            rotation=torch.tensor([link.rotation for link in self.links], **like),
-            sites=_rows(sites) if sites else torch.zeros(0, 3, **like),
-            gravity=torch.tensor(self.gravity, **like),
-        )
-
-    @staticmethod
-    def _com(link: SpatialLink, length: Any) -> Sequence[Any]:
-        if link.com is not None:
-            return link.com
-        return (0.0, 0.0, 0.0) if length is None else (length / 2, 0.0, 0.0)
-
-    @staticmethod
-    def _inertia(link: SpatialLink, mass: Any, length: Any) -> Sequence[Any]:
-        if link.inertia is not None:
-            return link.inertia
-        rod = 0.0 if length is None else mass * length**2 / 12
-        return (0.0, rod, rod, 0.0, 0.0, 0.0)
+        return assembled(self.links, self.parents, self.gravity, draw)
 
     @property
     def has_priors(self) -> bool:
@@ -419,31 +298,12 @@ class Tree(BodyBase):
         """The tree of a TOML file's tables; see `from_toml`."""
         return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path)
 
-    @classmethod
-    def from_mjcf(cls, path: str | Path) -> Self:
-        """Read any tree of joints from MuJoCo's format (extra `robots`); see `body_mjcf` and `body_tree`.
+    @staticmethod
+    def link_of(table: dict) -> SpatialLink:
+        """A link and its joint, of a table."""
+        return SpatialLink(**table | {"joint": Joint(**table["joint"])})
 
-        Warns of what the file has and rigid links lack. Raises `BodyError`, which names the file, or `OSError`.
-        """
-        return cls.from_robot(body_mjcf.read(path), path)
-
-    @classmethod
-    def from_urdf(cls, path: str | Path) -> Self:
-        """Read any tree of joints from URDF; warns and raises as `from_mjcf`."""
-        return cls.from_robot(body_urdf.read(path), path)
-
-    @classmethod
-    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
-        """The tree of a file's parts; see `from_mjcf`."""
-        return cls._of(body_tree.tables(robot, str(path)), path)
-
-    @classmethod
-    def _of(cls, tables: dict, path: str | Path) -> Self:
-        try:
-            links = [SpatialLink(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
-            return cls(**tables | {"links": links})
-        except BodyError as error:
-            raise BodyError(f"{path}: {error}") from error
+    tables_of = staticmethod(body_tree.tables)
 
     def to_toml(self, path: str | Path) -> None:
         """Write a body file that `from_toml` reads back.
@@ -456,32 +316,3 @@ class Tree(BodyBase):
             for link in self.links
         ]
         tree_toml.write(path, self.name, self.gravity, links)
-
-
-def _ordered(links: Sequence[SpatialLink], where: str) -> tuple[SpatialLink, ...]:
-    """Links with parents before their children, else as given. Raises `BodyError` for unknown parents and a cycle."""
-    names = {link.name for link in links}
-    for link in links:
-        if link.parent != WORLD and link.parent not in names:
-            raise BodyError(
-                f"{where}: link '{link.name}' hangs on '{link.parent}', which is no link; "
-                f"links are {', '.join(link.name for link in links)}, and '{WORLD}' is what does not move"
-            )
-    placed, waiting, known = [], list(links), {WORLD}
-    while waiting:
-        ready = next((link for link in waiting if link.parent in known), None)
-        if ready is None:
-            circle = ", ".join(f"'{link.name}' on '{link.parent}'" for link in waiting)
-            raise BodyError(f"{where}: expected a tree, but links hang on each other in a circle: {circle}")
-        waiting.remove(ready)
-        known.add(ready.name)
-        placed.append(ready)
-    return tuple(placed)
-
-
-def _stacked(scalars: Sequence[Tensor], dim: int = -1) -> Tensor:
-    return torch.stack(torch.broadcast_tensors(*scalars), dim)
-
-
-def _rows(rows: Sequence[Sequence[Tensor]]) -> Tensor:
-    return _stacked([_stacked(row) for row in rows], -2)

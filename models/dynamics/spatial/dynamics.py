@@ -18,7 +18,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.tree import Tree, TreeParameters
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO

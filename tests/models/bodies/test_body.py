@@ -7,7 +7,9 @@ import pyro.distributions as dist
 import pytest
 import torch
 
-from invdyn.models.bodies.body import Body, BodyError, Learned, Link
+from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.scalars import BodyError, Learned
 
 ARM = """\
 name = "bench arm"

@@ -18,7 +18,8 @@ from invdyn.models.bodies.in_space import load_body, parameters_in_space, tree_o
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.models.bodies.scalars import BodyError, Learned, prior
-from invdyn.models.bodies.tree import SpatialLink, Tree
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 PLANAR = """

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models.bodies.body import Body, Link
+from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.link import Link
 from invdyn.models.dynamics.integrators import INTEGRATORS, euler, rk4, semi_implicit
 from invdyn.models.dynamics.registry import planar_dynamics
 

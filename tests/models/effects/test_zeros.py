@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import about
-from invdyn.models.bodies.tree import SpatialLink, Tree
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
 

@@ -7,8 +7,9 @@ from chains import METHODS, call, random_case
 from chains import assert_close as close
 from trees import MuJoCo, mobile_arm, panda, pinocchio_of, random_state, random_tree
 
-from invdyn.models.bodies.body import Body, Link
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.in_space import parameters_in_space, tree_of
+from invdyn.models.bodies.link import Link
 from invdyn.models.dynamics.registry import planar_dynamics
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 

@@ -9,7 +9,9 @@ from trees import F64, mobile_arm, paper_arm, random_state, random_tree
 
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.tree import SpatialLink, Tree, TreeParameters
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 
 
