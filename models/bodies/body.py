@@ -304,13 +304,8 @@ class Body(FromFiles, BodyBase):
         """
         content = read_whole(path, body_xml.MOST_BYTES)
         if body_xml.is_xml(content):
-            return cls.from_xml(content, path)
+            return cls.from_robot(robot_file.of(content, str(path)), path)
         return cls.from_tables(body_toml.parse(content, str(path)), path)
-
-    @classmethod
-    def from_xml(cls, content: bytes, path: str | Path) -> Self:
-        """The body of the content of a file of MJCF or URDF; see `load`."""
-        return cls.from_robot(robot_file.of(content, str(path)), path)
 
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:

@@ -39,7 +39,7 @@ def tables(robot: Robot, where: str) -> dict:
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
         found = _links(robot, where)
     if robot.left_out:
-        warnings.warn(f"{where}: rigid links leave out {'; '.join(robot.left_out)}", UserWarning, stacklevel=5)
+        warnings.warn(f"{where}: rigid links leave out {'; '.join(robot.left_out)}", UserWarning, stacklevel=4)
     return {"name": Path(where).stem, "gravity": robot.gravity.tolist(), "links": found}
 
 
