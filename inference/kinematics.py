@@ -21,6 +21,7 @@ from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel, Tree
 from invdyn.models.articulated.defaults import Value
 from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings.cameras import Filmed
 
 SAMPLERS = ("smc", "laplace")
 """Methods that ask a model for no torque."""
@@ -61,10 +62,15 @@ def infer_kinematics(
         InferenceData as :mod:`.posterior` lays it out, without torques. Attributes: model "kinematic", and under
         settings what was fitted, and "length", for each link that was learned (length, sd).
 
-    Raises InputError: the recording does not fit the body, an unknown parameter, or another method.
+    Raises InputError: the recording does not fit the body or is a film, an unknown parameter, or another method.
     """
     if method not in SAMPLERS:
         raise InputError(f"--kinematic: expected a method among {', '.join(SAMPLERS)}, got {method!r}")
+    if isinstance(recording, Filmed):
+        raise InputError(
+            f"{recording.name} is a film, and a kinematic model knows no cameras: "
+            "give it the triangulated points, as a Recording of time, keypoints and keypoint_names"
+        )
     options = SMCOptions(num_filters, num_particles, num_draws)
     options.check()
     problem = arm_problem(

@@ -47,8 +47,8 @@ class KinematicModel(StateSpaceModel):
         order: 1 or 2, see the top of the file.
         parameters: values that replace the defaults, by dotted name, each broadcastable to its own shape.
 
-    Raises ValueError for another order, times that do not increase, a parameter of the wrong shape, and sensors that
-    the body has no place for; KeyError for an unknown parameter.
+    Raises ValueError for another order, times that do not increase, a parameter of the wrong shape, sensors that the
+    body has no place for, and those whose errors last; KeyError for an unknown parameter.
     """
 
     def __init__(
@@ -64,6 +64,9 @@ class KinematicModel(StateSpaceModel):
             raise WrongValue(f"expected a walk of order 1 or 2, got {order!r}")
         self.body, self.dynamics, self.order = body, dynamics_for(body), order
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
+        if self.observation.states:
+            last = ", ".join(each.name for each in self.observation.remembering)
+            raise WrongValue(f"expected sensors whose errors do not last, as a walk has no states for them, got {last}")
         self.timeline = Timeline.of(time)
         self.num_steps = len(self.timeline.time)
         self.observation_dim = self.observation.size

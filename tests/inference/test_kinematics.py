@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from scenes import ring
 from trees import paper_arm
 
 from invdyn.inference import infer_kinematics, learned_lengths, load_posterior, pooled, save_posterior
 from invdyn.models import Body, KinematicModel, Link
 from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings.cameras import Views, filmed
 
 TIPS = ("elbow_tip", "wrist")
 NOISE = 0.02
@@ -103,3 +105,6 @@ def test_what_cannot_be_is_said():
         infer_kinematics(recording, paper_arm(), settings={"torque.scale": 1.0})
     with pytest.raises(InputError, match="order 1 or 2"):
         infer_kinematics(recording, paper_arm(), order=4)
+    film = filmed(Views(ring(2), recording.time, np.full((12, 2, 2, 2), 100.0), np.ones((12, 2, 2)), TIPS))
+    with pytest.raises(InputError, match="is a film, and a kinematic model knows no cameras"):
+        infer_kinematics(film, paper_arm())

@@ -1,14 +1,18 @@
 """The kinematic model: its walk is exact, and where it is linear its evidence is a Kalman filter's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from oracles import Chain, kalman
+from scenes import ring
 from trees import paper_arm
 
 from invdyn.inference import SMCOptions, run_filters
+from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Encoders, KinematicModel, Link, Observation
+from invdyn.models import Body, Encoders, KinematicModel, Link, Observation, Pixels
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.state_space import UnknownParameter, gaussian_moments
 
@@ -87,3 +91,7 @@ def test_what_cannot_be_is_refused():
         KinematicModel(ARM, TIME, parameters={"torque.scale": 1.0})
     with pytest.raises(ValueError, match="increasing"):
         KinematicModel(ARM, TIME[::-1])
+    pixels = Pixels(pinhole(ring(2)), ("a", "b"), torch.full((2, 2), 640.0).double(), (0,))
+    with pytest.raises(WrongValue, match=r"errors do not last, .* got pixel"):
+        KinematicModel(paper_arm(), TIME, Observation(pixels))
+    KinematicModel(paper_arm(), TIME, Observation(replace(pixels, lasting=False)))
