@@ -10,7 +10,7 @@ v is not whitened, which costs power where predictions are uncertain. Noise of u
 
 How much louder errors are than the noise at rest, κ says; but that noise is hardly known where a cause has it grow with
 speed. There the cause's own noise, drawn about its path, is held against the recording's, both as neighbouring rows
-show them (:func:`.initialise.jitter`).
+show them (:func:`.jitter.jitter`).
 
 And stray detections of a tracker that errs now and then come upon each keypoint by itself. With r_t the probability
 that one strays in row t and s_t that another does, of all pairs together,
@@ -32,7 +32,7 @@ from invdyn.diagnosis.hypotheses.predict import best_size, seen_tips, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm
-from invdyn.inference.posterior.initialise import jitter
+from invdyn.inference.posterior.jitter import jitter
 from invdyn.models.effects.base import Effect
 from invdyn.models.observation.mixture import MistakenRows
 

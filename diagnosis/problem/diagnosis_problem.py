@@ -23,7 +23,8 @@ from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.diagnosis.problem.thinned import thinned
-from invdyn.inference.posterior.initialise import Problem, arm_problem, jitter, sufficient_substeps
+from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
+from invdyn.inference.posterior.jitter import jitter
 from invdyn.models import ArmModel, Body
 from invdyn.models.articulated.as_filed import answered
 from invdyn.models.bodies.scalars import QUANTITIES

@@ -1,6 +1,6 @@
 """The noise of detections that do not move, which jitter, blur and mistimed frames let grow with speed.
 
-Differences of a track show its noise (:func:`.initialise.differences`). Sorted by the speed v of the point, their
+Differences of a track show its noise (:func:`.jitter.differences`). Sorted by the speed v of the point, their
 medians in ``BINS`` bins are compared with a noise that is the same everywhere and with two that grow:
 
     σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from invdyn.inference.posterior.initialise import MEDIAN, differences, jitter
+from invdyn.inference.posterior.jitter import MEDIAN, differences, jitter
 
 Growth = Callable[[np.ndarray, float], np.ndarray]
 """Speeds (N,) and k → noise, in units of that at rest."""

@@ -1,17 +1,16 @@
 """From a recording and a body to a model with sensible starting values, as in Biderman et al. (2020).
 
 * first-frame angles at maximum likelihood (inverse kinematics), with a weak Gaussian around them;
-* link lengths from the median distance between joints, when they are to be learned;
-* the keypoints' noise from what a smooth motion cannot explain (third differences);
+* link lengths from the median distance between joints, when they are to be learned (:mod:`.lengths`);
+* the keypoints' noise from what a smooth motion cannot explain (:mod:`.jitter`);
 * integrator sub-steps from the integrator's own error, which must stay far below the noise, or it
   would be taken for physics.
 
 All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,13 @@ from torch import Tensor
 
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, warn_of_poles
+from invdyn.inference.posterior.jitter import jitter
+from invdyn.inference.posterior.lengths import with_observed_lengths
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
-    Body,
     Encoders,
     Keypoints,
-    Learned,
     Observation,
     Sensor,
     TorqueProcess,
@@ -35,7 +34,6 @@ from invdyn.models import (
 )
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
-from invdyn.models.bodies.scalars import nominal
 from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.observation.pixels import USUAL_BIAS
 from invdyn.models.state_space import UnknownParameter
@@ -43,14 +41,8 @@ from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-ORDERS, HIGHER = (3, 4, 5), (10, 15)
-"""Of the differences that noise is estimated from, and of those that a very fast motion needs."""
-SURELY = 3.0
-"""Standard deviations by which a higher order must show less."""
 LOST = 20.0
 """Times as far off as a sure keypoint that a doubtful one is lost."""
-MEDIAN = 1.36
-"""n times the relative variance of the median of the sizes of n Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -161,51 +153,6 @@ def arm_problem(
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
     return Problem(model, observations, recording, None if truth is None else truth.at(recording.time), notes)
-
-
-def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> ArticulatedBody:
-    """The body whose links are as long as the median distance between neighbouring joints, in the recording's unit.
-
-    Of a tree in space its sticks are, which begin where another one ends or at a given place of the world, and their
-    lengths are learned from there. A link keeps its own length where an end of it is unseen. Raises InputError for a
-    body that has no lengths.
-    """
-    if isinstance(body, Body):
-        return body.with_values(length=observed_lengths(recording, body))
-    if not isinstance(body, Tree) or all(link.length is None for link in body.links):
-        raise InputError(f"body '{body.name}' has no links of a length that could be learned: leave out learn_lengths")
-    tips = {link.name: link.tip for link in body.links}
-    links = []
-    for link, parent in zip(body.links, body.parents, strict=True):
-        if link.length is None:
-            links.append(link)
-            continue
-        start = np.full((1, 3), np.nan)
-        if parent < 0:
-            start = np.array([[nominal(x) for x in link.origin or (0.0, 0.0, 0.0)]])
-        elif link.origin is None and (tip := tips[link.parent]) in recording.keypoint_names:
-            start = recording.keypoint(tip)
-        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
-        links.append(replace(link, length=Learned(_median_distance(start, end) or nominal(link.length))))
-    return replace(body, links=links)
-
-
-def observed_lengths(recording: Recording, body: Body) -> list[float]:
-    """Median distance between neighbouring joints, (K,), the recording's unit; the body's own where unseen."""
-    start = np.broadcast_to(np.asarray(body.base), (recording.num_frames, 2))
-    lengths = []
-    for link in body.links:
-        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
-        lengths.append(_median_distance(start, end) or link.nominal("length"))
-        start = end
-    return lengths
-
-
-def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
-    """Between points (T, d), where both are seen; None where they never are."""
-    distance = np.linalg.norm(end - start, axis=-1)
-    seen = np.isfinite(distance)
-    return float(np.median(distance[seen])) if seen.any() else None
 
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:
@@ -323,36 +270,6 @@ def confidence_drop(off: np.ndarray, drop: np.ndarray) -> np.ndarray:
             ratio = np.median(size[low]) / np.median(size[high])
             start[p] = np.log(ratio) / (np.median(d[low]) - np.median(d[high]))
     return start
-
-
-def jitter(columns: np.ndarray) -> np.ndarray:
-    """Noise sd of each column (T, C) from its differences, robustly; 0 where too little is seen.
-
-    Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
-    """
-    found = [differences(column[np.isfinite(column)]) for column in columns.T]
-    return np.array([1.4826 * np.median(np.abs(each)) if len(each) else 0.0 for each in found])
-
-
-def differences(column: np.ndarray) -> np.ndarray:
-    """n-th differences of values (T,), (T − n,), as large as the noise in them; none of too few values.
-
-    Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
-    to them falls with n, so that the order with the least of them counts. Of a very fast one it falls beyond ``ORDERS``
-    still: higher ones follow while each has surely less, by ``SURELY`` standard deviations of a median's logarithm.
-    """
-
-    def scaled(n: int) -> np.ndarray:
-        return np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n))
-
-    orders = [n for n in ORDERS if len(column) > n]
-    found = min((scaled(n) for n in orders), key=lambda each: np.median(np.abs(each)), default=np.empty(0))
-    for higher in (scaled(n) for n in HIGHER if len(column) > 2 * n):
-        ratio = math.exp(-SURELY * math.sqrt(MEDIAN / len(higher)))
-        if not np.median(np.abs(higher)) < ratio * np.median(np.abs(found)):
-            break
-        found = higher
-    return found
 
 
 def sufficient_substeps(model: ArmModel, observations: Tensor, share: float = 0.1) -> int:

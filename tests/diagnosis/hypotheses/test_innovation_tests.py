@@ -19,7 +19,7 @@ from invdyn.diagnosis.hypotheses.innovation_tests import (
 from invdyn.diagnosis.hypotheses.predict import seen_tips
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.inference.posterior.initialise import MEDIAN
+from invdyn.inference.posterior.jitter import MEDIAN
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record

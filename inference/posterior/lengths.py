@@ -1,0 +1,54 @@
+"""Lengths of links from what was recorded: the median distance between neighbouring joints, where learning begins."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn.models import ArticulatedBody, Body, Learned, Tree
+from invdyn.models.bodies.scalars import nominal
+from invdyn.recordings import InputError, Recording
+
+
+def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> ArticulatedBody:
+    """The body whose links are as long as the median distance between neighbouring joints, in the recording's unit.
+
+    Of a tree in space its sticks are, which begin where another one ends or at a given place of the world, and their
+    lengths are learned from there. A link keeps its own length where an end of it is unseen. Raises InputError for a
+    body that has no lengths.
+    """
+    if isinstance(body, Body):
+        return body.with_values(length=observed_lengths(recording, body))
+    if not isinstance(body, Tree) or all(link.length is None for link in body.links):
+        raise InputError(f"body '{body.name}' has no links of a length that could be learned: leave out learn_lengths")
+    tips = {link.name: link.tip for link in body.links}
+    links = []
+    for link, parent in zip(body.links, body.parents, strict=True):
+        if link.length is None:
+            links.append(link)
+            continue
+        start = np.full((1, 3), np.nan)
+        if parent < 0:
+            start = np.array([[nominal(x) for x in link.origin or (0.0, 0.0, 0.0)]])
+        elif link.origin is None and (tip := tips[link.parent]) in recording.keypoint_names:
+            start = recording.keypoint(tip)
+        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
+        links.append(replace(link, length=Learned(_median_distance(start, end) or nominal(link.length))))
+    return replace(body, links=links)
+
+
+def observed_lengths(recording: Recording, body: Body) -> list[float]:
+    """Median distance between neighbouring joints, (K,), the recording's unit; the body's own where unseen."""
+    start = np.broadcast_to(np.asarray(body.base), (recording.num_frames, 2))
+    lengths = []
+    for link in body.links:
+        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
+        lengths.append(_median_distance(start, end) or link.nominal("length"))
+        start = end
+    return lengths
+
+
+def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
+    """Between points (T, d), where both are seen; None where they never are."""
+    distance = np.linalg.norm(end - start, axis=-1)
+    seen = np.isfinite(distance)
+    return float(np.median(distance[seen])) if seen.any() else None
