@@ -1,10 +1,11 @@
 """Which coordinates of a body in space its keypoints do not tell, row by row.
 
 A row's sensors tell a small turn dq by J dq / σ, with J (O, K) the slopes of what is seen in it: those of tracked
-sites, m/rad, and of encoders, each over its noise σ. Of J / σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad.
-Where that is more than ``BLUNT`` the direction is not seen, and a coordinate is not where such directions make up most
-of it: the twist of a last link, or of a straight arm, and a joint without keypoints beyond it. What a posterior says
-there is the prior's: its torque's stationary law and its start, which are proper, keep it bounded.
+sites, m/rad, of pixels, px/rad, and of encoders, each over its noise σ (of pixels with what lasts of a tracker's
+error). Of J / σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad. Where that is more than ``BLUNT`` the direction
+is not seen, and a coordinate is not where such directions make up most of it: the twist of a last link, or of a
+straight arm, and a joint without keypoints beyond it. What a posterior says there is the prior's: its torque's
+stationary law and its start, which are proper, keep it bounded.
 
 Shapes: rows (T, O), K coordinates.
 """
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.models.dynamics.interface import jvp
 from invdyn.models.observation.observation import Observation
 
 BLUNT = 0.5
@@ -33,13 +35,24 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
     observation: Observation = model.observation
     rows, K = observations.detach().cpu(), angle.shape[-1]
     slopes, sharp = [], []
+    jacobian = model.dynamics.jacobian(angle, model.body_parameters())
     if (keypoints := observation.keypoints) is not None:
-        jacobian = model.dynamics.jacobian(angle, model.body_parameters()).flatten(-2)
-        own = keypoints.tracked(jacobian).unflatten(-1, (-1, K)).flatten(-3, -2)
+        own = keypoints.tracked(jacobian.flatten(-2)).unflatten(-1, (-1, K)).flatten(-3, -2)
         own = torch.where(torch.isfinite(rows[:, observation.part(keypoints)]).unsqueeze(-1), own, 0.0)
         scale = model.parameters["emission.keypoint_scale"].repeat_interleave(model.body.space, -1)
         slopes.append(own)
         sharp.append(own / scale.unsqueeze(-1))
+    if (pixels := observation.pixels) is not None:
+        seen = torch.isfinite(observation.of(pixels, rows))
+        by_one = seen.all(-1).any(-2)[..., None, None]  # camera at least, of P sites
+        slopes.append(torch.where(by_one, jacobian[..., list(pixels.sites), :, :], 0.0).flatten(-3, -2))
+        points = model.dynamics.keypoints(angle, model.body_parameters())
+        shown = [jvp(pixels.about, (points,), (along,)) for along in jacobian.unbind(-1)]
+        own = torch.where(seen.flatten(1).unsqueeze(-1), torch.stack(shown, -1), 0.0)
+        scale = model.parameters["emission.pixel_scale"]
+        if pixels.lasting:
+            scale = scale.hypot(model.parameters["emission.bias_scale"])
+        sharp.append(own / scale.repeat_interleave(2, -1).flatten().unsqueeze(-1))
     if (encoders := observation.encoders) is not None:
         read = torch.isfinite(rows[:, observation.part(encoders)]).to(angle)
         sharp.append(torch.diag_embed(read / model.parameters["emission.angle_scale"]))

@@ -88,12 +88,12 @@ class Dynamics(ABC):
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J θ̇, m/s, (..., S, d)."""
         q, qd = _together(q, qd)
-        return _jvp()(lambda angles: self.keypoints(angles, p), (q,), (qd,))[1]
+        return jvp(lambda angles: self.keypoints(angles, p), (q,), (qd,))
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J θ̈ + J̇ θ̇, m/s², (..., S, d)."""
         q, qd, qdd = _together(q, qd, qdd)
-        return _jvp()(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))[1]
+        return jvp(lambda angles, rates: self.site_velocities(angles, rates, p), (q, qd), (qd, qdd))
 
     def torque_of(self, q: Tensor, site: int, force: Tensor, p: Any) -> Tensor:
         """Jᵀ F, N·m, (..., K), of a force (..., d) N that pulls at a site."""
@@ -144,11 +144,15 @@ def _together(*values: Tensor) -> list[Tensor]:
     return [value.contiguous() for value in torch.broadcast_tensors(*values)]
 
 
+def jvp(function: Callable[..., Tensor], at: tuple[Tensor, ...], along: tuple[Tensor, ...]) -> Tensor:
+    """Derivative of a function along a direction, by torch's forward mode."""
+    _import_forward_mode()
+    return torch.func.jvp(function, at, along)[1]
+
+
 @cache
-def _jvp() -> Callable[..., Any]:
-    """Torch's derivative along a direction, by forward mode."""
+def _import_forward_mode() -> None:
     with warnings.catch_warnings():
         # At first use torch imports what it deprecates itself.
         warnings.simplefilter("ignore", DeprecationWarning)
         from torch._decomp import decompositions_for_jvp  # noqa: F401
-    return torch.func.jvp

@@ -135,6 +135,7 @@ def test_filters_agree_with_the_gaussian_smoother():
     by_filters, smoothed = (method(problem, options=options) for method in (smc, laplace))
     assert by_filters.attrs["log_evidence"] == pytest.approx(smoothed.attrs["log_evidence"], abs=0.5)
     assert by_filters.attrs["outer_ess"] > 2  # of 4
+    assert "unseen" not in smoothed.attrs  # two cameras tell all of a rod
     torques = [each["posterior"]["torque"].mean(("chain", "draw")) for each in (by_filters, smoothed)]
     spread = smoothed["posterior"]["torque"].std(("chain", "draw"))
     assert float(np.abs(torques[0] - torques[1]).mean()) < float(spread.mean())  # 8 draws of each

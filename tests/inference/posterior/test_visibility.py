@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from scenes import looking, ring
 
 from invdyn.inference import METHODS, SMCOptions, arm_problem
+from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.visibility import unseen_lines, visibility
-from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, SpatialLink, Tree, dynamics_for
+from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, SpatialLink, Tree, dynamics_for
 from invdyn.recordings import Recording
+from invdyn.recordings.cameras import Calibration
 from invdyn.summary import summary_text
 
 NOISE = 0.005
@@ -58,6 +61,37 @@ def test_encoders_tell_every_joint():
     values, unseen = visibility(model(arm("roll"), Encoders()), torch.zeros(2, 5), pose(0.2, 0.3, 0.1, 1.0, 0.0))
     assert not unseen.any()
     assert not values.any()  # of sites, as its name says
+
+
+def before(*cameras, tree=None, sites=("elbow", "wrist")):
+    sizes = torch.tensor([camera.size for camera in cameras], dtype=torch.float64)
+    pixels = Pixels(pinhole(Calibration(cameras, metric=True)), tuple(each.name for each in cameras), sizes, sites)
+    return model(tree or arm(), pixels)
+
+
+@pytest.mark.parametrize("bend", [1.0, 0.0])
+def test_pixels_of_two_cameras_tell_what_points_do(bend):
+    at = pose(0.2, 0.3, 0.1, bend)
+    by_points = visibility(model(arm()), torch.zeros(2, 6), at)
+    by_pixels = visibility(before(*ring(2)), torch.zeros(2, 8), at)
+    np.testing.assert_allclose(by_pixels[0], by_points[0], rtol=0, atol=1e-12)
+    assert by_pixels[1].tolist() == by_points[1].tolist() == [[False, False, bend == 0, False]] * 2
+
+
+def test_pixels_that_are_missing_tell_nothing():
+    rows = torch.zeros(2, 8)
+    rows[1, [2, 3, 6, 7]] = torch.nan  # the wrist, in both cameras
+    _, unseen = visibility(before(*ring(2)), rows, pose(0.2, 0.3, 0.1, 1.0))
+    assert unseen.tolist() == [[False] * 4, [False, False, True, True]]
+
+
+def test_one_camera_does_not_see_what_moves_along_its_line_of_sight():
+    """From 3 m it sees a tip that points at it move sideways, but not where the line touches the tip's circle."""
+    hinge = Tree("hinge", [SpatialLink("a", Joint("j"), length=0.3, tip="wrist", mass=1.0)])
+    own = before(looking("level", (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), tree=hinge, sites=("wrist",))
+    at = torch.tensor([[0.0], [np.arccos(0.3 / 3.0)]], dtype=torch.float64)
+    _, unseen = visibility(own, torch.zeros(2, 2), at)
+    assert unseen.tolist() == [[False], [True]]
 
 
 def test_it_says_how_often():
