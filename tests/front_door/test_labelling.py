@@ -1,15 +1,13 @@
 """Labels are set in a real browser; the pictures to label are those worth it."""
 
 import json
-import os
-import shutil
 import threading
 import urllib.error
 import urllib.request
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from browsing import chromium
 from filmed import NAMES, SHOULDER, joints, picture, swinging, write_film
 
 from invdyn.label_server import LabelServer
@@ -24,23 +22,10 @@ from invdyn.surprise import surprise
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    """A headless Chromium; INVDYN_REQUIRE_BROWSER=1 makes its absence a failure."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (chromium and driver and find_spec("selenium")):
-        stop = pytest.fail if os.environ.get("INVDYN_REQUIRE_BROWSER") == "1" else pytest.skip
-        stop("needs the programs chromium and chromedriver, and the package selenium")
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    flags = "headless=new no-sandbox disable-gpu no-first-run disable-background-networking disable-dev-shm-usage"
-    for flag in (*flags.split(), "window-size=1000,700", f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(f"--{flag}")
-    window = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    try:
+    """A headless Chromium for this file."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as window:
+        window.set_window_size(1000, 700)
         yield window
-    finally:
-        window.quit()
 
 
 @pytest.fixture
