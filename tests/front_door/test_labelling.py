@@ -100,9 +100,23 @@ def test_the_server_takes_nothing_else(served):
     assert ask(root)[0] == 404  # the word is secret
     assert ask(f"{root}x/state")[0] == 404
     assert ask(f"{root}x/labels", b"[]")[0] == 404
-    assert ask(f"{served.address}picture/2")[0] == 404
+    assert ask(f"{served.address}picture/1")[0] == 200
+    for path in ("picture/2", "picture/-1"):
+        assert ask(f"{served.address}{path}")[0] == 404
+    for length in ("x", "-1", str(1 << 30)):
+        call = urllib.request.Request(f"{served.address}labels", b"[]", {"Content-Length": length})
+        assert ask(call)[0] == 400
     assert ask(f"{served.address}../invdyn/cli.py")[0] == 404
-    for content in (b"", b"{}", b"[]", b"[[[1,2],[3]],[null,null]]", b'[[["a",2],null],[null,null]]', b"[" * 5000):
+    huge = f"[[[1{0:0400},2],null],[null,null]]".encode()  # more than a float64 holds
+    for content in (
+        b"",
+        b"{}",
+        b"[]",
+        b"[[[1,2],[3]],[null,null]]",
+        b'[[["a",2],null],[null,null]]',
+        b"[" * 5000,
+        huge,
+    ):
         assert ask(f"{served.address}labels", content)[0] == 400
     assert ask(f"{served.address}labels", json.dumps([[[1e9, 2], None], [None, None]]).encode())[0] == 400
     assert served.out.read_bytes() == before
