@@ -105,7 +105,7 @@ def triangulate(
     )
     from invdyn.recordings.cameras.reprojection import csv_text, table
 
-    from .filmed import camera_offset
+    from .inputs_of_cameras import camera_offset
 
     offsets = dict(map(camera_offset, offset or ()))
     if offsets and find is not None:

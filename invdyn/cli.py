@@ -11,8 +11,10 @@ import typer
 
 from . import camera_commands, film_commands, robot_commands
 from .console import Commands, ProgressBar, check_outputs
+from .diagnosis_options import Diagnosed
 from .film_commands import ArmSide, NetworkFile, PersonSeen
-from .options import MOST_WORKERS, BodyFile, Diagnosed, Inference, Seed, with_option_groups
+from .inference_options import Inference
+from .options import MOST_WORKERS, BodyFile, Seed, with_option_groups
 
 # Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -128,9 +130,9 @@ def infer(
     from invdyn.inference import infer as run
     from invdyn.inference import infer_kinematics
 
+    from .inputs_from_film import TrackedFilm
     from .outputs import Outputs
     from .summary import summary_text
-    from .tracked_film import TrackedFilm
 
     given.check(method)
     if kinematic:

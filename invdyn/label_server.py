@@ -1,7 +1,8 @@
 """The labelling page's other half: a server for one browser on this machine, from the standard library.
 
 It listens on 127.0.0.1 alone, and every path begins with a secret word, so that no other page and no other user can
-read the film or write labels. Each change is written to the file of labels at once, whole.
+read the film or write labels. (Who may list this machine's processes sees the word in the command line of a browser that
+is opened with it.) Each change is written to the file of labels at once, whole.
 """
 
 import io
@@ -52,11 +53,11 @@ class LabelServer(ThreadingHTTPServer):
     ):
         self.secret = secrets.token_urlsafe(16)
         self.numbers, self.names, self.out = list(numbers), tuple(names), out
-        self.pictures: list[bytes] = []
+        self.pictures: dict[str, bytes] = {}  # by their path
         self.suggested: list[list[list[float] | None]] = []
-        for picture in pictures:  # one at a time: a hundred of a large film would not fit into memory
+        for place, picture in enumerate(pictures):  # one at a time: a hundred of a large film would not fit into memory
             self.size = picture.shape[1::-1]
-            self.pictures.append(_encoded(picture))
+            self.pictures[f"picture/{place}"] = _encoded(picture)
             found = np.full((len(self.names), 3), np.nan) if suggest is None else suggest(picture)
             self.suggested.append(_or_null(found[:, :2]))
         self.before = before
@@ -93,7 +94,7 @@ class LabelServer(ThreadingHTTPServer):
         points = np.full_like(self.points, np.nan)
         try:
             points[:] = [[[np.nan] * 2 if p is None else p for p in row] for row in list(content)]  # type: ignore[call-overload]
-        except (TypeError, ValueError, IndexError, KeyError):
+        except (TypeError, ValueError, IndexError, KeyError, OverflowError):
             raise InputError("expected a list of points for each picture") from None
         if (np.abs(points) > 1e5).any():
             raise InputError("a point lies beyond any picture")
@@ -116,21 +117,20 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(200, "text/html; charset=utf-8", page)
         elif path == "state":
             self._send(200, "application/json", json.dumps(self.server.state()).encode())
-        elif path is not None and path.startswith("picture/") and path[8:].isdigit():
-            number = int(path[8:])
-            if number < len(self.server.pictures):
-                return self._send(200, "image/jpeg", self.server.pictures[number])
-            self._send(404, "text/plain", b"no such picture")
+        elif path in self.server.pictures:
+            self._send(200, "image/jpeg", self.server.pictures[path])
         else:
             self._send(404, "text/plain", b"not here")
 
     def do_POST(self) -> None:
         """Labels, or the end."""
         path = self._path()
-        length = int(self.headers.get("Content-Length") or 0)
-        if path not in ("labels", "done") or not 0 <= length <= LARGEST:
+        if path not in ("labels", "done"):
             return self._send(404, "text/plain", b"not here")
         try:
+            length = int(self.headers.get("Content-Length") or 0)
+            if not 0 <= length <= LARGEST:
+                raise InputError("a message is too long")
             content = self.rfile.read(length)
             if path == "labels":
                 self.server.take(json.loads(content))

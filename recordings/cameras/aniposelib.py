@@ -7,9 +7,10 @@ it, so the unit is asked for; without one the set is not metric.
 from pathlib import Path
 
 from ..errors import about
+from ..toml_tables import read_toml
 from ..units import METRES
 from .camera import Calibration
-from .camera_tables import calibration_of, read_toml
+from .camera_tables import calibration_of
 
 
 def read_aniposelib(path: str | Path, unit: str | None = None) -> Calibration:
@@ -17,7 +18,7 @@ def read_aniposelib(path: str | Path, unit: str | None = None) -> Calibration:
 
     Raises InputError for another kind of file, OSError if it cannot be opened.
     """
-    tables = read_toml(Path(path))
+    tables = read_toml(path, "a calibration")
     with about(path):
         calibration = calibration_of(tables, metric=False)
         return calibration if unit is None else calibration.scaled(METRES[unit])

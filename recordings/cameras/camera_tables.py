@@ -16,7 +16,6 @@ Who wrote the file decides what a length is: see `aniposelib`, `pose2sim` and `t
 """
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -24,23 +23,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..atomic import write_text
-from ..errors import InputError, first_line
+from ..errors import InputError
 from .camera import Calibration, Camera
 
 NEEDED = ("matrix", "distortions", "rotation", "translation")
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Tables of a TOML file. Raises InputError for what is no TOML, OSError for a file that cannot be opened."""
-    content = path.read_bytes()
-    try:
-        return tomllib.loads(content.decode("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: expected a calibration in TOML ({first_line(error)})") from None
-    except RecursionError:
-        raise InputError(f"{path}: expected a calibration, got TOML nested too deep for one") from None
-    except ValueError:  # Python turns no more than 4,300 digits into an integer
-        raise InputError(f"{path}: expected a calibration, got TOML with an integer too long to be read") from None
 
 
 def camera_tables(tables: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..paths import check_readable
+from ..toml_tables import read_toml
 from ..units import METRES
 from .aniposelib import read_aniposelib
 from .camera import Calibration
-from .camera_tables import read_toml
 from .opencv import read_opencv
 from .pose2sim import is_pose2sim, read_pose2sim
 from .qualisys import read_qualisys
@@ -52,7 +52,7 @@ def _kind(path: Path) -> str:
     """A key of `OWN_UNIT`, or aniposelib. Raises InputError when the file looks like none."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
-        tables = read_toml(path)
+        tables = read_toml(path, "a calibration")
         metadata = tables.get("metadata")
         if isinstance(metadata, dict) and "unit" in metadata:
             return "ours"

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import about
+from ..toml_tables import read_toml
 from .camera import Calibration
-from .camera_tables import calibration_of, camera_tables, read_toml
+from .camera_tables import calibration_of, camera_tables
 
 
 def is_pose2sim(tables: dict[str, Any]) -> bool:
@@ -23,6 +24,6 @@ def is_pose2sim(tables: dict[str, Any]) -> bool:
 
 def read_pose2sim(path: str | Path) -> Calibration:
     """Read such a file. Raises InputError for another kind, OSError if it cannot be opened."""
-    tables = read_toml(Path(path))
+    tables = read_toml(path, "a calibration")
     with about(path):
         return calibration_of(tables, metric=True)

@@ -3,15 +3,16 @@
 from pathlib import Path
 
 from ..errors import InputError, about
+from ..toml_tables import read_toml
 from .camera import Calibration
-from .camera_tables import calibration_of, read_toml
+from .camera_tables import calibration_of
 
 UNITS = {"m": True, "unknown": False}
 
 
 def read_calibration_toml(path: str | Path) -> Calibration:
     """Read a file that `write_calibration` wrote. Raises InputError for another, OSError if it cannot be opened."""
-    tables = read_toml(Path(path))
+    tables = read_toml(path, "a calibration")
     with about(path):
         metadata = tables.get("metadata")
         unit = metadata.get("unit") if isinstance(metadata, dict) else None

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, about
 from .tracks import Episode, Track, needed
 
 INDEX, CLOCK = "episode_index", "timestamp"
@@ -30,26 +30,31 @@ def read_lerobot(path: Path, time: str | None = None) -> list[Episode]:
     if not files:
         raise InputError(f"{path}: expected a LeRobot data set, with data/…/*.parquet in it")
     called = {} if root is None else _names(root / "meta" / "info.json")
-    episodes: dict[int, dict[str, list[np.ndarray]]] = {}
+    episodes: dict[float, dict[str, list[np.ndarray]]] = {}
     for file in files:
         try:
             table = pyarrow.parquet.read_table(file)
         except (pyarrow.ArrowException, OSError) as error:
             raise InputError(f"{file}: no parquet file that can be read: {str(error).splitlines()[0]}") from error
         clock = time or CLOCK
-        if clock not in table.column_names:
-            raise InputError(f"{file}: no column {clock!r}; it has {', '.join(table.column_names[:20])}")
-        index = np.asarray(table[INDEX]) if INDEX in table.column_names else np.zeros(len(table), int)
         columns = {name: values for n in table.column_names for name, values in _columns(n, table[n], called).items()}
-        for episode in np.unique(index):
-            rows, own = index == episode, episodes.setdefault(int(episode), {})
+        if clock not in columns:
+            raise InputError(f"{file}: no column of numbers {clock!r}; it has {', '.join(table.column_names[:20])}")
+        index = columns.get(INDEX, np.full(len(table), np.nan if INDEX in table.column_names else 0.0))
+        if not np.isfinite(index).all():
+            raise InputError(f"{file}: expected the number of an episode in each row of {INDEX!r}")
+        for episode in np.unique(index).tolist():
+            rows, own = index == episode, episodes.setdefault(episode, {})
             for name, values in columns.items():
                 own.setdefault(name, []).append(values[rows])
-    return [_episode(each, time or CLOCK) for _, each in sorted(episodes.items())]
+    with about(path):
+        return [_episode(each, time or CLOCK) for _, each in sorted(episodes.items())]
 
 
 def _episode(columns: dict[str, list[np.ndarray]], clock: str) -> Episode:
     whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    if partly := [name for name, values in whole.items() if len(values) != len(whole[clock])]:
+        raise InputError(f"expected {partly[0]!r} in all of its files, it is in some alone")
     return {name: Track.of(whole[clock], values) for name, values in whole.items() if name not in OURS | {clock}}
 
 
@@ -74,7 +79,7 @@ def _names(info: Path) -> dict[str, Sequence[str]]:
     """Names of the entries of each feature that has some."""
     try:
         features = json.loads(info.read_text(encoding="utf-8")).get("features", {})
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return {}
     found: dict[str, Sequence[str]] = {}
     for feature, told in features.items() if isinstance(features, dict) else ():

@@ -11,7 +11,7 @@ Angles, torques and targets are those of the robot's own file, as it counts them
 called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken for what their names say.
 """
 
-import tomllib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, about
+from ..toml_tables import read_toml
 from ..units import RADIANS, TIMES
 from .tracks import Episode, Track, track
 
@@ -41,8 +42,10 @@ class Source:
     offset: float = 0.0
 
     def of(self, episode: Episode, where: str) -> Track:
-        """The track in SI units. Raises InputError where the log has none of that name."""
+        """The track in SI units. Raises InputError where the log has none of that name, or without times."""
         found = track(episode, self.track, where)
+        if not len(found.time):
+            raise InputError(f"{where}: no row of track {self.track!r} has a time")
         return Track(found.time, found.values * self.factor + self.offset)
 
 
@@ -67,19 +70,17 @@ class LogMap:
     def load(cls, path: str | Path) -> "LogMap":
         """Read a mapping. Raises InputError for what is none, OSError where it cannot be read."""
         with about(path):
-            try:
-                tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise InputError(f"expected a mapping in TOML: {error}") from None
-            return cls.of(tables)
+            return cls.of(read_toml(path, "a mapping"))
 
     @classmethod
     def of(cls, tables: dict[str, Any]) -> "LogMap":
         """The mapping of such a file's tables. Raises InputError."""
         _known(tables, ("time", "time_unit", "joints"), "a mapping")
         unit = tables.get("time_unit", "s")
-        if unit not in TIMES:
+        if not isinstance(unit, str) or unit not in TIMES:
             raise InputError(f"time_unit: expected one of {', '.join(TIMES)}, got {unit!r:.40}")
+        if not isinstance(time := tables.get("time"), str | None):
+            raise InputError(f"time: expected the name of a column, got {time!r:.40}")
         joints = tables.get("joints")
         if not isinstance(joints, dict) or not joints:
             raise InputError("expected tables [joints.NAME], one for each joint, got none")
@@ -89,7 +90,7 @@ class LogMap:
                 raise InputError(f"joints.{name}: expected a table with {', '.join(KEYS)}")
             _known(table, tuple(KEYS), f"joints.{name}")
             found[name] = JointMap(**{kind: _source(table[kind], kind, f"joints.{name}.{kind}") for kind in table})
-        return cls(found, tables.get("time"), TIMES[unit])
+        return cls(found, time, TIMES[unit])
 
     @classmethod
     def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":
@@ -116,13 +117,13 @@ def _source(given: Any, kind: str, where: str) -> Source:
     _known(table, KEYS[kind], where)
     numbers = {key: table[key] for key in ("sign", "zero", "gear", "constant", "offset") if key in table}
     for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
             raise InputError(f"{where}: expected {key} as a number, got {value!r:.40}")
     if numbers.get("sign", 1) not in (1, -1):
         raise InputError(f"{where}: expected sign as 1 or -1, got {numbers['sign']:g}")
     units = TORQUES if kind == "torque" else ANGLES
     unit = table.get("unit", "N·m" if kind == "torque" else "rad")
-    if unit not in units:
+    if not isinstance(unit, str) or unit not in units:
         raise InputError(f"{where}: unit: expected one of {', '.join(units)}, got {unit!r:.40}")
     factor = units[unit] * numbers.get("sign", 1) * numbers.get("gear", 1.0) * numbers.get("constant", 1.0)
     return Source(table["track"], float(factor), float(numbers.get("zero", numbers.get("offset", 0.0))))

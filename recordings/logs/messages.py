@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError, first_line
 from .tracks import Episode, Track
 
 KINDS = ("JointState", "JointTrajectory", "Float64MultiArray", "Float32MultiArray")
@@ -27,9 +28,15 @@ class Collected:
         self._found: dict[str, tuple[list[float], list[float]]] = {}
 
     def add(self, topic: str, kind: str, message: Any, logged: float) -> None:
-        """Take a message of a type's name ("sensor_msgs/msg/JointState") that was logged at a time, s."""
-        time = _stamp(message) or logged
-        for name, value in _numbers(kind.rpartition("/")[2], message):
+        """Take a message of a type's name ("sensor_msgs/msg/JointState") that was logged at a time, s.
+
+        Raises InputError where its fields are not those of the type, as JSON's may be.
+        """
+        try:
+            time, numbers = _stamp(message) or logged, [*_numbers(kind.rpartition("/")[2], message)]
+        except (TypeError, ValueError, LookupError, OverflowError) as error:
+            raise InputError(f"a message of {topic} is no {kind} ({first_line(error)})") from None
+        for name, value in numbers:
             times, values = self._found.setdefault(f"{topic}.{name}", ([], []))
             times.append(time)
             values.append(value)

@@ -26,6 +26,6 @@ def read_bag(path: Path, time: str | None = None) -> list[Episode]:
                 kind = connection.msgtype
                 if kind.rpartition("/")[2] in KINDS and kind in known.types:
                     found.add(connection.topic, kind, known.deserialize_cdr(raw, kind), 1e-9 * logged)
-    except (ReaderError, SerdeError, DatabaseError, ValueError) as error:
+    except (ReaderError, SerdeError, DatabaseError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: no ROS 2 bag that can be read: {first_line(error)}") from error
     return [found.episode()]

@@ -14,11 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, first_line
+from ..errors import InputError
 from ..paths import check_readable
 
 FILM_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp", ".mts", ".ts")
 """By these a file is taken for a film where a recording may stand, too."""
+CONTAINERS = (
+    *("mov", "matroska", "avi", "mpegts", "mpeg", "asf", "flv", "ogg", "mxf", "dv", "gif", "apng", "nut", "ivf"),
+    *("mpegvideo", "m4v", "h264", "hevc", "mjpeg", "yuv4mpegpipe"),
+)
+"""What FFmpeg may take a file for, by its names: kinds that hold their pictures. A playlist (hls, concat, dash, sdp …)
+names other files and hosts, and would have them read.
+"""
 
 
 def is_film(path: str | Path) -> bool:
@@ -85,16 +92,16 @@ class Film:
                         yield Picture(number, time, _upright(frame, size))
             except av.error.FFmpegError as error:
                 raise InputError(
-                    f"{self.path}: the film cannot be decoded after picture {number} ({first_line(error)}): "
+                    f"{self.path}: the film cannot be decoded after picture {number} ({error.strerror}): "
                     "is the file whole?"
                 ) from None
 
     def _open(self) -> Any:
         av = import_av(self.path)
         try:
-            container = av.open(str(self.path))
+            container = av.open(str(self.path), container_options={"format_whitelist": ",".join(CONTAINERS)})
         except av.error.FFmpegError as error:
-            raise InputError(f"{self.path}: not a film that can be decoded ({first_line(error)})") from None
+            raise InputError(f"{self.path}: not a film that can be decoded ({error.strerror})") from None
         if not container.streams.video:
             container.close()
             raise InputError(f"{self.path}: there are no pictures in this file, only sound or text")

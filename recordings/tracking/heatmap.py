@@ -18,6 +18,7 @@ from .confidence import platt
 from .unet import UNet, peaks
 
 SCHEMA = 1
+LARGEST = 4096  # px of a side of the pictures
 
 
 class HeatmapTracker:
@@ -93,16 +94,23 @@ class HeatmapTracker:
             if described["schema"] != SCHEMA:
                 raise InputError(f"{path}: this network has schema {described['schema']}, expected {SCHEMA}")
             names, widths = described["keypoint_names"], described["widths"]
-            network = UNet(len(names), widths)
-            network.load_state_dict(tensors)
-            numbers = [tuple(map(float, described[key])) for key in ("mean", "deviation", "calibration")]
+            if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+                raise ValueError("names of keypoints are texts, each once")
+            if min(widths) < 1:
+                raise ValueError(f"{min(widths)} channels")
+            with torch.device("meta"):  # no memory but that of the file's own tensors, whatever widths it claims
+                network = UNet(len(names), widths)
+            network.load_state_dict(tensors, assign=True)
+            network.float()
+            (*mean,), (*deviation,), (a, b) = (map(float, described[k]) for k in ("mean", "deviation", "calibration"))
             height, width = map(int, described["picture_size"])
+            if len(mean) != 3 or len(deviation) != 3 or not 1 <= min(height, width) <= max(height, width) <= LARGEST:
+                raise ValueError(f"pictures of {height} × {width} px in {len(mean)} colours")
             tolerance = float(described["tolerance"])
         except InputError:
             raise
-        except (ValueError, KeyError, TypeError, RuntimeError, IndexError) as error:
+        except (ValueError, KeyError, TypeError, RuntimeError, IndexError, OverflowError) as error:
             raise InputError(f"{path}: not a network of `invdyn train` ({first_line(error)})") from None
-        mean, deviation, (a, b) = numbers
         return HeatmapTracker(network, names, (height, width), mean, deviation, (a, b), tolerance, widths)
 
 

@@ -21,6 +21,9 @@ from ..formats import FORMATS, recognise
 from ..recording import Recording
 from ..tables import Row, read_numbers, read_rows, read_table, write_table
 
+LARGEST = 2**53
+"""Under it a float64 tells every whole number from the next."""
+
 
 @dataclass(frozen=True, eq=False)
 class Labels:
@@ -40,7 +43,7 @@ class Labels:
 
     def __post_init__(self) -> None:
         frames = np.asarray(self.frames, dtype=float)
-        if strange := [f for f in frames if not (f >= 0 and f == round(f))]:
+        if strange := [f for f in frames if not (0 <= f < LARGEST and f == round(f))]:
             raise InputError(f"a picture's number must be a whole one from 0 on, got {strange[0]:g}")
         order = np.argsort(frames, kind="stable")
         object.__setattr__(self, "frames", frames[order].astype(np.int64))

@@ -17,7 +17,7 @@ from ..errors import InputError
 from .augment import augment
 from .confidence import fit_platt, platt
 from .film import Film, read_pictures
-from .heatmap import HeatmapTracker, normalised
+from .heatmap import LARGEST, HeatmapTracker, normalised
 from .labels import Labels
 from .tracker import Keeper, Progress
 from .unet import UNet, peaks, targets
@@ -64,8 +64,8 @@ def examples(films: Sequence[Film], labels: Sequence[Labels], size: int = 288) -
 
     Raises InputError for labels that are not all of the same keypoints, not of pictures that are there, or too few.
     """
-    if not 16 <= size <= 4096:
-        raise InputError(f"a network's pictures are from 16 to 4096 px, got {size}")
+    if not 16 <= size <= LARGEST:
+        raise InputError(f"a network's pictures are from 16 to {LARGEST} px, got {size}")
     first = films[0]
     longest = max(first.width, first.height)
     shape = max(2, round(size * first.height / longest)), max(2, round(size * first.width / longest))

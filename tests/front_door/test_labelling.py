@@ -1,15 +1,13 @@
 """Labels are set in a real browser; the pictures to label are those worth it."""
 
 import json
-import os
-import shutil
 import threading
 import urllib.error
 import urllib.request
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from browsing import chromium
 from filmed import NAMES, SHOULDER, joints, picture, swinging, write_film
 
 from invdyn.label_server import LabelServer
@@ -24,23 +22,10 @@ from invdyn.surprise import surprise
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    """A headless Chromium; INVDYN_REQUIRE_BROWSER=1 makes its absence a failure."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (chromium and driver and find_spec("selenium")):
-        stop = pytest.fail if os.environ.get("INVDYN_REQUIRE_BROWSER") == "1" else pytest.skip
-        stop("needs the programs chromium and chromedriver, and the package selenium")
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    flags = "headless=new no-sandbox disable-gpu no-first-run disable-background-networking disable-dev-shm-usage"
-    for flag in (*flags.split(), "window-size=1000,700", f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(f"--{flag}")
-    window = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    try:
+    """A headless Chromium for this file."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as window:
+        window.set_window_size(1000, 700)
         yield window
-    finally:
-        window.quit()
 
 
 @pytest.fixture
@@ -115,9 +100,23 @@ def test_the_server_takes_nothing_else(served):
     assert ask(root)[0] == 404  # the word is secret
     assert ask(f"{root}x/state")[0] == 404
     assert ask(f"{root}x/labels", b"[]")[0] == 404
-    assert ask(f"{served.address}picture/2")[0] == 404
+    assert ask(f"{served.address}picture/1")[0] == 200
+    for path in ("picture/2", "picture/-1"):
+        assert ask(f"{served.address}{path}")[0] == 404
+    for length in ("x", "-1", str(1 << 30)):
+        call = urllib.request.Request(f"{served.address}labels", b"[]", {"Content-Length": length})
+        assert ask(call)[0] == 400
     assert ask(f"{served.address}../invdyn/cli.py")[0] == 404
-    for content in (b"", b"{}", b"[]", b"[[[1,2],[3]],[null,null]]", b'[[["a",2],null],[null,null]]', b"[" * 5000):
+    huge = f"[[[1{0:0400},2],null],[null,null]]".encode()  # more than a float64 holds
+    for content in (
+        b"",
+        b"{}",
+        b"[]",
+        b"[[[1,2],[3]],[null,null]]",
+        b'[[["a",2],null],[null,null]]',
+        b"[" * 5000,
+        huge,
+    ):
         assert ask(f"{served.address}labels", content)[0] == 400
     assert ask(f"{served.address}labels", json.dumps([[[1e9, 2], None], [None, None]]).encode())[0] == 400
     assert served.out.read_bytes() == before

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invdyn.options import Diagnosed, Inference
+from invdyn.diagnosis_options import Diagnosed
+from invdyn.inference_options import Inference
 
 RATE = 25.0
 TIME = np.arange(12) / RATE

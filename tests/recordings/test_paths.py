@@ -7,6 +7,19 @@ import pytest
 
 from invdyn.recordings import check_readable, check_writable, resolved
 
+NO_FILES = [
+    ("loop", errno.ELOOP),
+    ("loop/x", errno.ELOOP),
+    ("a\0b", errno.EINVAL),
+    ("\udce9", errno.EINVAL),
+    ("x" * 5000, errno.ENAMETOOLONG),
+    ("zeros", errno.EINVAL),
+    ("pipe", errno.EINVAL),
+    ("folder", errno.EISDIR),
+    ("file/x", errno.ENOTDIR),
+]
+"""Names in the folder `here` that are neither read nor written, and what says so."""
+
 
 @pytest.fixture
 def here(tmp_path):
@@ -28,21 +41,7 @@ def test_an_ordinary_file_is_readable(here):
     assert resolved(here / "not there" / "yet") == here.resolve() / "not there" / "yet"
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [
-        ("loop", errno.ELOOP),
-        ("loop/x", errno.ELOOP),
-        ("a\0b", errno.EINVAL),
-        ("\udce9", errno.EINVAL),
-        ("x" * 5000, errno.ENAMETOOLONG),
-        ("zeros", errno.EINVAL),
-        ("pipe", errno.EINVAL),
-        ("folder", errno.EISDIR),
-        ("none", errno.ENOENT),
-        ("file/x", errno.ENOTDIR),
-    ],
-)
+@pytest.mark.parametrize(("name", "code"), [*NO_FILES, ("none", errno.ENOENT)])
 def test_what_cannot_be_read_is_named(here, name, code):
     with pytest.raises(OSError) as caught:  # noqa: PT011  the number says which
         check_readable(here / name)
@@ -50,21 +49,7 @@ def test_what_cannot_be_read_is_named(here, name, code):
     assert caught.value.filename in (str(here / name), here / name)
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [
-        ("loop", errno.ELOOP),
-        ("loop/x", errno.ELOOP),
-        ("a\0b", errno.EINVAL),
-        ("\udce9", errno.EINVAL),
-        ("x" * 5000, errno.ENAMETOOLONG),
-        ("zeros", errno.EINVAL),
-        ("pipe", errno.EINVAL),
-        ("folder", errno.EISDIR),
-        ("none/x", errno.ENOENT),
-        ("file/x", errno.ENOTDIR),
-    ],
-)
+@pytest.mark.parametrize(("name", "code"), [*NO_FILES, ("none/x", errno.ENOENT)])
 def test_what_cannot_be_written_is_named(here, name, code):
     before = sorted(os.listdir(here))
     with pytest.raises(OSError) as caught:  # noqa: PT011  the number says which

@@ -162,6 +162,74 @@ def test_a_data_set_has_episodes_names_and_targets(tmp_path):
         recordings_of(path, JOINTS, LEROBOT, [2])
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "says"),
+    [
+        ("timestamp", ["soon"] * 12, "no column of numbers 'timestamp'"),
+        ("timestamp", [np.nan] * 12, "no row of track 'observation.state.shoulder.pos' has a time"),
+        ("episode_index", ["first"] * 12, "the number of an episode in each row"),
+        ("episode_index", [0.0] * 11 + [np.inf], "the number of an episode in each row"),
+    ],
+)
+def test_a_data_set_whose_columns_are_no_numbers(tmp_path, name, values, says):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = lerobot(tmp_path / "set")
+    file = next(path.glob("data/**/*.parquet"))
+    whole = parquet.read_table(file)
+    parquet.write_table(whole.set_column(whole.column_names.index(name), name, [values]), file)
+    with pytest.raises(InputError, match=says):
+        recordings_of(path, JOINTS, LEROBOT)
+
+
+def test_a_data_set_whose_files_differ(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = lerobot(tmp_path / "set")
+    file = next(path.glob("data/**/*.parquet"))
+    parquet.write_table(parquet.read_table(file).drop_columns("action"), file.with_name("file-001.parquet"))
+    with pytest.raises(InputError, match=r"set: expected 'action\.shoulder\.pos' in all of its files"):
+        recordings_of(path, JOINTS, LEROBOT)
+
+
+def test_what_says_too_much_is_no_error_of_ours(tmp_path):
+    """Nested without end: names of a data set are then numbers; a mapping and a bag are one line."""
+    pytest.importorskip("pyarrow")
+    path = lerobot(tmp_path / "set")
+    (path / "meta" / "info.json").write_text("[" * 100_000)
+    with pytest.raises(InputError, match=r"the log has .*observation\.state\.0"):
+        recordings_of(path, JOINTS, LEROBOT)
+    (tmp_path / "map.toml").write_text("time = " + "[" * 5000)
+    with pytest.raises(InputError, match=r"map\.toml: expected a mapping, got TOML nested too deep"):
+        LogMap.load(tmp_path / "map.toml")
+    pytest.importorskip("rosbags")
+    path = bag(tmp_path / "bag")
+    (path / "metadata.yaml").write_text("[" * 500)
+    with pytest.raises(InputError, match="no ROS 2 bag that can be read"):
+        recordings_of(path, JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (STATE[0], {"name": 5, "position": [1]}),
+        (STATE[0], {"name": ["elbow"], "position": [None]}),
+        (STATE[0], {"name": ["elbow"], "position": [10**400]}),
+        ("trajectory_msgs/msg/JointTrajectory", {"points": {"a": 1}}),
+        ("std_msgs/msg/Float64MultiArray", {}),
+    ],
+)
+def test_json_that_is_no_message(tmp_path, kind, message):
+    pytest.importorskip("rosbags")
+    writer = pytest.importorskip("mcap.writer")
+    with (tmp_path / "log.mcap").open("wb") as file:
+        log = writer.Writer(file)
+        log.start()
+        channel = log.register_channel("/arm", "json", log.register_schema(kind, "jsonschema", b"{}"))
+        log.add_message(channel, 1, json.dumps(message).encode(), 1)
+        log.finish()
+    with pytest.raises(InputError, match=rf"log\.mcap: .*a message of /arm is no {kind} \("):
+        recordings_of(tmp_path / "log.mcap", JOINTS)
+
+
 def table(path, rows):
     path.write_text("t,q1,q2,i2\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
     return path
@@ -203,8 +271,12 @@ def test_rows_twice_out_of_order_and_lost_ones(tmp_path):
     ("change", "says"),
     [
         ({"time_unit": "weeks"}, "time_unit: expected one of s"),
+        ({"time_unit": []}, "time_unit: expected one of s"),
+        ({"time": []}, "time: expected the name of a column"),
         ({"joints": {}}, "expected tables"),
         ({"joints": {"elbow": {"angle": {"track": "q2", "unit": "turns"}}}}, "expected one of rad"),
+        ({"joints": {"elbow": {"angle": {"track": "q2", "unit": {}}}}}, "expected one of rad"),
+        ({"joints": {"elbow": {"angle": {"track": "q2", "zero": 10**400}}}}, "zero as a number"),
         ({"joints": {"elbow": {"angle": {"track": "q2", "sign": 2}}}}, "expected sign as 1 or -1"),
         ({"joints": {"elbow": {"angel": "q2"}}}, "unknown key 'angel'"),
         ({"joints": {"elbow": {"angle": {"track": "q2", "zero": "x"}}}}, "zero as a number"),

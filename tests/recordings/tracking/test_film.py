@@ -84,3 +84,16 @@ def test_a_films_suffix():
     assert is_film("a/b.MP4")
     assert not is_film("tracks.csv")
     assert picture(np.array([[20.0, 22.0], [20.0, 31.0]]))[22, 20].argmax() == 0  # red at the elbow
+
+
+def test_a_playlist_is_no_film(tmp_path):
+    """It would have FFmpeg read other files."""
+    (tmp_path / "elsewhere").mkdir()
+    write_film(tmp_path / "elsewhere" / "f.mov", [np.zeros((32, 32, 3), np.uint8)] * 5, np.arange(5) / 30)
+    (tmp_path / "f.mov").write_bytes((tmp_path / "elsewhere" / "f.mov").read_bytes())
+    head = "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:1,\n"
+    (tmp_path / "hls.m3u8").write_text(f"{head}{tmp_path}/elsewhere/f.mov\n#EXT-X-ENDLIST\n")
+    (tmp_path / "concat.mp4").write_text("ffconcat version 1.0\nfile f.mov\n")
+    for name in ("hls.m3u8", "concat.mp4"):
+        with pytest.raises(InputError, match=rf"{name}: not a film that can be decoded"):
+            Film(tmp_path / name)

@@ -52,6 +52,8 @@ def test_labels_are_written_and_joined(tmp_path):
         (OURS.replace("12,", "3,"), "picture 3 is labelled twice"),
         (OURS.replace("12,", "12.5,"), "must be a whole one"),
         (OURS.replace("12,", "-12,"), "must be a whole one"),
+        (OURS.replace("12,", "1e300,"), "must be a whole one"),
+        (COLLECTED.replace("img012", f"img{2**63}"), "must be a whole one"),
         (OURS.replace("7,8", "7e9,8"), "lies beyond any picture"),
         ("frame,elbow_x,elbow_y\n1,,\n", "nothing is labelled"),
         ("frame\n1\n", "no keypoint: expected columns"),

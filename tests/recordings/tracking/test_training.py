@@ -1,5 +1,7 @@
 """The network learns to track a stick from labels, goes on after a kill, and knows how sure it is."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -9,11 +11,11 @@ from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.recordings import InputError
 from invdyn.recordings.tracking.confidence import fit_platt, platt
 from invdyn.recordings.tracking.film import Film
-from invdyn.recordings.tracking.heatmap import HeatmapTracker
+from invdyn.recordings.tracking.heatmap import HeatmapTracker, import_safetensors, read_safetensors
 from invdyn.recordings.tracking.labels import Labels
 from invdyn.recordings.tracking.tracker import track_film
 from invdyn.recordings.tracking.training import examples, train
-from invdyn.recordings.tracking.unet import peaks, targets
+from invdyn.recordings.tracking.unet import UNet, peaks, targets
 
 WIDTHS = (12, 16, 24)
 
@@ -74,6 +76,36 @@ def test_a_network_is_kept_whole(film, trained, tmp_path):
         (tmp_path / "broken").write_bytes(content)
         with pytest.raises(InputError, match="not a network of `invdyn train`"):
             HeatmapTracker.load(tmp_path / "broken")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("widths", [8, 1000]),
+        ("widths", [0, 0]),
+        ("picture_size", [10**9, 10**9]),
+        ("picture_size", [float("inf"), 20]),
+        ("mean", [1.0]),
+        ("calibration", [1.0]),
+        ("tolerance", 10**400),
+        ("keypoint_names", ["wrist", "wrist"]),
+    ],
+)
+def test_a_network_that_claims_what_it_has_not(tmp_path, monkeypatch, key, value):
+    HeatmapTracker(UNet(2, (8, 12)), NAMES, (20, 20), [9.0] * 3, [9.0] * 3, widths=(8, 12)).save(tmp_path / "n")
+    tensors, text = read_safetensors(tmp_path / "n")
+    claims = json.dumps(json.loads(text) | {key: value})
+    (tmp_path / "n").write_bytes(import_safetensors().save(tensors, {"invdyn": claims}))
+
+    def without_memory(*given):
+        """As widths are the file's word alone, until its tensors are seen to fit."""
+        network = UNet(*given)
+        assert all(each.is_meta for each in network.parameters())
+        return network
+
+    monkeypatch.setattr("invdyn.recordings.tracking.heatmap.UNet", without_memory)
+    with pytest.raises(InputError, match="not a network of `invdyn train`"):
+        HeatmapTracker.load(tmp_path / "n")
 
 
 def test_pixels_are_those_of_the_film(tmp_path, film, labels):

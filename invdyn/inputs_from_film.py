@@ -13,8 +13,8 @@ from invdyn.recordings import InputError, read_keypoint_csv
 from invdyn.recordings.tracking.film import Film, is_film
 
 from .film_commands import tracks_of
+from .inference_options import Inference
 from .inputs import load_planar
-from .options import Inference
 
 if TYPE_CHECKING:
     from .overlay import Overlay

@@ -17,7 +17,7 @@ TOO_FAR = 5.0
 """Times larger, or smaller, than the body that what the cameras saw cannot be."""
 
 
-def film_of(
+def load_from_cameras(
     files: Sequence[str],
     calibration: Sequence[Path],
     body: str,

@@ -1,0 +1,131 @@
+"""Options of `diagnose`: more recordings, logs of robots, what the search may do, what its answer is checked on."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .options import MOST_WORKERS, Seed
+from .recording_options import Recorded
+
+
+@dataclass(frozen=True)
+class Diagnosed(Recorded):
+    """What `diagnose` is given: a recording, the body whose simulation is questioned, what to check the answer on."""
+
+    also: Annotated[
+        str | None, typer.Option(help="More recordings of the same arm to diagnose together with it, comma-separated.")
+    ] = None
+    held_out: Annotated[
+        str | None,
+        typer.Option(help="Another recording of the same arm, to check the answer on; default: this one's last third."),
+    ] = None
+    without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
+    most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    budget: Annotated[
+        float | None,
+        typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
+    ] = None
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+        ),
+    ] = 0.005
+    mapping: Annotated[
+        str | None,
+        typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
+    ] = None
+    episodes: Annotated[
+        str, typer.Option(help="Of a log of several: which to diagnose together, such as 0,1; default: the first.")
+    ] = "0"
+    seed: Seed = 0
+    workers: Annotated[
+        int,
+        typer.Option(
+            min=1, max=MOST_WORKERS, help="Processes side by side, with the same result (on Linux; one elsewhere)."
+        ),
+    ] = 2
+
+    def check(self) -> None:
+        """Raise InputError for an unknown effect, torques both 0 and hidden, and a recording that is given twice."""
+        from invdyn.models.effects import EFFECTS
+        from invdyn.recordings import InputError, resolved
+
+        for name in self.struck:
+            if name not in EFFECTS:
+                raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
+        if self.calibration:
+            raise InputError(
+                "a diagnosis takes one recording in metres, so far: `invdyn triangulate` makes it of several cameras"
+            )
+        if self.passive and self.hide_torque:
+            raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
+        given: set[Path] = set()
+        for name in (self.recording, *self.others, *([] if self.held_out is None else [self.held_out])):
+            if resolved(name) in given:
+                option = "--held-out" if name == self.held_out else "--also"
+                raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
+            given.add(resolved(name))
+
+    @property
+    def struck(self) -> tuple[str, ...]:
+        """Names of `without`."""
+        return tuple(name.strip() for name in self.without.split(",") if name.strip())
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read, and must not be written over."""
+        return [Path(name) for name in (self.recording, *self.others, self.body, self.held_out) if name is not None]
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of `episodes`. Raises InputError for what is none."""
+        from invdyn.recordings import InputError
+
+        try:
+            return [int(number) for number in self.episodes.split(",")]
+        except ValueError:
+            raise InputError(f"--episodes is a list of numbers, such as 0,1, got {self.episodes!r}") from None
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of `also`."""
+        return tuple(name.strip() for name in (self.also or "").split(",") if name.strip())
+
+    def load(self) -> dict[str, Any]:
+        """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
+        from dataclasses import replace
+
+        from .inputs import is_log, load_log, load_logs, load_planar
+
+        body = load_planar(self.body, "a diagnosis")
+
+        def read(name: str, frames: str = ":") -> Any:
+            if self.mapping is not None or is_log(name):
+                recording = load_log(name, body, None, frames, self.mapping)
+            else:
+                recording = self.read(name, body, as_filmed=True, frames=frames)
+            if self.hide_torque and recording.torques is not None:
+                joints = recording.joint_names if recording.angles is not None else ()
+                recording = replace(recording, torques=None, joint_names=joints)
+            return recording
+
+        recording = read(self.recording, self.frames)
+        more = [*map(read, self.others)]
+        if self.mapping is not None or is_log(self.recording):
+            recording, *rest = load_logs(self.recording, body, self.mapping, self.numbers, self.frames)
+            more = [*rest, *more]
+        return {
+            "recording": [recording, *more] if more else recording,
+            "body": body,
+            "held_out": None if self.held_out is None else read(self.held_out),
+            "passive": self.passive,
+            "without": self.struck,
+            "most": self.most,
+            "budget": self.budget,
+            "tolerance": self.tolerance,
+            "seed": self.seed,
+            "workers": self.workers,
+        }

@@ -1,0 +1,82 @@
+"""Options of every command on a recording: which file, how to read it, and a body."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .options import BodyFile
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What every command on a recording is given: the recording, how to read it, and a body."""
+
+    recordings: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RECORDING…",
+            help="File of keypoints, or the name of a known recording; with --calibration one file of pixels a camera.",
+        ),
+    ]
+    body: BodyFile
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(help="Of several cameras, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
+    ] = None
+    units: Annotated[
+        str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
+    ] = None
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
+    format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
+    scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
+    body_lengths: Annotated[
+        bool, typer.Option("--body-lengths", help="No scale known: take it from the body's own length.")
+    ] = False
+    base: Annotated[
+        str | None,
+        typer.Option(
+            help="Keypoint that becomes the origin; default: the first joint's (in `diagnose` none, for metres)."
+        ),
+    ] = None
+    individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
+    plane: Annotated[
+        str | None,
+        typer.Option(
+            help="The axes that point right and up, of a file with three: xy, xz …; default: the two that change."
+        ),
+    ] = None
+    frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
+    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
+    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
+
+    @property
+    def recording(self) -> str:
+        """The one that is given. Raises InputError for several, which only cameras are."""
+        from invdyn.recordings import InputError
+
+        if len(self.recordings) > 1:
+            raise InputError(
+                f"expected one recording, got {len(self.recordings)}: tracks of several cameras need --calibration"
+            )
+        return self.recordings[0]
+
+    def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
+        """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
+        from .inputs import load_recording
+
+        return load_recording(
+            name,
+            body,
+            self.base,
+            self.body_lengths,
+            as_filmed,
+            frames,
+            units=self.units,
+            fps=self.fps,
+            format=self.format,
+            scale=self.scale,
+            individual=self.individual,
+            plane=self.plane,
+        )
