@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.write_back.changes import FileChange
-from invdyn.diagnosis.write_back.hinges import actuators_of, hinge
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import Body
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
@@ -67,7 +67,7 @@ class Writer:
         """Why a change could not be written; None where it was."""
         if change.quantity == "payload":
             return self._payload(change)
-        number = hinge(self.model, change.place)
+        number = joint_names(self.model).index(change.place)
         element = self._joint(number)
         if element is None:
             return INCLUDED
@@ -91,7 +91,7 @@ class Writer:
         return self.joints[number] if self.whole and len(self.joints) == self.model.njnt else None
 
     def _motor(self, joint: int, change: FileChange) -> str | None:
-        own = actuators_of(self.model, joint)
+        own = actuators_of(mujoco, self.model, joint)
         elements = [child for parent in self.text.found("actuator") for child in self._children(parent)]
         if len(own) != 1:
             return "the joint has no actuator of its own"
@@ -168,7 +168,7 @@ class Writer:
         return child == to
 
     def _moved_by(self, joint: str) -> int:
-        return int(self.model.jnt_bodyid[hinge(self.model, joint)])
+        return int(self.model.jnt_bodyid[joint_names(self.model).index(joint)])
 
     def _body(self, number: int) -> Element | None:
         named = [e for e in self.bodies if e.attributes.get("name") == self.model.body(number).name]
@@ -179,7 +179,7 @@ class Writer:
     def _in_body(self, number: int, link: int, far: float) -> np.ndarray:
         """A point on a link's line, ``far`` m from its joint, in the frame of a body of it."""
         heading = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1])
-        joint = hinge(self.model, self.body.joint_names[link])
+        joint = joint_names(self.model).index(self.body.joint_names[link])
         axis = int(np.abs(self.data.xaxis[joint]).argmax())
         u, v = ((1, 2), (0, 2), (0, 1))[axis]
         point = self.data.xanchor[joint].copy()

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from scipy.signal import savgol_filter
 
-from invdyn.diagnosis.write_back.hinges import actuators_of, hinge
 from invdyn.models import Body
 from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.recordings import InputError, Recording
 
 WINDOW = 1.0
@@ -51,8 +51,8 @@ def commands(model: Any, body: Body, recording: Recording) -> Commands:
     control, applied = np.zeros((rows, model.nu)), np.zeros((rows, model.nv))
     for joint, link in zip(body.joint_names, body.links, strict=True):
         parts, column = link.parts or NOTHING, recording.joint_names.index(joint)
-        number = hinge(model, joint)
-        own = actuators_of(model, number)
+        number = joint_names(model).index(joint)
+        own = actuators_of(mujoco, model, number)
         motor = parts.motor
         if recording.torques is None or not np.isfinite(recording.torques[:, column]).any():
             continue
@@ -83,7 +83,7 @@ def rollout(path: str, body: Body, time: np.ndarray, angle: np.ndarray, given: C
     data = mujoco.MjData(model)
     signs = np.array([(link.parts or NOTHING).sign for link in body.links])
     zeros = np.array([(link.parts or NOTHING).zero for link in body.links])
-    hinges = [hinge(model, joint) for joint in body.joint_names]
+    hinges = [joint_names(model).index(joint) for joint in body.joint_names]
     at, of = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     q, qd = states(time, signs * (angle - zeros))
     step = float(np.median(np.diff(time)))
