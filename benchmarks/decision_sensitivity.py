@@ -3,18 +3,20 @@
 Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
 done again under each rule (:func:`invdyn.diagnosis.decision.ruled`), all but filters and fits to held-out rows, so
 that one case takes seconds. A verdict is what is said (a cause, no gap, outside, not enough data), whether it matters,
-and the ambiguity set. Writes ``decision_sensitivity.md``. Pools are pickles, which run code when
-they are read: give your own alone.
+and the ambiguity set. Writes ``decision_sensitivity.md``. Pools are pickles,
+which run code when they are read: give your own alone.
 
     python benchmarks/decision_sensitivity.py POOLS
 """
 
 import argparse
 import pickle
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from invdyn.diagnosis.assessment.matters import matters, tolerated
@@ -30,13 +32,12 @@ KNOWN: dict[tuple[int, str], Any] = {}
 ELSEWHERE = {"several", "block", "share", "later", "alpha_within"}
 """Of held-out rows and of intervals, which are not done again here."""
 TABLE = Path(__file__).with_suffix(".md")
-HEAD = """# What each number of the decision rule decides
-
-Written by `python benchmarks/decision_sensitivity.py`: {count} cases of development seeds, searched once. Meanings
-stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which need fits to held-out rows or are
-of intervals. The prior of the number of effects is tilted: each further effect is half or twice as likely.
-
-"""
+HEAD = (
+    "Written by `python benchmarks/decision_sensitivity.py`: {cases} of development seeds, searched once; of other "
+    "kinds nothing is known. Meanings stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which "
+    "need fits to held-out rows or are of intervals. The prior of the number of effects is tilted: each further effect "
+    "is half or twice as likely."
+)
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,10 @@ def main() -> None:
         print(rows[-1], flush=True)
     text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     left_out = ", ".join(f"`{name}`" for name in sorted(ELSEWHERE))
-    TABLE.write_text(HEAD.format(count=len(searches), left_out=left_out) + text + "\n")
+    kinds = Counter(name.rpartition("-")[0] for name in searches)
+    cases = " and ".join(f"{count} {kind} cases" for kind, count in kinds.items())
+    head = fill(HEAD.format(cases=cases, left_out=left_out), 120, break_on_hyphens=False)
+    TABLE.write_text(f"# What each number of the decision rule decides\n\n{head}\n\n{text}\n", "utf-8")
 
 
 if __name__ == "__main__":
