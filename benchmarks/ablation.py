@@ -56,7 +56,7 @@ class Watch:
         self.tried: dict[str, int] = defaultdict(int)
         self.better: dict[str, int] = defaultdict(int)
         self.seconds: dict[str, float] = defaultdict(float)
-        self.last = ""
+        self.last = self.found_by = ""
         self.stack: list[float] = []
 
     def watched(self, name: str, rule: Callable) -> Callable:
@@ -80,8 +80,6 @@ class Watch:
                     self.last, self.found_by = best(pool), name
 
         return told
-
-    found_by: str = ""
 
 
 def best(pool: HypothesisPool) -> str:

@@ -3,18 +3,20 @@
 Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
 done again under each rule (:func:`invdyn.diagnosis.decision.ruled`), all but filters and fits to held-out rows, so
 that one case takes seconds. A verdict is what is said (a cause, no gap, outside, not enough data), whether it matters,
-and the ambiguity set; a probability changes where it does by more than .05. Writes ``decision_sensitivity.md``.
+and the ambiguity set. Writes ``decision_sensitivity.md``. Pools are pickles,
+which run code when they are read: give your own alone.
 
-    python benchmarks/decision_sensitivity.py CASES POOLS
+    python benchmarks/decision_sensitivity.py POOLS
 """
 
 import argparse
 import pickle
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cache
 from importlib import import_module
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from invdyn.diagnosis.assessment.matters import matters, tolerated
@@ -25,18 +27,17 @@ from invdyn.diagnosis.hypotheses.predict import residual
 
 ROOM: Any = import_module(weigh.__module__)
 CONFIRM = ROOM.confirm_all
+KNOWN: dict[tuple[int, str], Any] = {}
+"""What SMC said, by search and cause."""
 ELSEWHERE = {"several", "block", "share", "later", "alpha_within"}
 """Of held-out rows and of intervals, which are not done again here."""
-CHANGE = 0.05
-"""Of a probability."""
 TABLE = Path(__file__).with_suffix(".md")
-HEAD = """# What each number of the decision rule decides
-
-Written by `python benchmarks/decision_sensitivity.py`: {count} cases of development seeds, searched once. Meanings
-stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which need fits to held-out rows or are
-of intervals. The prior of the number of effects is tilted: each further effect is half or twice as likely.
-
-"""
+HEAD = (
+    "Written by `python benchmarks/decision_sensitivity.py`: {cases} of development seeds, searched once; of other "
+    "kinds nothing is known. Meanings stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which "
+    "need fits to held-out rows or are of intervals. The prior of the number of effects is tilted: each further effect "
+    "is half or twice as likely."
+)
 
 
 @dataclass(frozen=True)
@@ -77,17 +78,11 @@ def said(bound: Any, found: Any, missing: tuple) -> Said:
 
 def remembered(bound: Any, causes: Any, seed: int, temper: float, workers: int) -> Any:
     """What SMC said of these causes before."""
-    known = _known()
     for cause in causes:
-        key = (bound.problem.recording.name, id(bound), cause.key)
-        if key not in known:
-            (known[key],) = CONFIRM(bound, [cause], seed, temper, workers)
-    return [known[bound.problem.recording.name, id(bound), cause.key] for cause in causes]
-
-
-@cache
-def _known() -> dict:
-    return {}
+        key = id(bound), cause.key
+        if key not in KNOWN:
+            (KNOWN[key],) = CONFIRM(bound, [cause], seed, temper, workers)
+    return [KNOWN[id(bound), cause.key] for cause in causes]
 
 
 def changed(value: Any, factor: float) -> Any:
@@ -102,7 +97,6 @@ def changed(value: Any, factor: float) -> Any:
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("cases", type=Path)
     arguments.add_argument("pools", type=Path)
     asked = arguments.parse_args()
     ROOM.confirm_all = remembered
@@ -131,7 +125,10 @@ def main() -> None:
         print(rows[-1], flush=True)
     text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     left_out = ", ".join(f"`{name}`" for name in sorted(ELSEWHERE))
-    TABLE.write_text(HEAD.format(count=len(searches), left_out=left_out) + text + "\n")
+    kinds = Counter(name.rpartition("-")[0] for name in searches)
+    cases = " and ".join(f"{count} {kind} cases" for kind, count in kinds.items())
+    head = fill(HEAD.format(cases=cases, left_out=left_out), 120, break_on_hyphens=False)
+    TABLE.write_text(f"# What each number of the decision rule decides\n\n{head}\n\n{text}\n", "utf-8")
 
 
 if __name__ == "__main__":

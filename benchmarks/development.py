@@ -9,7 +9,8 @@ Cases are made once; any version of the code then diagnoses the same files:
     python benchmarks/development.py score CASES OLD NEW       rates with 90 % intervals, and where the two differ
 
 What a search found is kept with ``--pools FOLDER``, and taken from there if it is known: what is decided afterwards is
-then compared on the very same causes, in a tenth of the time. ``--only`` takes some of the cases.
+then compared on the very same causes. They are pickles, which run code when they are read: keep them in a folder that
+is yours alone, and read nobody else's. ``--only`` takes some of the cases.
 
 Case n of a kind has seed + n, whatever else is asked for. Intervals are Jeffreys'. Seconds are those of the processor.
 """

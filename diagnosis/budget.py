@@ -23,7 +23,7 @@ from invdyn.models import ArmModel
 T = TypeVar("T")
 
 PASSES = 11000.0
-"""A row, by default, of 1,000 rows at least: about two minutes for those on two cores (benchmarks/README.md)."""
+"""A row, by default, of 1,000 rows at least: 102 to 213 s of CPU for those in nine logs (benchmarks/README.md)."""
 SHORT = 1000
 """Rows: a shorter recording may take as much work as one of so many; nearly all need less."""
 GAP = 10.0

@@ -1,10 +1,11 @@
 """The decision rule: the numbers that turn evidence into what a diagnosis says, in one place.
 
-The model's own stand with the model: priors of effects and their bounds (:mod:`.unknowns`), what values a name means
-(:meth:`Effect.credible`), sizes of the residual (:mod:`.whiten`). So do those of the check of signs and zeros before it
-(:mod:`.conventions`). Numbers that say how hard to look (how many candidates are refined, when a descent ends, grids,
-budgets) stand beside their algorithms: with time enough they should change nothing. Each field of :data:`RULE` has
-unit, meaning and source; `python benchmarks/decision_sensitivity.py` asks what half and twice the value change.
+The model's own stand with the model: priors of effects and their bounds (:mod:`.problem.unknowns`), what values a name
+means (:meth:`Effect.credible`), sizes of the residual (:mod:`.sensitivity.whiten`). So do those of the check of signs
+and zeros before it (:mod:`.problem.conventions`). Numbers that say how hard to look (how many candidates are refined,
+when a descent ends, grids, budgets) stand beside their algorithms: with time enough they should change nothing. Each
+field of :data:`RULE` has unit, meaning and source; `python benchmarks/decision_sensitivity.py` asks what half and twice
+the value change.
 
 Sources: *odds*, an argument about probabilities that stands beside it; *chance*, the level of a one-sided test under a
 right simulation; *measured*, on opened runs of the blind check, as said; *stated*, what is meant by a word, so that a

@@ -24,7 +24,6 @@ from scipy.optimize import minimize_scalar
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, explain
 from invdyn.models.dynamics.interface import Dynamics
 
-QUARTER = math.pi / 2
 ZEROS = np.radians(np.arange(-165, 181, 15))
 """rad, where a zero is looked for, before it is found to a fraction of a degree."""
 FACTORS = np.array([1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0])
@@ -76,10 +75,10 @@ class Found:
     others: tuple[Mistake, ...] = ()
 
 
-def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, most: int = MANY) -> list[Found]:
+def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool) -> list[Found]:
     """Mistakes of a log, none where it is right; of angles and columns only where there are ``encoders``."""
     found: list[Found] = []
-    while len(found) < most:
+    while len(found) < MANY:
         own = explain(dynamics, body, motion).misfit
         if not own > MISSED:
             break
@@ -96,8 +95,7 @@ def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, most:
 
 def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
     """Those without a number that is looked for."""
-    groups = [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
-    for group in groups:
+    for group in _groups(joints):
         sign = np.ones(joints)
         sign[list(group)] = -1
         turn = "change the sign of its torques"
@@ -115,6 +113,11 @@ def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
         for angles, torques, what in ((order, order, "columns"), (order, plain, "angles"), (plain, order, "torques")):
             words, turn = f"the {what} are exchanged", f"exchange the two joints' {what}"
             yield Mistake("exchanged", (one, other), words, turn, 0.0, _picked(angles, torques))
+
+
+def _groups(joints: int) -> list[tuple[int, ...]]:
+    """Each joint, and all of them together."""
+    return [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
 
 
 def units() -> Iterator[Mistake]:
@@ -138,10 +141,8 @@ def _tried(dynamics: Dynamics, body: Any, motion: Motion, encoders: bool) -> Ite
         yield fit(mistake).misfit, mistake
     for k in range(joints if encoders else 0):
         yield from _searched(partial(zero, k), fit, ZEROS, math.radians(15), SMALL_ZERO)
-    groups = [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
-    for group in groups:
-        logs = np.log(FACTORS)
-        yield from _searched(partial(_scale, group, joints), fit, logs, 0.6, math.log(PLAIN))
+    for group in _groups(joints):
+        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN))
     for k in range(joints):
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])

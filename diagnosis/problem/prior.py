@@ -23,8 +23,8 @@ and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
 so that parameters which are known well, or far from what was expected, cost what they do without tempering.
 Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are; for the
 parameters of one cause α is larger, by which .90 of 740 intervals of opened blind runs hold the truth, and .936 of 311
-and .904 of 312 of sealed ones after it. Stray
-detections, whose thousands of nats nothing else imitates, have a ζ of their own (:meth:`.pool.HypothesisPool.score`).
+and .904 of 312 of sealed ones after it. Stray detections, whose thousands of nats nothing else imitates, have a ζ of
+their own (:meth:`.pool.HypothesisPool.score`).
 """
 
 import math

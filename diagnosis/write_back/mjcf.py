@@ -19,6 +19,7 @@ from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import Body
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
@@ -66,7 +67,7 @@ class Writer:
         """Why a change could not be written; None where it was."""
         if change.quantity == "payload":
             return self._payload(change)
-        number = self._hinge(change.place)
+        number = joint_names(self.model).index(change.place)
         element = self._joint(number)
         if element is None:
             return INCLUDED
@@ -80,10 +81,6 @@ class Writer:
             return None
         return self._motor(number, change)
 
-    def _hinge(self, name: str) -> int:
-        names = [self.model.joint(j).name or f"joint{j + 1}" for j in range(self.model.njnt)]
-        return names.index(name)
-
     def _parts(self, joint: str) -> JointParts:
         return self.body.links[self.body.joint_names.index(joint)].parts or NOTHING
 
@@ -94,7 +91,7 @@ class Writer:
         return self.joints[number] if self.whole and len(self.joints) == self.model.njnt else None
 
     def _motor(self, joint: int, change: FileChange) -> str | None:
-        own = [a for a in range(self.model.nu) if int(self.model.actuator_trnid[a, 0]) == joint]
+        own = actuators_of(mujoco, self.model, joint)
         elements = [child for parent in self.text.found("actuator") for child in self._children(parent)]
         if len(own) != 1:
             return "the joint has no actuator of its own"
@@ -171,7 +168,7 @@ class Writer:
         return child == to
 
     def _moved_by(self, joint: str) -> int:
-        return int(self.model.jnt_bodyid[self._hinge(joint)])
+        return int(self.model.jnt_bodyid[joint_names(self.model).index(joint)])
 
     def _body(self, number: int) -> Element | None:
         named = [e for e in self.bodies if e.attributes.get("name") == self.model.body(number).name]
@@ -182,10 +179,10 @@ class Writer:
     def _in_body(self, number: int, link: int, far: float) -> np.ndarray:
         """A point on a link's line, ``far`` m from its joint, in the frame of a body of it."""
         heading = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1])
-        hinge = self._hinge(self.body.joint_names[link])
-        axis = int(np.abs(self.data.xaxis[hinge]).argmax())
+        joint = joint_names(self.model).index(self.body.joint_names[link])
+        axis = int(np.abs(self.data.xaxis[joint]).argmax())
         u, v = ((1, 2), (0, 2), (0, 1))[axis]
-        point = self.data.xanchor[hinge].copy()
+        point = self.data.xanchor[joint].copy()
         point[u] += far * np.cos(heading)
         point[v] += far * np.sin(heading)
         return self.data.xmat[number].reshape(3, 3).T @ (point - self.data.xpos[number])

@@ -6,7 +6,6 @@ recorded angles, which know of no simulation. A file that says a joint has a del
 Shapes: T rows, K joints.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,7 @@ from scipy.signal import savgol_filter
 
 from invdyn.models import Body
 from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.recordings import InputError, Recording
 
 WINDOW = 1.0
@@ -51,8 +51,8 @@ def commands(model: Any, body: Body, recording: Recording) -> Commands:
     control, applied = np.zeros((rows, model.nu)), np.zeros((rows, model.nv))
     for joint, link in zip(body.joint_names, body.links, strict=True):
         parts, column = link.parts or NOTHING, recording.joint_names.index(joint)
-        number = _hinge(model, joint)
-        own = [a for a in range(model.nu) if int(model.actuator_trnid[a, 0]) == number]
+        number = joint_names(model).index(joint)
+        own = actuators_of(mujoco, model, number)
         motor = parts.motor
         if recording.torques is None or not np.isfinite(recording.torques[:, column]).any():
             continue
@@ -83,7 +83,7 @@ def rollout(path: str, body: Body, time: np.ndarray, angle: np.ndarray, given: C
     data = mujoco.MjData(model)
     signs = np.array([(link.parts or NOTHING).sign for link in body.links])
     zeros = np.array([(link.parts or NOTHING).zero for link in body.links])
-    hinges = [_hinge(model, joint) for joint in body.joint_names]
+    hinges = [joint_names(model).index(joint) for joint in body.joint_names]
     at, of = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     q, qd = states(time, signs * (angle - zeros))
     step = float(np.median(np.diff(time)))
@@ -125,8 +125,3 @@ def states(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         smooth = savgol_filter(rows, window, 3, deriv=order, delta=step, axis=0)
         found.append(np.stack([np.interp(time, even, each, np.nan, np.nan) for each in smooth.T], -1))
     return found[0], found[1]
-
-
-def _hinge(model: Any, name: str) -> int:
-    names: Sequence[str] = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
-    return list(names).index(name)

@@ -22,7 +22,9 @@ from invdyn.recordings import InputError, Recording, atomic_path
 def check_write_back(source: str | Path, out: str | Path) -> None:
     """Before a long run: raise InputError where a corrected copy of ``source`` could not be used as ``out``."""
     content = read_whole(source, body_xml.MOST_BYTES)
-    suffixes = (".xml", ".mjcf") if b"<mujoco" in content else (".urdf", ".xml") if _is_xml(content) else (".toml",)
+    suffixes = (
+        (".xml", ".mjcf") if b"<mujoco" in content else (".urdf", ".xml") if body_xml.is_xml(content) else (".toml",)
+    )
     if Path(out).suffix not in suffixes:
         raise InputError(f"{out}: expected a name that ends in {' or '.join(suffixes)}, as {source} is such a file")
     if b'file="' in content and Path(out).resolve().parent != Path(source).resolve().parent:
@@ -44,12 +46,12 @@ def write_back(
         return replace(diagnosis, written=Written(str(out), (), {}, why))
     content = read_whole(source, body_xml.MOST_BYTES)
     asked = correction(cause, body)
-    mjcf = _is_xml(content) and b"<mujoco" in content
+    mjcf = body_xml.is_xml(content) and b"<mujoco" in content
     if mjcf:
         from invdyn.diagnosis.write_back import mjcf as writer
 
         new, left = writer.rewritten(content, str(source), body, asked.changes)
-    elif _is_xml(content):
+    elif body_xml.is_xml(content):
         new, left = urdf.rewritten(content, asked.changes)
     else:
         new, left = toml.rewritten(content, body, asked.changes)
@@ -103,7 +105,3 @@ def _tried(source: str, out: str, body: Body, recording: Recording, held_out: bo
         },
         "total_rms_rad": {"before": before.total, "after": after.total},
     }
-
-
-def _is_xml(content: bytes) -> bool:
-    return body_xml.is_xml(content)

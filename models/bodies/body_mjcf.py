@@ -50,7 +50,7 @@ def of(root: Element, where: str) -> Robot:
     for site, body in enumerate(model.site_bodyid):
         sites.setdefault(int(body), []).append(site)
     parts = [_part(mujoco, model, data, b, joints.get(b, ()), sites.get(b, ())) for b in range(1, model.nbody)]
-    names = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
+    names = joint_parts_mjcf.joint_names(model)
     joint_parts, motors = joint_parts_mjcf.read(mujoco, model, names)
     beyond = [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
     left_out = body_mjcf_left_out.named(mujoco, model, names) + beyond
@@ -84,9 +84,9 @@ def _own_warnings(mujoco: Any, where: str) -> Iterator[None]:
 def _joints(mujoco: Any, model: Any, data: Any) -> dict[int, list[PartJoint]]:
     """Body → its joints, in the order of the model's."""
     found: dict[int, list[PartJoint]] = {}
-    for j in range(model.njnt):
+    for j, name in enumerate(joint_parts_mjcf.joint_names(model)):
         kind = mujoco.mjtJoint(int(model.jnt_type[j])).name.removeprefix("mjJNT_").lower()
-        own = PartJoint(model.joint(j).name or f"joint{j + 1}", data.xanchor[j].copy(), data.xaxis[j].copy(), kind)
+        own = PartJoint(name, data.xanchor[j].copy(), data.xaxis[j].copy(), kind)
         found.setdefault(int(model.jnt_bodyid[j]), []).append(own)
     return found
 

@@ -21,7 +21,7 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
         if int(model.jnt_type[j]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
             continue  # an enum of MuJoCo's equals a number from one side alone
         dof = int(model.jnt_dofadr[j])
-        own = [a for a in range(model.nu) if _drives(mujoco, model, a, j)]
+        own = actuators_of(mujoco, model, j)
         motor = None
         if len(own) == 1 and (motor := _motor(mujoco, model, own[0], j)) is not None:
             played.add(own[0])
@@ -40,9 +40,16 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
     return found, played
 
 
-def _drives(mujoco: Any, model: Any, actuator: int, joint: int) -> bool:
+def joint_names(model: Any) -> list[str]:
+    """Of all joints, in the file's order; one without a name is called by its number, from 1."""
+    return [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
+
+
+def actuators_of(mujoco: Any, model: Any, joint: int) -> list[int]:
+    """Numbers of the actuators that act on a joint, and on no tendon, site or body of the same number."""
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return int(model.actuator_trntype[actuator]) in through and int(model.actuator_trnid[actuator, 0]) == joint
+    kinds, targets = model.actuator_trntype, model.actuator_trnid[:, 0]
+    return [a for a in range(model.nu) if int(kinds[a]) in through and int(targets[a]) == joint]
 
 
 def _motor(mujoco: Any, model: Any, a: int, joint: int) -> Motor | None:

@@ -1,11 +1,13 @@
 """A log against a robot's own file: the change is named, and the corrected copy rolls out as the log does."""
 
 import json
+import re
 
 import pytest
 from robot_xml import play, robot
 
 from invdyn.diagnosis.diagnose import diagnose, save
+from invdyn.diagnosis.report.numbers import handy
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.write_back.write_back import check_write_back, write_back
 from invdyn.models import Body
@@ -38,7 +40,12 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     assert damping["from"] == 0.1
     assert damping["to"] == pytest.approx(change["to"])
     assert said["write_back"]["rollout"]["held_out"]
-    assert "The corrected file" in (tmp_path / "report.html").read_text()
+    row = (tmp_path / "report.html").read_text().partition("The corrected file")[2].partition("</tbody>")[0]
+    told = re.search(r"damping of elbow, N·m·s/rad</th>\D*>([\d.]+)</td>\D*>([\d.]+)</td>", row)
+    assert [float(number) for number in told.groups()] == pytest.approx([0.1, change["to"]], rel=1e-3)
+    replayed = next(sentence for sentence in details(written) if "replaying a held-out recording" in sentence)
+    said_of = [f"by {handy(angles[which], 'rad')}" for which in ("after", "before")]
+    assert replayed.index(said_of[0]) < replayed.index("in the original") < replayed.index(said_of[1])
 
 
 def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):

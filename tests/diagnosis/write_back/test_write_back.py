@@ -90,6 +90,22 @@ def test_motors_and_links(file):
     assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
 
 
+@pytest.mark.filterwarnings("ignore:.*leaves out")
+def test_an_actuator_of_a_tendon_is_not_that_of_the_joint_with_its_number(file):
+    """MuJoCo numbers tendons from 0, too."""
+    cable = '<tendon><fixed name="cable"><joint joint="elbow" coef="1"/></fixed></tendon>'
+    pulled = (
+        robot().replace("</mujoco>", f"{cable}</mujoco>").replace("</actuator>", '<motor tendon="cable"/></actuator>')
+    )
+    file.write_text(pulled)
+    _old, new, _text, unsaid = changed(file, finding("actuator_gain", {"joint": "shoulder"}, gain=-0.2))
+    assert not unsaid
+    assert new.actuator_gear[:, 0].tolist() == [0.8, 10.0, 1.0]
+    given = commands(new, Body.load(file), play(robot(), 0.1))
+    assert given.control[:, 0].any()
+    assert not given.applied.any()
+
+
 def test_a_payload_is_at_the_tip(file):
     old, new, _, unsaid = changed(file, finding("payload", {}, mass=0.3))
     assert not unsaid
