@@ -1,8 +1,8 @@
 """The labelling page's other half: a server for one browser on this machine, from the standard library.
 
 It listens on 127.0.0.1 alone, and every path begins with a secret word, so that no other page and no other user can
-read the film or write labels. (Who may list this machine's processes sees the word in the command line of a browser that
-is opened with it.) Each change is written to the file of labels at once, whole.
+read the film or write labels. (Who may list this machine's processes sees the word in the command line of a browser
+that is opened with it.) Each change is written to the file of labels at once, whole.
 """
 
 import io
