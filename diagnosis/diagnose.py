@@ -36,7 +36,7 @@ from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
@@ -47,7 +47,7 @@ Progress = Callable[[int, int, str], None]
 
 def diagnose(
     recording: Recording | Sequence[Recording],
-    body: Body,
+    body: ArticulatedBody,
     *,
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,

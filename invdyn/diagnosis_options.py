@@ -98,9 +98,9 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from .inputs import is_log, load_log, load_logs, load_planar
+        from .inputs import is_log, load_body, load_log, load_logs
 
-        body = load_planar(self.body, "a diagnosis")
+        body = load_body(self.body)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):

@@ -19,6 +19,7 @@ from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt,
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.whiten import sizes
+from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.inertial_error import InertialError
@@ -89,7 +90,8 @@ def _twins(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> 
         for other, same in mine.twins.items():
             twins[other] = {its: known[f"{mine.key}.{own}"] for own, its in same.items()}
     body = problem.model.scale.body
-    swings = problem.regime == "passive" and problem.model.body.num_joints == 1 and bool(body.gravity.any())
+    hangs = isinstance(body, BodyParameters) and bool(body.gravity.any())
+    swings = problem.regime == "passive" and problem.model.body.num_joints == 1 and hangs
     if swings and mine.name in period.NAMES:
         own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
         twins |= period.equivalents(period.factor(mine, own, body), body)
@@ -134,8 +136,7 @@ def _refine_narrower(problem: DiagnosisProblem, found: HypothesisPool, cause: Fi
 def _refine_load(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Refine a cause with a payload in place of an error of the last link (:mod:`.load_equivalents`)."""
     payload = next((e for e in found.candidates if isinstance(e, Payload)), None)
-    last = problem.model.body.num_joints - 1
-    if payload is None or not isinstance(mine, InertialError) or mine.place != (last,):
+    if payload is None or not isinstance(mine, InertialError) or mine.place != payload.place[:1]:
         return
     there = found.pool.get(_in_place(cause, mine, payload))
     if payload.key in cause.key.split("+") or (there and there.log_evidence > cause.log_evidence - ALIKE):

@@ -20,9 +20,9 @@ import torch
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
-from invdyn.models import Body
 from invdyn.models.articulated.as_filed import answered
 from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 
 WINDOWS = (7, 13, 25, 49, 97)
 """Rows of a local cubic: few for a fast arm, many for noisy encoders."""
@@ -124,20 +124,28 @@ def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: in
 
 
 def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
-    """Y of each link's m, m c and J, (3K, R, K), of a chain in the plane; none of another body."""
-    K = motion.q.shape[1]
-    numbers = body.parameters()
-    if not isinstance(body, Body):
-        return np.empty((0, *motion.q.shape))
-    unit = torch.eye(K, dtype=torch.float64)[:, None]
-    none = torch.zeros_like(unit)
+    """Y of each link's m, first moments m c and second moments J about its joint, (P, R, K).
 
-    def torque(mass: torch.Tensor, com: torch.Tensor, inertia: torch.Tensor) -> np.ndarray:
-        only = numbers._replace(mass=mass, com=com, inertia=inertia)
+    In the plane P is 3 for each link, in space 10; quantity by quantity, each of all links. None of another body.
+    """
+    numbers = body.parameters()
+    if not has_inertias(body):
+        return np.empty((0, *motion.q.shape))
+    axes, moments = np.eye(1 if body.space == 2 else 3), np.eye(1 if body.space == 2 else 6)
+    unit = torch.eye(len(body.link_names), dtype=torch.float64)[:, None]
+
+    def along(direction: np.ndarray) -> torch.Tensor:
+        return unit * float(direction[0]) if body.space == 2 else unit[..., None] * torch.as_tensor(direction)
+
+    def torque(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        only = numbers._replace(mass=mass * unit, com=along(com), inertia=along(inertia))
         return inverse(dynamics, only, motion)
 
-    mass = torque(unit, none, none)
-    return np.concatenate([mass, torque(unit, unit, -unit) - mass, torque(none, none, unit)])
+    still, light = np.zeros(len(axes)), np.zeros(len(moments))
+    mass = torque(1.0, still, light)
+    # at a distance of one metre a kilogram has moments, which are taken from it
+    first = [torque(1.0, axis, -point_moments(torch.as_tensor(axis)).numpy()) - mass for axis in axes]
+    return np.concatenate([mass, *first, *(torque(0.0, still, moment) for moment in moments)])
 
 
 def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
@@ -162,13 +170,14 @@ def joint_regressors(motion: Motion) -> np.ndarray:
     return np.concatenate([np.eye(K)[:, None] * values for values in each])
 
 
-def nominal_link_numbers(body: Any) -> np.ndarray:
-    """Each link's m, m c and J, (3K,), of a chain in the plane; none of another body."""
-    if not isinstance(body, Body):
-        return np.empty(0)
+def nominal_link_numbers(body: Any) -> list[np.ndarray]:
+    """Each link's m (1, L), m c (n, L) and J (r, L), of a chain in the plane n = r = 1, of a tree 3 and 6."""
+    if not has_inertias(body):
+        return []
     p = body.parameters()
-    moments = (p.mass, p.mass * p.com, p.inertia + p.mass * p.com**2)
-    return torch.cat(moments).numpy()
+    every = [inertia_of(p, k) for k in range(len(body.link_names))]
+    own = [(e.mass, e.mass * e.com, e.moments + e.mass * point_moments(e.com)) for e in every]
+    return [torch.stack(quantity, -1).numpy() for quantity in zip(*own, strict=True)]
 
 
 def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
@@ -176,12 +185,14 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
     size = np.sqrt((motion.torque**2).mean(0))
     unit = np.maximum(np.maximum(size, QUIET * size.max()), 1e-12)
-    own = nominal_link_numbers(body)
+    quantities = nominal_link_numbers(body)
+    own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
     joints = joint_regressors(motion)
     constant = np.eye(len(unit))[list(offsets)][:, None] * np.ones_like(motion.torque)
     X = np.concatenate([link_regressors(dynamics, body, motion), joints, constant]) / unit
     moved = np.maximum(np.sqrt((joints**2).mean(1)).sum(-1), 1e-12)
-    floor = np.repeat(np.maximum(np.abs(own).reshape(3, -1).max(1), 1e-12), len(own) // 3)
+    largest = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in quantities]
+    floor = np.concatenate([*largest, np.empty(0)])
     sd = np.concatenate(
         [LOOSE * np.maximum(np.abs(own), 0.01 * floor), np.tile(unit, 3) / moved, 100 * unit[list(offsets)]]
     )

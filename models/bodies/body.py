@@ -146,6 +146,11 @@ class Body(FromFiles, BodyBase):
         return self.links[0].joint
 
     @property
+    def hand(self) -> tuple[int, int]:
+        """The last link and its tip."""
+        return self.num_joints - 1, self.num_joints - 1
+
+    @property
     def learned(self) -> dict[str, tuple[int, ...]]:
         """Links whose scalars are to be learned, by quantity."""
         found = {

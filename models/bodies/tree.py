@@ -25,9 +25,10 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_tree, tree_toml
+from invdyn.models.bodies import body_tree, joint_parts_toml, tree_toml
 from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
@@ -90,6 +91,11 @@ class Tree(FromFiles, BodyBase):
         return tuple(motion.name for link, motion in self.motions() if not link.joint.driven)
 
     @cached_property
+    def joint_parts(self) -> tuple[JointParts | None, ...]:
+        """What each of the K coordinates has besides."""
+        return tuple(link.parts for link, _ in self.motions() if not link.joint.driven)
+
+    @cached_property
     def driven_names(self) -> tuple[str, ...]:
         """Names of the coordinates of driven joints, whose motion is given."""
         return tuple(motion.name for link, motion in self.motions() if link.joint.driven)
@@ -141,9 +147,36 @@ class Tree(FromFiles, BodyBase):
         return assembled(self.links, self.parents, self.gravity, draw)
 
     @property
+    def hand(self) -> tuple[int, int] | None:
+        """The last link, or of several that end the tree what they hang on, and the site farthest from its joint.
+
+        None where that is the world, or has no site.
+        """
+        ends = [k for k in range(len(self.links)) if k not in self.parents]
+        inwards = [[end] for end in ends]
+        for way in inwards:
+            while self.parents[way[-1]] >= 0:
+                way.append(self.parents[way[-1]])
+        common = [k for k in inwards[0] if all(k in way for way in inwards)]
+        own = [self.keypoint_names.index(name) for name in self.links[common[0]].points] if common else []
+        if not own:
+            return None
+        far = self.parameters().sites[own].norm(dim=-1)
+        return common[0], own[int(far.argmax())]
+
+    def moved_by(self, link: int) -> tuple[int, ...]:
+        """Coordinates of its joint, or, where that is fixed or driven, of the next one inwards."""
+        owners = [self.links.index(each) for each, _ in self.motions() if not each.joint.driven]
+        while link >= 0:
+            if found := tuple(k for k, owner in enumerate(owners) if owner == link):
+                return found
+            link = self.parents[link]
+        return ()
+
+    @property
     def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
-        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self._scalars())
+        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self.scalars())
 
     @property
     def learned(self) -> dict[str, tuple[int, ...]]:
@@ -222,8 +255,8 @@ class Tree(FromFiles, BodyBase):
             edges += [(hub, names.index(name)) for name in link.points if hub is not None]
         return edges
 
-    def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
-        """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
+    def scalars(self) -> Iterator[tuple[str, int, Scalar]]:
+        """What links say: its number, its flat index there, and itself; a length is its tip's x among the sites."""
         for place, link in enumerate(self.links):
             yield "mass", place, link.mass
             for key, given in (("position", link.origin), ("com", link.com), ("inertia", link.inertia)):
@@ -236,7 +269,7 @@ class Tree(FromFiles, BodyBase):
     def _entries(self, kind: Any) -> dict[str, tuple[int, ...]]:
         """Flat indices of the scalars of a kind, by number."""
         found: dict[str, list[int]] = {}
-        for key, index, scalar in self._scalars():
+        for key, index, scalar in self.scalars():
             if isinstance(scalar, kind):
                 found.setdefault(key, []).append(index)
         return {key: tuple(indices) for key, indices in found.items()}
@@ -311,7 +344,8 @@ class Tree(FromFiles, BodyBase):
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
         links = [
-            {key.name: getattr(link, key.name) for key in fields(link)}
+            {key.name: getattr(link, key.name) for key in fields(link) if key.name != "parts"}
+            | joint_parts_toml.told(link.parts)
             | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
             for link in self.links
         ]

@@ -5,7 +5,7 @@ from typing import ClassVar, Self
 
 from pyro.distributions import Normal
 
-from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values, rotated
 from invdyn.models.effects.scale import Scale
@@ -29,7 +29,7 @@ class GravityTilt(Effect):
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One, where there is gravity."""
-        return [cls()] if isinstance(body, Body) and any(body.gravity) else []
+        return [cls()] if cls.fits(body) and any(body.gravity) else []
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle, rad."""

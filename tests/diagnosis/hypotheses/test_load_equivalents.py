@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.load_equivalents import NUMBERS, nearest_load
+from invdyn.diagnosis.hypotheses.load_equivalents import nearest_load
 from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -28,7 +28,7 @@ def cause(mean, covariance=None):
     """What nearest_load looks at: numbers of an error, and others beside them."""
     whole = np.eye(5)
     whole[1:4, 1:4] = np.diag(SD**2) if covariance is None else covariance
-    names = ("x.a", *(f"{ERROR.key}.{name}" for name in NUMBERS), "y.b")
+    names = ("x.a", *(f"{ERROR.key}.{name}" for name in ("mass", "com", "inertia")), "y.b")
     return SimpleNamespace(names=names, mean=np.array([7.0, *mean, -7.0]), covariance=whole)
 
 
