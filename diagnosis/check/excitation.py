@@ -90,7 +90,7 @@ def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
         for axis in each or ("",)
     ]
     links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names]
-    kinds = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
-    joints = [(f"{kind} at {joint}", unit) for kind, unit in kinds for joint in body.joint_names]
+    besides = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
+    joints = [(f"{kind} at {joint}", unit) for kind, unit in besides for joint in body.joint_names]
     names, units = zip(*links, *joints, strict=True)
     return list(names), list(units), np.concatenate([*(each.ravel() for each in own), np.zeros(len(joints))])

@@ -81,8 +81,8 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
     data = mujoco.MjData(model)
-    every = [parts or NOTHING for parts in body.joint_parts]
-    signs, zeros = np.array([parts.sign for parts in every]), np.array([parts.zero for parts in every])
+    own = [parts or NOTHING for parts in body.joint_parts]
+    signs, zeros = np.array([parts.sign for parts in own]), np.array([parts.zero for parts in own])
     hinges = [joint_names(model).index(joint) for joint in body.joint_names]
     at, of = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     q, qd = states(time, signs * (angle - zeros))

@@ -63,8 +63,8 @@ def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one()
     ("change", "name"),
     [
         ({"damping": {"lift": 0.3}}, "viscous_friction.lift"),
-        ({"friction": {"bend": 0.15}}, "coulomb_friction.bend"),
-        ({"armature": {"bend": 0.02}}, "armature.bend"),
+        ({"friction": {"lift": 0.3}}, "coulomb_friction.lift"),
+        ({"armature": {"bend": 0.005}}, "armature.bend"),
         ({"late": 0.03}, "actuator_delay"),
         ({"payload": 0.2, "encoders": None, "cameras": 0.001}, "payload"),
     ],
@@ -73,21 +73,20 @@ def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one()
 def test_three_hinges_in_space(body, change, name):
     _, _, found = screened(play(ARM, 1.5, **change), body, FEW)
     assert key(added(found)[0].effect) == name
-    assert added(found)[0].log_evidence > next(s.log_evidence for s in found if s.effect is None) + 50
+    assert added(found)[0].log_evidence > next(s.log_evidence for s in found if s.effect is None) + 30
 
 
 @cache
 def loaded_arm():
-    return play(ARM, 2.0, payload=0.2, cameras=0.001)
+    return play(ARM, 1.5, payload=0.2, cameras=0.001)
 
 
 def test_a_payload_is_found_said_drawn_and_written_into_the_file(body, tmp_path):
     log = loaded_arm()
-    found = diagnose(log, body, without=REST)
+    found = diagnose(log, body, without=REST, most=1)
     (effect,) = found.causes[0].effects
     assert effect.key == "payload"
-    low, high = effect.parameters["mass"].interval_90
-    assert low - 0.02 < 0.2 < high + 0.02
+    assert effect.parameters["mass"].mean == pytest.approx(0.2, rel=0.01)
     assert "a payload" in verdict(found)
     assert "base_motion" in found.to_json()["search"]["planar_only"]
     assert arm(found).count("<svg") == 2
