@@ -27,6 +27,7 @@ COMMANDS = {
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",
     "filters": "filters.py",
+    "gpu": "gpu.py",
     "ladder": "ladder.py",
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
@@ -90,7 +91,7 @@ def machine() -> str:
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or list(COMMANDS)
+    wanted = sys.argv[1:] or [name for name in COMMANDS if name != "gpu" or torch.cuda.is_available()]
     if unknown := set(wanted) - set(COMMANDS):
         sys.exit(f"no table {', '.join(sorted(unknown))}; expected any of {', '.join(COMMANDS)}")
     for name in wanted:

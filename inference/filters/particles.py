@@ -34,6 +34,11 @@ class FilterResult:
     log_twist: Tensor | None
     ancestors: Tensor
 
+    def cpu(self) -> "FilterResult":
+        """The same on the CPU, where paths are smoothed in float64, as the smoother is."""
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return FilterResult(**{name: value if value is None else value.cpu() for name, value in values.items()})
+
 
 def joined(results: Sequence[FilterResult]) -> FilterResult:
     """All filters of several runs over the same rows, as of one."""
