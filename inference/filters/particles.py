@@ -36,8 +36,12 @@ class FilterResult:
 
     def cpu(self) -> "FilterResult":
         """The same on the CPU, where paths are smoothed in float64, as the smoother is."""
-        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return FilterResult(**{name: value if value is None else value.cpu() for name, value in values.items()})
+
+        def moved(name: str) -> Any:
+            value = getattr(self, name)
+            return value if value is None else value.cpu()
+
+        return FilterResult(**{field.name: moved(field.name) for field in fields(self)})
 
 
 def joined(results: Sequence[FilterResult]) -> FilterResult:
