@@ -243,7 +243,7 @@ def test_what_cannot_be_seen_is_by_one_measure():
     """What `not_identifiable` counts as hidden is not said to show faintly."""
     found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * RULE.faint),))
     text = render(found)
-    assert f"Under {RULE.faint:.1f} it cannot be seen" in text
+    assert f"Under {RULE.faint:.1f} the change cannot be seen" in text
     assert _visible(found)["faintly"] == []
     assert len(_visible(found)["no"]) == 1
 
@@ -310,7 +310,7 @@ def test_what_each_of_several_effects_closes_is_told():
     }
     page = render(replace(case, shrinkage=replace(case.shrinkage, by_effect=parts)))
     friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
-    told = f"Leaving out {friction} would cost {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
+    told = f"Leaving out {friction} would reopen {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
     assert told in page
     assert f"Data held out from the fit do not confirm {deadzone}." in page
     assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
