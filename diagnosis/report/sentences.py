@@ -197,8 +197,9 @@ def _written(written: Written) -> list[str]:
     if (tried := written.rollout) is not None:
         total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
         found.append(
-            f"{tried['engine']} itself, replaying {on} in it, is off by {handy(total['after'], 'rad')} rms after "
-            f"{tried['window_s']:g} s at most; in the original by {handy(total['before'], 'rad')}."
+            f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
+            f"Its angles are off by {handy(total['after'], 'rad')} rms with the corrected file, by "
+            f"{handy(total['before'], 'rad')} with the original."
         )
     return found
 
@@ -252,10 +253,10 @@ def _each(diagnosis: Diagnosis) -> str | None:
     if len(parts) < 2:
         return None
     first, *more = [(words, percent(part.gap_closed)) for words, part in parts.items()]
-    costs = [f"{first[0]} would cost {first[1]} of the gap", *(f"{words} {share}" for words, share in more)]
+    opens = [f"{first[0]} would reopen {first[1]} of the gap", *(f"{words} {share}" for words, share in more)]
     doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
     data = "Data held out from the fit" if shrinkage.held_out else "These data"
-    text = f"Leaving out {named(costs)}."
+    text = f"Leaving out {named(opens)}."
     return f"{text} {data} do not confirm {named(doubtful)}." if doubtful else text
 
 
