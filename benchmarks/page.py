@@ -23,6 +23,7 @@ PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
     "spatial_paper": "spatial_paper.py",
+    "mouse": "mouse.py",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",

@@ -26,7 +26,19 @@ from PIL import Image
 from invdyn.inference import pooled
 from invdyn.recordings import InputError, atomic_path
 
-from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles, unit_of
+from .plots import (
+    BLUE,
+    INK,
+    PURPLE,
+    STYLE,
+    VERMILION,
+    draw_bands,
+    draw_truth,
+    draw_unseen,
+    quantiles,
+    unit_of,
+    unseen_entry,
+)
 
 if TYPE_CHECKING:
     from .overlay import Overlay
@@ -218,6 +230,7 @@ def still_parts(
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
+        draw_unseen(axes, idata, number)
         if f"truth_{shown}" in known:
             draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
         axes.set_title(f"{joint} {shown} ({unit_of(idata, shown, number)})", loc="left")
@@ -234,6 +247,7 @@ def still_parts(
     ]
     if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+    entries += unseen_entry(idata)
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()
     return figure, arm_axes, torque_axes
