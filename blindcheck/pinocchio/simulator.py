@@ -29,7 +29,7 @@ from invdyn.models import Body
 LONGEST_STEP = 2e-3  # s
 DRY_STEP = 5e-4  # s, where there is dry friction
 FOLLOWED = 0.2  # radians or e-folds that a mechanism may change in a step
-SWEEPS = 4  # over several dry joints
+SWEEPS, SETTLED = 100, 1e-9  # over dry joints at most; until they change by less than such a share
 SWING_SHARE = 0.05  # a step's share of the inverse angular frequency of the fastest swing
 
 Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray, list[int]], None]
@@ -270,7 +270,8 @@ class World:
             more = motor.copy()
             more[self._at[joint]] += 1.0
             columns.append(self._acceleration(t, x, v, more) - a)
-        for _ in range(1 if len(columns) == 1 else SWEEPS):
+        for _ in range(SWEEPS):
+            before = friction.copy()
             for (joint, level, creep), column in zip(self._dry, columns, strict=True):
                 s = self._at[joint]
                 faster = v[s] + h / 2 * a[s]
@@ -278,6 +279,8 @@ class World:
                 new = min(max(friction[s] - (v[s] / h + a[s]) / column[s], -most), most)
                 a = a + (new - friction[s]) * column
                 friction[s] = new
+            if np.abs(friction - before).max() <= SETTLED * np.abs(friction).max():
+                break
         return friction
 
     def _mobility(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The second generator of reality against the first: no effect, and each effect whose law both play in the same form."""
+"""The second generator of reality against the first: no effect, and each effect that both play in the same form."""
 
 import sys
 from dataclasses import replace
