@@ -40,6 +40,8 @@ FILE = """<mujoco model="robot"><compiler angle="radian"/><option timestep="0.00
 </body></body></worldbody><actuator><motor name="s" joint="shoulder"/><motor name="e" joint="elbow" gear="10"/>
 </actuator></mujoco>"""
 RATE, SECONDS = 50.0, 4.0
+STEP = 2e-4
+"""s, of the engine where it stands for reality: Euler's own error at a file's usual step looks like friction."""
 JOINTS = ("shoulder", "elbow")
 
 Change = Callable[[ET.Element], None]
@@ -70,12 +72,12 @@ def joint(name: str, attribute: str, value: float) -> Change:
     return part(f".//joint[@name='{name}']", **{attribute: value})
 
 
-def late(by: float, step: float = 0.002) -> Change:
+def late(by: float) -> Change:
     """All motors act so many seconds late."""
 
     def change(root: ET.Element) -> None:
         for name in JOINTS:
-            part(f"./actuator/*[@joint='{name}']", delay=by, nsample=str(int(by / step) + 2))(root)
+            part(f"./actuator/*[@joint='{name}']", delay=by, nsample=str(int(by / STEP) + 2))(root)
 
     return change
 
@@ -118,8 +120,9 @@ def motors(rng: np.random.Generator) -> Robot:
 def log(robot: Robot, true: str, body: Body, rng: np.random.Generator, name: str) -> Recording:
     """Encoders of the true robot, and commands as its file has them, in the body's angles: θ = zero − q."""
     nominal, model = (mujoco.MjModel.from_xml_string(text) for text in (robot.text, true))
+    model.opt.timestep = STEP
     data = mujoco.MjData(model)
-    rows, per = round(SECONDS * RATE), round(1 / RATE / model.opt.timestep)
+    rows, per = round(SECONDS * RATE), round(1 / RATE / STEP)
     time = np.arange(rows) / RATE
     size = np.array(robot.control)[:, None]
     w = 2 * np.pi * rng.uniform([[0.2, 0.6, 1.2]], [[0.5, 1.1, 2.0]], (2, 3))
