@@ -40,6 +40,9 @@ COMMANDS = {
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
     "diagnose_logs": "diagnose_logs.py",
+    "check": "check.py --seed 41000 --results build/check.jsonl",
+    "servo": "servo.py --results build/servo.jsonl",
+    "write_back": "write_back.py --results build/write_back.jsonl",
     "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""

@@ -10,7 +10,7 @@ import torch
 
 from invdyn.diagnosis.assessment.confirm import confirm, posterior
 from invdyn.diagnosis.assessment.confusability import overlaps
-from invdyn.diagnosis.assessment.findings import finding, key
+from invdyn.diagnosis.assessment.findings import finding, key, learned
 from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
 from invdyn.diagnosis.assessment.matters import matters, tolerated
@@ -93,6 +93,7 @@ def assembled(
             weighed.log_evidence[cause.key],
             weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
             weighed.in_part[cause.key],
+            learned(bound, cause, seed, found.temper_within()),
         )
         for cause, probability in weighed.causes.values()
         if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
