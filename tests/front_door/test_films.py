@@ -1,5 +1,7 @@
 """`invdyn train` and `invdyn track`: files out, and one line for whatever is wrong."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 from filmed import NAMES, joints, picture, swinging
@@ -178,7 +180,8 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
         given.append(arguments)
         raise InputError("seen enough")
 
-    monkeypatch.setattr("invdyn.diagnosis.diagnose.diagnose", diagnose)
+    # The package has a function of that name, too.
+    monkeypatch.setattr(import_module("invdyn.diagnosis.diagnose"), "diagnose", diagnose)
     call = words(["diagnose", *INFER[1:]], out="found")
     outcome = run(*call, "--passive", "--frames", "10:60")
     assert outcome.stderr.endswith("error: seen enough\n"), outcome.output
