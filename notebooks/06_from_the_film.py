@@ -186,8 +186,8 @@ white = exact.keypoints + np.median(error) * SCALE * np.random.default_rng(1).st
 told("white noise of that size", infer(Recording(exact.time, white, NAMES), body, **LIKELIEST), truth.torque)
 
 clean = np.where((error > 3)[..., None], np.nan, tracks[..., :2] - pixels).reshape(film.expected, 4)
-again = [np.ma.corrcoef(*np.ma.masked_invalid([each[:-1], each[1:]]))[0, 1] for each in clean.T]
-print(f"an error is like that of the picture before it: correlation {np.mean(again):.2f}")
+alike = [np.ma.corrcoef(*np.ma.masked_invalid([each[:-1], each[1:]]))[0, 1] for each in clean.T]
+print(f"an error is like that of the picture before it: correlation {np.mean(alike):.2f}")
 
 _, low, high = bands(posterior)
 figure, panels = plt.subplots(1, 2, figsize=(10, 2.6))
@@ -201,8 +201,8 @@ plt.show()
 
 # %% [markdown]
 # The tracker's bands hold less than they say; with white noise of that size they would be right. A network that sees
-# the wrist half a pixel too low sees it too low in the next picture, too. The model believes in fresh noise each
-# time, and takes what lasts for motion.
+# the wrist half a pixel too low often sees it too low in the next picture, too. The model believes in fresh noise
+# each time, and takes what lasts for motion.
 #
 # ## Which pictures surprise the model
 #
@@ -299,8 +299,8 @@ plt.show()
 # From the pixels the error is smaller, and the bands know of it. One film is an anecdote:
 # `benchmarks/simulated_cameras.py` plays many. A row in which one camera lost the wrist is not lost either: the other
 # camera's pixel still counts, while there is nothing to triangulate. From a terminal it is
-# `invdyn infer front.csv side.csv --calibration cameras.toml --body arm.toml --out torque.nc`. The page on films, among
-# the how-to guides, goes through the commands; `benchmarks/README.md` has the same on real films.
+# `invdyn infer front.csv side.csv --calibration cameras.toml --body arm.toml --out torque.nc`. [A film, and
+# nothing else](../docs/how-to/film.md) goes through the commands; `benchmarks/README.md` has the same on real films.
 #
 # ## Exercises
 #

@@ -187,6 +187,7 @@ def test_from_the_film_tells_strays_and_what_lasts():
     assert max(strays) < 65  # all while the ball rolls
     least, most = map(float, re.search(r"surprise of a stray: (\S+) and more; of the others: (\S+) at", text).groups())
     assert least > most
+    assert float(re.search(r"picture before it: correlation (\S+)", text)[1]) > 0.3
     held = {name: float(share) for name, share in re.findall(r"^(.+): bands hold (\S+) of the torques", text, re.M)}
     assert held["film"] < held["white noise of that size"] - 0.03
     assert held["white noise of that size"] == pytest.approx(0.9, abs=0.08)  # of 180 torques, correlated
