@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import arviz as az
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -240,7 +241,7 @@ def still_parts(
         else:
             axes.tick_params(labelbottom=False)
         torque_axes.append(axes)
-    entries = [
+    entries: list[Artist] = [
         Line2D([], [], color=VERMILION, ls="none", marker="o", mfc="none", mew=1.6, label="observed"),
         Line2D([], [], color=BLUE, marker="o", label="predicted"),
         Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
