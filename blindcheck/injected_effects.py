@@ -77,7 +77,7 @@ def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
             form[name] = value
         else:
             parameters[name] = {"value": value if units else value[0], "unit": units[name] if units else value[1]}
-    entry = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
+    entry: dict[str, Any] = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
     if each.place is not None:
         kind = site_of(each.name)
         names = {"link": [link.name for link in body.links], "keypoint": body.keypoint_names, "joint": body.joint_names}
@@ -89,8 +89,11 @@ def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
         if each.name == "label_swap":
             entry["partner"] = body.keypoint_names[each.place - 1 if each.place else 1]
     interval = [each.parameters["start"], each.parameters["stop"]] if each.name == "external_push" else None
-    entry |= {"form": form} if form else {}
-    return entry | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
+    return (
+        entry
+        | ({"form": form} if form else {})
+        | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
+    )
 
 
 def _as_written(each: Present) -> dict:

@@ -12,8 +12,9 @@ from collections import deque
 
 import numpy as np
 
+from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.pinocchio.forms import form
-from invdyn.blindcheck.pinocchio.simulator import Piece, World
+from invdyn.blindcheck.pinocchio.simulator import World
 from invdyn.blindcheck.scene import Scene, natural_hz
 
 SHAKE = 2 * np.pi * 60.0

@@ -143,9 +143,9 @@ def _mistaken(points: np.ndarray, present: Mapping, stream: Callable[[str], np.r
     points = points.copy()
     if "label_swap" in present:
         place, p = present["label_swap"]
-        one, other = (place or 0) + 1, place if place else 2  # a tip and its neighbour; the base is never mistaken
+        one, other = (place or 0) + 1, place or 2  # a tip and its neighbour; the base is never mistaken
         swapped = _in_a_row(stream("label_swap"), (len(points), 1), p["rate"], p["in_a_row"])[:, 0]
-        points[np.ix_(swapped, [one, other])] = points[np.ix_(swapped, [other, one])]
+        points[swapped, one], points[swapped, other] = points[swapped, other], points[swapped, one]
     if "outliers" in present:
         p, rng = present["outliers"][1], stream("outliers")
         stray = _in_a_row(rng, points.shape[:2], p["rate"], p["in_a_row"])

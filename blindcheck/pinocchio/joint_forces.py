@@ -43,13 +43,13 @@ def stribeck_friction(
     coulomb: float,
     static: float,
     velocity: float | None = None,
-    half_speed: float | None = None,
+    half_speed: float = 1.0,
     creep: float = 0.0,
 ) -> None:
     """A level that falls with speed, along a Gaussian with `velocity`, else by Hess and Soom's law."""
 
     def level(q: float, v: float, load: float) -> float:
-        share = np.exp(-((v / velocity) ** 2)) if half_speed is None else 1 / (1 + (v / half_speed) ** 2)
+        share = 1 / (1 + (v / half_speed) ** 2) if velocity is None else np.exp(-((v / velocity) ** 2))
         return coulomb + (static - coulomb) * share
 
     world.dry(joint, level, creep)

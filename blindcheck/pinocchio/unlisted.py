@@ -7,7 +7,8 @@ into the world, and returns its parameters as name → (value, unit).
 import numpy as np
 
 from invdyn.blindcheck.motion import between, pendulum_frequency
-from invdyn.blindcheck.pinocchio.simulator import Piece, World
+from invdyn.blindcheck.pinocchio.chain import Piece
+from invdyn.blindcheck.pinocchio.simulator import World
 from invdyn.blindcheck.scene import Scene
 
 

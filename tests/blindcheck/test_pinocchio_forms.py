@@ -9,7 +9,7 @@ from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
 from invdyn.blindcheck.motion import random_plan
 from invdyn.blindcheck.pinocchio.bodies_and_motors import _cut
-from invdyn.blindcheck.pinocchio.simulator import Piece
+from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.scene import scene
 from invdyn.models import Body, Link
 
