@@ -58,7 +58,8 @@ def neighbours(
     """
     one, body = len(scale.torque) == 1, scale.body
     twins = {other: {its: values[own] for own, its in same.items()} for other, same in mine.twins.items()}
-    if one and passive and mine.name in period.NAMES and isinstance(body, BodyParameters):
+    swings = one and passive and isinstance(body, BodyParameters) and bool(body.gravity.any())
+    if swings and mine.name in period.NAMES:
         twins |= period.equivalents(period.factor(mine, values, body), body)
 
     def whole(effect: Effect) -> bool:
@@ -67,7 +68,7 @@ def neighbours(
 
     for other in candidates:
         here = other.where == mine.where
-        if whole(mine) and whole(other) and other.name in twins and other.key != mine.key:
+        if other.name in twins and other.form is None and other.key != mine.key and whole(mine) and whole(other):
             yield Neighbour(other, "twin", [twins[other.name]])
         if here and (names := other.contains.get(mine.name)):
             yield Neighbour(other, "wider", [{name: values[its] for name, its in names.items()}])

@@ -1,5 +1,7 @@
 """What an effect may be taken for, and from where: exact where it is exact, with hypothesis."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +13,7 @@ from invdyn.models.effects.neighbours import ALLOWED, neighbours
 from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
 from invdyn.simulate import random_arm
 
-BODIES = {"one link": PENDULUM, "two links": ARM}
+BODIES = {"one link": PENDULUM, "two links": ARM, "flat": replace(PENDULUM, gravity=(0.0, 0.0))}
 SCALES = {name: random_arm(body, duration=0.1, fps=50).scale for name, body in BODIES.items()}
 CANDIDATES = {
     name: [e.bound(body) for kind in EFFECTS.values() for e in kind.everywhere(body, body.keypoint_names)]
@@ -77,6 +79,20 @@ def test_soft_tissue_may_be_a_link_that_bends():
     assert len(stiffness) == 3
     assert np.all(np.diff(stiffness) > 0)
     assert set(around("soft_tissue.elbow", {"kappa": 1e-4})) == {("link_flexibility.upper_arm", "alike")}
+
+
+@pytest.mark.parametrize(
+    ("where", "passive", "names"),
+    [
+        ("one link", True, {*NAMES} - {"clock_rate"}),
+        ("one link", False, set()),
+        ("two links", True, set()),
+        ("flat", True, set()),
+    ],
+)
+def test_only_what_hangs_and_is_left_to_itself_has_one_period(where, passive, names):
+    found = around("clock_rate", {"rate": 1.08}, where, passive=passive)
+    assert {key.partition(".")[0] for key, kind in found if kind == "twin"} == names
 
 
 @given(st.floats(0.5, 2.0))
