@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import torch
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
@@ -26,8 +27,8 @@ from invdyn.models.effects.inertias import has_inertias, inertia_of, point_momen
 
 WINDOWS = (7, 13, 25, 49, 97)
 """Rows of a local cubic: few for a fast arm, many for noisy encoders."""
-MOST_ROWS = 1200
-"""Rows that count: neighbours say the same."""
+MOST_ROWS, PAIR = 1200, 2
+"""Rows that count, of so many joints; fewer of more: neighbours say the same."""
 LOOSE = 0.3
 """Of a link's number, by which its file may be off."""
 WEIGHT = 1e-3
@@ -118,7 +119,7 @@ def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: in
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
     given = (area[1] - area[0]) / width[:, None]
     inner = slice(window // 2, len(even) - window // 2)
-    stride = slice(None, None, max(1, len(even) // MOST_ROWS))
+    stride = slice(None, None, max(1, len(even) * max(angle.shape[1], PAIR) // (PAIR * MOST_ROWS)))
     q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
     return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride])
 
@@ -131,21 +132,24 @@ def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray
     numbers = body.parameters()
     if not has_inertias(body):
         return np.empty((0, *motion.q.shape))
-    axes, moments = np.eye(1 if body.space == 2 else 3), np.eye(1 if body.space == 2 else 6)
-    unit = torch.eye(len(body.link_names), dtype=torch.float64)[:, None]
+    n, r = (1, 1) if body.space == 2 else (3, 6)
+    links = len(body.link_names)
+    # columns in one batch: a kilogram at the joint, one at a metre along each axis, and each moment by itself
+    mass, com, moments = np.zeros((1 + n + r, 1)), np.zeros((1 + n + r, n)), np.zeros((1 + n + r, r))
+    mass[: 1 + n], com[1 : 1 + n], moments[1 + n :] = 1.0, np.eye(n), np.eye(r)
+    moments[1 : 1 + n] = -point_moments(torch.eye(n, dtype=torch.float64)).numpy()
 
-    def along(direction: np.ndarray) -> torch.Tensor:
-        return unit * float(direction[0]) if body.space == 2 else unit[..., None] * torch.as_tensor(direction)
+    def of_each(values: np.ndarray) -> torch.Tensor:
+        """Values (C, m) given to one link after the other: (C L, 1, L, m)."""
+        return torch.as_tensor(np.einsum("cm,kl->cklm", values, np.eye(links))).flatten(0, 1).unsqueeze(1)
 
-    def torque(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-        only = numbers._replace(mass=mass * unit, com=along(com), inertia=along(inertia))
-        return inverse(dynamics, only, motion)
-
-    still, light = np.zeros(len(axes)), np.zeros(len(moments))
-    mass = torque(1.0, still, light)
+    given = [of_each(each) for each in (mass, com, moments)]
+    masses, coms, inertias = (each[..., 0] if each.shape[-1] == 1 else each for each in given)
+    only = numbers._replace(mass=masses, com=coms, inertia=inertias)
+    found = inverse(dynamics, only, motion).reshape(1 + n + r, links, *motion.q.shape)
     # at a distance of one metre a kilogram has moments, which are taken from it
-    first = [torque(1.0, axis, -point_moments(torch.as_tensor(axis)).numpy()) - mass for axis in axes]
-    return np.concatenate([mass, *first, *(torque(0.0, still, moment) for moment in moments)])
+    found[1 : 1 + n] -= found[:1]
+    return found.reshape(-1, *motion.q.shape)
 
 
 def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
@@ -202,7 +206,19 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     left = ((motion.torque - asked) / unit).ravel() / np.sqrt(motion.torque.size)
     q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(WEIGHT) * np.eye(len(sd))]))
     target = q.T @ np.concatenate([left, np.zeros(len(sd))])
-    scaled = lsq_linear(r, target, (lower, upper), method="bvls").x
+    scaled = _bounded(r, target, lower, upper, len(own))
     missed = ((left - rows @ scaled) ** 2).reshape(motion.torque.shape).sum(0)
     total = missed.sum() + WEIGHT * (scaled**2).sum()
     return Explained(float(np.sqrt(total)), np.sqrt(missed * len(unit)), scaled * sd)
+
+
+def _bounded(r: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray, first: int) -> np.ndarray:
+    """The x (P,) within bounds that is nearest to ``r x = target``, of a triangular ``r`` (P, P).
+
+    The ``first`` of them, links' numbers, seldom come to their bounds: the others are then found by themselves.
+    """
+    rest = lsq_linear(r[first:, first:], target[first:], (lower[first:], upper[first:]), method="bvls").x
+    links = scipy.linalg.solve_triangular(r[:first, :first], target[:first] - r[:first, first:] @ rest)
+    if ((lower[:first] <= links) & (links <= upper[:first])).all():
+        return np.concatenate([links, rest])
+    return np.asarray(lsq_linear(r, target, (lower, upper), method="bvls").x)

@@ -60,12 +60,13 @@ class Unknowns:
         many = given.ndim == 2
         changed: dict[str, torch.Tensor] = {}
         nominal = model.body.parameters()._asdict() if any(name.startswith("body.") for name in self.names) else {}
+        joints = torch.Size([model.body.num_joints])  # of what the file gives those
         for i, name in enumerate(self.names):
             column = given[..., i, None]
             column = column.unsqueeze(-2) if many else column
             if name.startswith("body."):
                 key, entry = name.rsplit(".", 1)
-                own = nominal[key.removeprefix("body.")].shape
+                own = nominal[key.removeprefix("body.")].shape if key.removeprefix("body.") in nominal else joints
                 whole = changed.get(key, model.parameters[key])
                 whole = whole.expand(*column.shape[:-1], *own).clone(memory_format=torch.contiguous_format)
                 whole.flatten(-len(own))[..., int(entry)] = column[..., 0]

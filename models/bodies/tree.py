@@ -12,8 +12,8 @@ free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `bod
 Hartenberg: `dh.py`.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -28,7 +28,7 @@ from torch.distributions import constraints
 from invdyn.models.bodies import body_tree, joint_parts_toml, tree_toml
 from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
-from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
@@ -41,6 +41,8 @@ from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, mome
 class Tree(FromFiles, BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
+    `uncertainty` has relative sds of joints' parts, by quantity or of one joint: "damping", "damping.elbow".
+
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
     not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, and
     inertia tensors that break the triangle inequality where that plays a part.
@@ -49,6 +51,7 @@ class Tree(FromFiles, BodyBase):
     name: str
     links: Sequence[SpatialLink]
     gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
     space: ClassVar[int] = 3
     signed: ClassVar[frozenset[str]] = frozenset({"com", "inertia", "position", "rotation", "sites", "gravity"})
 
@@ -69,6 +72,7 @@ class Tree(FromFiles, BodyBase):
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
         object.__setattr__(self, "links", ordered(self.links, where))
+        object.__setattr__(self, "uncertainty", relative(self.uncertainty, (), self.joint_names, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self.turning(), strict=True):
@@ -349,4 +353,4 @@ class Tree(FromFiles, BodyBase):
             | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
             for link in self.links
         ]
-        tree_toml.write(path, self.name, self.gravity, links)
+        tree_toml.write(path, self.name, self.gravity, links, self.uncertainty)

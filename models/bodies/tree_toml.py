@@ -32,18 +32,25 @@
 a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from invdyn.models.bodies import joint_parts_toml
-from invdyn.models.bodies.body_toml import literal, parse, scalar_from_table, scalar_to_table
+from invdyn.models.bodies.body_toml import (
+    literal,
+    parse,
+    scalar_from_table,
+    scalar_to_table,
+    uncertainty_lines,
+    with_uncertainty,
+)
 from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.joints import WORLD
 from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
 from invdyn.models.bodies.scalars import BodyError, check_keys
 from invdyn.models.bodies.whole_file import read_whole, write_whole
 
-TREE_KEYS = ("name", "dimensions", "gravity", "links")
+TREE_KEYS = ("name", "dimensions", "gravity", "links", "uncertainty")
 ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
 JOINT_KEYS = ("type", "axis", "chart", "driven", "reference")
 SCALARS = ("mass", "length")
@@ -75,6 +82,7 @@ def of(tables: dict, path: str | Path) -> dict:
     links = tables.get("links")
     if not isinstance(links, list) or not links or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
+    tables = with_uncertainty(tables, path)
     check_keys(tables, TREE_KEYS, str(path))
     found = []
     for place, link in enumerate(links, 1):
@@ -83,11 +91,14 @@ def of(tables: dict, path: str | Path) -> dict:
     return {key: value for key, value in tables.items() if key != "dimensions"} | {"links": found}
 
 
-def write(path: str | Path, name: str, gravity: Sequence[float], links: list[dict]) -> None:
+def write(
+    path: str | Path, name: str, gravity: Sequence[float], links: list[dict], uncertainty: Mapping[str, float]
+) -> None:
     """Write links, dicts as `of` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
     lines = [f"name = {literal(name)}", "dimensions = 3", f"gravity = {literal(gravity)}"]
     for link in links:
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in _written(link).items())]
+    lines += uncertainty_lines(uncertainty)
     write_whole(path, "\n".join(lines) + "\n")
 
 

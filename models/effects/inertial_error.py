@@ -1,6 +1,6 @@
 """A link whose mass, centre of mass and inertia are not those of the body file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import torch
@@ -8,7 +8,8 @@ from pyro.distributions import Normal, StudentT
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, size_of, with_inertia
+from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, point_of, size_of, with_inertia
+from invdyn.models.effects.payload import Payload
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join
 
@@ -72,7 +73,19 @@ class InertialError(Effect):
         )
         return with_inertia(body, self.place[0], other)
 
-    def between(self, before: Any, after: Any) -> list[float]:
-        """Its parameters, in their order, by which one body's numbers differ from another's at its link."""
-        old, new = (inertia_of(numbers, self.place[0]) for numbers in (before, after))
-        return torch.cat([new.mass - old.mass, new.com - old.com, new.mean - old.mean], -1).tolist()
+    def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Of a payload on this link: a mass m at the tip, at t from the joint, adds
+
+        m t to the moment of its weight about the joint, and m t² to its inertia; either may be known alone.
+        """
+        if not isinstance(other, Payload) or self.place != other.place[:1]:
+            return ()
+        own, at = inertia_of(scale.body, self.place[0]), point_of(scale.body, *other.place).double()
+        com = own.com + torch.tensor([values[name] for name in self.coms], dtype=torch.float64)
+        heavier, square = own.mass + values["mass"], at.square().sum()
+        by_weight = (heavier * com - own.mass * own.com) @ at / square
+        # the mean moment of a point in space is two thirds of m t²
+        share = 1.0 if len(self.coms) == 1 else 2 / 3
+        by_inertia = values["inertia"] / share + heavier * com.square().sum() - own.mass * own.com.square().sum()
+        loads = (by_weight.item(), (by_inertia / square).item())
+        return [{"mass": load} for load in loads if load > 0]
