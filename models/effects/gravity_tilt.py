@@ -1,7 +1,7 @@
 """Gravity from another direction: the frame is not level."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import torch
 from pyro.distributions import Normal
@@ -23,7 +23,7 @@ class GravityTilt(Effect):
     phrase = "tilted gravity"
     meaning = "gravity that points elsewhere than in the simulation"
     shown_by = "the joints' encoders, or the base's own edges in view of the camera"
-    twins: Mapping[str, Mapping[str, str]] = {"camera_roll": {"angle": "angle"}}  # noqa: RUF012
+    twins: Mapping[str, Mapping[str, str]] = {"camera_roll": {"angle": "angle"}}
 
     site = "arm"
     about: tuple[int, ...] = ()

@@ -8,6 +8,8 @@ import torch
 from in_space import ARM, play
 from robot_log import ARM as PLANAR
 from robot_log import robot_log
+from scipy.spatial.transform import Rotation
+from trees import panda
 
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.diagnose import diagnose, save
@@ -20,7 +22,7 @@ from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.sentences import verdict
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.diagnosis.write_back.write_back import write_back
-from invdyn.models import Tree, load_body
+from invdyn.models import Tree, load_body, write_mjcf
 from invdyn.models.bodies.in_space import tree_of
 from invdyn.models.effects import EFFECTS
 
@@ -111,6 +113,31 @@ def test_uncertain_numbers_of_a_tree_are_left_free(tmp_path):
     assert (mass.name, mass.mean, mass.sd) == ("body.mass.0", pytest.approx(1.5), pytest.approx(0.1))
     sets = unknowns(bound, ()).set_in(bound.model, np.array([[1.4], [1.6]]))
     assert sets.body_parameters().mass[:, 0].tolist() == [[1.4, 1.0], [1.6, 1.0]]
+
+
+def test_a_base_that_leans_turns_gravity_about_the_level_axes(body):
+    """By a rotation vector, as scipy has it."""
+    tilt = EFFECTS["gravity_tilt"]().bound(body)
+    assert [p.name for p in tilt.parameters(diagnosis_problem(play(ARM, 0.3), body).model.scale)] == [
+        "about_x",
+        "about_y",
+    ]
+    p = {"about_x": torch.tensor([0.1]).double(), "about_y": torch.tensor([-0.2]).double()}
+    turned = tilt.body(p, body.parameters()).gravity
+    assert turned.numpy() == pytest.approx(Rotation.from_rotvec([0.1, -0.2, 0.0]).apply([0.0, 0.0, -9.81]))
+    none = {name: torch.zeros(1).double() for name in p}
+    assert tilt.body(none, body.parameters()).gravity.tolist() == [0.0, 0.0, -9.81]
+
+
+@pytest.mark.parametrize(
+    ("change", "name"), [({"friction": {"joint4": 1.0}}, "coulomb_friction.joint4"), ({"payload": 0.5}, "payload")]
+)
+def test_seven_hinges_in_space(change, name, tmp_path):
+    write_mjcf(panda(), tmp_path / "panda.xml")
+    text = (tmp_path / "panda.xml").read_text(encoding="utf-8")
+    log = play(text, 0.6, middle=(0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8), carried_by=("link7", "flange"), **change)
+    _, _, found = screened(log, load_body(tmp_path / "panda.xml"), ("coulomb_friction", "viscous_friction", "payload"))
+    assert key(added(found)[0].effect) == name
 
 
 def test_numbers_of_links_in_space_are_those_of_the_plane():
