@@ -59,9 +59,9 @@ class HypothesisPool:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
         return tempered(self.top - self.cleaned)
 
-    def temper_within(self, effect: Effect) -> float:
-        """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
-        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
+    def temper_within(self, effect: Effect | None = None) -> float:
+        """Power for intervals of an effect's parameters, or the body's: all gain speaks of stray detections."""
+        beside = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
         return tempered(self.top - beside, RULE.alpha_within)
 
     def score(self, cause: FittedHypothesis) -> float:

@@ -44,6 +44,8 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
+PREFIX = "effect."
+
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
 
@@ -172,6 +174,11 @@ class Effect(ABC):
     def key(self) -> str:
         """Name and place, "viscous_friction.elbow": its parameters' names begin with "effect." and this."""
         return ".".join([self.name, *self.where])
+
+    @property
+    def prefix(self) -> str:
+        """What the names of its parameters begin with in a model."""
+        return f"{PREFIX}{self.key}."
 
     @property
     def softness(self) -> int:
