@@ -42,6 +42,7 @@ COMMANDS = {
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
     "diagnose_logs": "diagnose_logs.py",
+    "ablation": "ablation.py",
     "check": "check.py --seed 41000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
