@@ -111,7 +111,7 @@ class BlindRun:
         if sealed.exists():
             read_commitment(sealed)
             if not (self.folder / "cases").exists():
-                raise InputError(f"{sealed}: is of other cases, which are not there; give --out another folder")
+                raise InputError(f"{sealed}: seals other cases, which are missing here; give --out another folder")
         new = not self.folder.exists()
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -145,7 +145,7 @@ class BlindRun:
             answers[name] = answer
         self._sealed = Sealed({name: answers[name] for name in jobs}, nonce)
         if sealed.exists() and read_commitment(sealed) != self._sealed.commitment:
-            raise InputError(f"{self.folder}: sealed.json is of other cases; give --out another folder")
+            raise InputError(f"{self.folder}: sealed.json seals other cases; give --out another folder")
         if not cases.exists():
             making.rename(cases)
         return self._sealed.commit_to(sealed)
