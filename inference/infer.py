@@ -57,7 +57,7 @@ def infer(
         integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.
-        passive: nobody drives the body. The inferred torque is then that of friction and other effects.
+        passive: the commanded torque is zero. The inferred torque is then that of friction and other effects.
         hide_torque: ignore the recording's commands.
         progress: called with (done, total, what).
         device: of the particle filters, "cpu" or "cuda".
