@@ -31,7 +31,7 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
-    "simulated_cameras": "simulated_cameras.py --seeds 6",
+    "simulated_cameras": "simulated_cameras.py --seeds 4",
     "infer_from_cameras": 'simulated_cameras.py --seeds 2 --fit --cases four "four, points"',
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
