@@ -261,19 +261,24 @@ def blind(
         typer.Option(help="Cases follow from it; a number, or - to be asked for it. Default: 1000000, for a look."),
     ] = None,
     seed_file: Annotated[
-        Path | None, typer.Option(help="A file with the seed: a method can read what stands on a command line.")
+        Path | None,
+        typer.Option(help="File with the seed; other processes can read a command line, but not a private file."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
+    engine: Annotated[
+        str, typer.Option(help="What plays reality: mujoco or pinocchio, each with forms of effects of its own.")
+    ] = "mujoco",
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
     ] = None,
     method_user: Annotated[str | None, typer.Option(help="Run that method as this user; needs root.")] = None,
     confine: Annotated[
-        bool, typer.Option("--confine/--no-confine", help="Run that method in a container, where bubblewrap has one.")
+        bool,
+        typer.Option("--confine/--no-confine", help="Run that method in a container of bubblewrap, if it works here."),
     ] = True,
     oracle: Annotated[
-        bool, typer.Option("--oracle", help="Then once more knowing the effect: how far could the gap close?")
+        bool, typer.Option("--oracle", help="Diagnose again with the true effects told: how far could the gap close?")
     ] = False,
 ) -> None:
     """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
@@ -289,7 +294,7 @@ def blind(
     counts = counted(kinds, cases)
     number, hidden = secret_seed(seed, seed_file, 1_000_000)
     keeps = confined(method_user, confine and method_command is not None, [p for p in (out, seed_file) if p])
-    run = BlindRun(out, counts, number, workers, method_command, keeps)
+    run = BlindRun(out, counts, number, workers, method_command, keeps, engine)
     run.check()
     if method_command is not None:
         typer.echo(keeps.described())

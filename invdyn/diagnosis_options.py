@@ -22,7 +22,14 @@ class Diagnosed(Recorded):
         typer.Option(help="Another recording of the same arm, to check the answer on; default: this one's last third."),
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
-    most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    free: Annotated[
+        str,
+        typer.Option(
+            help="Numbers of the body's file to learn too, such as damping,armature.elbow=0.5: relative standard "
+            "deviations, 0.3 unless said."
+        ),
+    ] = ""
+    most: Annotated[int, typer.Option(min=1, help="Most effects in one cause; more take longer.")] = 4
     budget: Annotated[
         float | None,
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
@@ -30,7 +37,7 @@ class Diagnosed(Recorded):
     tolerance: Annotated[
         float,
         typer.Option(
-            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+            min=0, max=1, help="A gap, or a rest of one, under this share of a typical torque does not matter."
         ),
     ] = 0.005
     mapping: Annotated[
@@ -38,7 +45,7 @@ class Diagnosed(Recorded):
         typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
     ] = None
     episodes: Annotated[
-        str, typer.Option(help="Of a log of several: which to diagnose together, such as 0,1; default: the first.")
+        str, typer.Option(help="Which episodes of a log to diagnose together, such as 0,1; default: the first.")
     ] = "0"
     seed: Seed = 0
     workers: Annotated[
@@ -100,7 +107,7 @@ class Diagnosed(Recorded):
 
         from .inputs import is_log, load_log, load_logs, load_planar
 
-        body = load_planar(self.body, "a diagnosis")
+        body = freed(load_planar(self.body, "a diagnosis"), self.free)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):
@@ -129,3 +136,34 @@ class Diagnosed(Recorded):
             "seed": self.seed,
             "workers": self.workers,
         }
+
+
+FREE = 0.3
+"""Relative standard deviation of what is only said to be free."""
+
+
+def freed(body: Any, free: str) -> Any:
+    """The body with numbers of its file uncertain, "damping,armature.elbow=0.5".
+
+    Raises InputError for what is no such list, or no joint of the body has; BodyError for an unknown number.
+    """
+    from dataclasses import replace
+
+    from invdyn.models.bodies.joint_parts import NOTHING, PARTS
+    from invdyn.recordings import InputError
+
+    stated = {}
+    for word in filter(None, map(str.strip, free.split(","))):
+        name, _, sd = word.partition("=")
+        try:
+            stated[name] = float(sd) if sd else FREE
+        except ValueError:
+            raise InputError(f"--free: expected a number behind {name}=, such as {name}=0.5, got {sd!r:.60}") from None
+        part, _, joint = name.partition(".")
+        having = [j for j, p in zip(body.joint_names, body.joint_parts, strict=True) if getattr(p or NOTHING, part, 0)]
+        if part in PARTS and not (joint in having if joint in body.joint_names else having):
+            where = joint or "any joint"
+            raise InputError(
+                f"--free: {body.name!r} has no {part} at {where} that could be learned: an effect is looked for there"
+            )
+    return replace(body, uncertainty={**body.uncertainty, **stated}) if stated else body

@@ -34,6 +34,18 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Learned:
+    """A number of the body's file that is not known exactly: from the file's to what a cause has it be.
+
+    Such as the "damping" of a joint or the "mass" of a link, whose name is `place`.
+    """
+
+    place: str
+    quantity: str
+    change: Change
+
+
+@dataclass(frozen=True)
 class Written:
     """A corrected copy of the simulation's file.
 
@@ -82,6 +94,7 @@ class Cause:
         probability: of their being at work and nothing else.
         log_evidence, log_evidence_sd: nats; the second is NaN without SMC.
         in_part: probability of their being at work beside something that the catalogue lacks.
+        learned: the body's own numbers that were uncertain, learned with them.
     """
 
     effects: tuple[Finding, ...]
@@ -89,6 +102,7 @@ class Cause:
     log_evidence: float
     log_evidence_sd: float
     in_part: float = 0.0
+    learned: tuple[Learned, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -210,14 +224,14 @@ class Visibility:
 class Diagnosis:
     """All that :func:`.diagnose.diagnose` finds.
 
-    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
-    apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.confusability`), and
-    `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
-    `not_looked_at` counts the candidates for which the budget had nothing left when it ended the search, 0 where it did
-    not. `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
-    candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
-    In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
-    its "end".
+    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` lists causes that the recording cannot tell
+    apart, each as its effects' keys. `overlaps` says how alike two of them change it (:mod:`.confusability`), and
+    `separating_experiment` which recording would tell them apart. `not_identifiable` lists the keys of effects that the
+    recording could not have shown. `not_looked_at` counts the candidates that the search had not tried when its budget
+    was spent, 0 where it was not. `screened` has every candidate's key and log evidence against "no gap", best first;
+    `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
+    change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue"
+    and an interval's `stop` its "end".
     """
 
     recording: str
@@ -275,6 +289,7 @@ class Diagnosis:
             "causes": [
                 {
                     "effects": [_finding(finding) for finding in cause.effects],
+                    "learned": [_learned(each) for each in cause.learned],
                     "probability": cause.probability,
                     "probability_in_part": cause.in_part,
                     "log_evidence": cause.log_evidence,
@@ -325,6 +340,13 @@ def _finding(finding: Finding) -> dict:
         to = change.after
         parameters[name] |= {"from": change.before, "to": to.mean, "to_interval_90": list(to.interval_90)}
     return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
+
+
+def _learned(number: Learned) -> dict:
+    to = number.change.after
+    interval = list(to.interval_90)
+    where = {"place": number.place, "quantity": number.quantity, "from": number.change.before}
+    return {**where, "to": to.mean, "sd": to.sd, "to_interval_90": interval, "unit": to.unit}
 
 
 def named(words: Sequence[str]) -> str:

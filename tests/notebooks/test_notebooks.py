@@ -147,7 +147,29 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert "outside the catalogue, the sum of these: 0.31" in text  # an exercise: 0.7 × 0.1 + 0.3 × 0.8
 
 
-@pytest.mark.parametrize("file", sorted(FOLDER.glob("0[12346]_*.py")), ids=lambda file: file.stem)
+def test_my_robot_gets_a_corrected_file():
+    pytest.importorskip("mujoco")
+    notebook = jupytext.read(FOLDER / "07_my_robot.py")
+    text = printed(run(notebook))
+    assert "torque sign | at joint 'elbow'" in text
+    assert "mistakes: 0" in text
+    assert re.search(r"^  [01]\.\d\d  (.+)$", text, re.M)[1] == "viscous_friction.elbow"
+    told = re.search(r"from (\S+) to (\S+) \((\S+) to (\S+)\); truth (\S+)", text)
+    before, after, low, high, truth = map(float, told.groups())
+    assert before == 0.1
+    assert low < after < high
+    assert after == pytest.approx(truth, rel=0.01)
+    written = float(re.search(r'<joint name="elbow".* damping="(\S+)"', text)[1])
+    assert written == pytest.approx(after, abs=1e-4)
+    nominal, corrected = map(float, re.search(r"all angles: (\S+) rad before, (\S+) rad after", text).groups())
+    assert corrected < 0.05 * nominal
+    assert figures(notebook) == 1
+    # the answers of the exercises
+    assert float(re.search(r"zero at elbow: \+(\S+)°", text)[1]) == pytest.approx(30, abs=1)
+    assert "0.0125 kg·m², 76%" in text
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("0[123467]_*.py")), ids=lambda file: file.stem)
 def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     cells = jupytext.read(file).cells
     assert "**You will learn**" in cells[0].source
