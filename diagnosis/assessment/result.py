@@ -13,6 +13,8 @@ import arviz as az
 import numpy as np
 
 SCHEMA = 1
+LEFT_OUT = "left out"
+"""Key of `Diagnosis.method`: what was not looked at of a long recording."""
 
 
 @dataclass(frozen=True)
