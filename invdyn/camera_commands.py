@@ -63,24 +63,29 @@ def triangulate(
         typer.Option(help="Calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
     ],
     out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
-    unit: Annotated[str | None, typer.Option(help="Of the calibration, if it does not say: m, cm, mm.")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the calibration, if the file does not say: m, cm, mm.")
+    ] = None,
     length: Annotated[
         list[str] | None,
-        typer.Option(help="Known: shoulder:elbow=0.28, m, or, with --body, upper_arm=0.28; repeatable."),
+        typer.Option(help="A known length, m: shoulder:elbow=0.28, or with --body upper_arm=0.28; repeatable."),
     ] = None,
     body: Annotated[
         str | None, typer.Option(metavar="FILE", help="Body whose links --length may name: .toml, .xml or .urdf.")
     ] = None,
     baseline: Annotated[str | None, typer.Option(help="Known distance of two cameras: cam1:cam2=1.2, m.")] = None,
     offset: Annotated[
-        list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+        list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")
     ] = None,
     find: Annotated[
-        float | None, typer.Option("--find-offsets", min=0.001, help="Find offsets of up to so many seconds.")
+        float | None,
+        typer.Option("--find-offsets", min=0.001, help="Find how far clocks are ahead, up to so many seconds."),
     ] = None,
     up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
     refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
-    free: Annotated[str, typer.Option(help="With --refine, of the lenses: focal, distortion, or both.")] = "",
+    free: Annotated[
+        str, typer.Option(help="With --refine, what to fit of the lenses: focal, distortion, or both.")
+    ] = "",
     noise: Annotated[float | None, typer.Option(min=1e-6, help="Scale of a pixel's error, px; default: found.")] = None,
     errors: Annotated[Path | None, typer.Option(help="Reprojection errors by camera and keypoint: .csv.")] = None,
     sd: Annotated[Path | None, typer.Option(help="Standard deviations of all coordinates: .csv, m.")] = None,

@@ -201,22 +201,38 @@ def diagnose(
     write_back: Annotated[
         Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
     ] = None,
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the folder.")
+    ] = None,
 ) -> None:
-    """Find where simulation and recording part, which effect causes it, and how far the gap closes."""
+    """Find where simulation and recording part, which effect causes it, and how far the gap closes.
+
+    A film is tracked first, with --network or --arm.
+    """
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, verdict
     from invdyn.diagnosis.write_back.write_back import check_write_back
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
 
+    from .inputs_from_film import TrackedFilm
     from .outputs import DiagnosisOutputs
 
     given.check()
     outputs = DiagnosisOutputs(out)
-    outputs.check(*given.files)
+    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.parent / f"{out.name}.tracks.csv")
+    files = [*given.files, *([] if filmed is None else filmed.files)]
+    outputs.check(*files)
     if write_back is not None:
-        check_outputs([write_back], given.files)
+        check_outputs([write_back], files)
         check_write_back(given.body, write_back)
+    if filmed is not None:
+        check_outputs([filmed.tracks, write_back], files)
+        with ProgressBar() as progress:
+            given = filmed.track(None, progress)
     arguments = given.load()
     with ProgressBar() as progress:
         diagnosis = run(**arguments, progress=progress)
@@ -229,7 +245,7 @@ def diagnose(
     typer.echo(verdict(diagnosis))
     for sentence in details(diagnosis):
         typer.echo(sentence)
-    typer.echo(outputs.listing())
+    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 @app.command()
@@ -245,19 +261,24 @@ def blind(
         typer.Option(help="Cases follow from it; a number, or - to be asked for it. Default: 1000000, for a look."),
     ] = None,
     seed_file: Annotated[
-        Path | None, typer.Option(help="A file with the seed: a method can read what stands on a command line.")
+        Path | None,
+        typer.Option(help="File with the seed; other processes can read a command line, but not a private file."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
+    engine: Annotated[
+        str, typer.Option(help="What plays reality: mujoco or pinocchio, each with forms of effects of its own.")
+    ] = "mujoco",
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
     ] = None,
     method_user: Annotated[str | None, typer.Option(help="Run that method as this user; needs root.")] = None,
     confine: Annotated[
-        bool, typer.Option("--confine/--no-confine", help="Run that method in a container, where bubblewrap has one.")
+        bool,
+        typer.Option("--confine/--no-confine", help="Run that method in a container of bubblewrap, if it works here."),
     ] = True,
     oracle: Annotated[
-        bool, typer.Option("--oracle", help="Then once more knowing the effect: how far could the gap close?")
+        bool, typer.Option("--oracle", help="Diagnose again with the true effects told: how far could the gap close?")
     ] = False,
 ) -> None:
     """Play reality in another engine, withhold which effects are in it, diagnose, and score the answers."""
@@ -273,7 +294,7 @@ def blind(
     counts = counted(kinds, cases)
     number, hidden = secret_seed(seed, seed_file, 1_000_000)
     keeps = confined(method_user, confine and method_command is not None, [p for p in (out, seed_file) if p])
-    run = BlindRun(out, counts, number, workers, method_command, keeps)
+    run = BlindRun(out, counts, number, workers, method_command, keeps, engine)
     run.check()
     if method_command is not None:
         typer.echo(keeps.described())

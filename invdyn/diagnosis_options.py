@@ -29,7 +29,7 @@ class Diagnosed(Recorded):
             "deviations, 0.3 unless said."
         ),
     ] = ""
-    most: Annotated[int, typer.Option(min=1, help="Effects at once, at most; with many it takes long.")] = 4
+    most: Annotated[int, typer.Option(min=1, help="Most effects in one cause; more take longer.")] = 4
     budget: Annotated[
         float | None,
         typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
@@ -37,7 +37,7 @@ class Diagnosed(Recorded):
     tolerance: Annotated[
         float,
         typer.Option(
-            min=0, max=1, help="Share of a typical torque under which a gap, or what is left, does not matter."
+            min=0, max=1, help="A gap, or a rest of one, under this share of a typical torque does not matter."
         ),
     ] = 0.005
     mapping: Annotated[
@@ -45,7 +45,7 @@ class Diagnosed(Recorded):
         typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
     ] = None
     episodes: Annotated[
-        str, typer.Option(help="Of a log of several: which to diagnose together, such as 0,1; default: the first.")
+        str, typer.Option(help="Which episodes of a log to diagnose together, such as 0,1; default: the first.")
     ] = "0"
     seed: Seed = 0
     workers: Annotated[

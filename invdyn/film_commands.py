@@ -18,7 +18,7 @@ Kept = Annotated[
 NetworkFile = Annotated[Path | None, typer.Option(help="Network of `invdyn train`: .safetensors.")]
 ArmSide = Annotated[str | None, typer.Option(help="Without a network: which arm of a person, left or right.")]
 PersonSeen = Annotated[
-    str | None, typer.Option(help="Which one, of several people: left, right, largest, or a box u,v,width,height, px.")
+    str | None, typer.Option(help="Which of several people: left, right, largest, or a box u,v,width,height, px.")
 ]
 
 
@@ -31,22 +31,23 @@ def register(app: typer.Typer) -> None:
 
 def label(
     film: FilmFile,
-    out: Annotated[Path, typer.Option(help="The labels: .csv; if they are there, they are gone on with.")],
+    out: Annotated[Path, typer.Option(help="The labels: .csv; a file that is there is continued.")],
     keypoints: Annotated[
         str | None,
-        typer.Option(help="Names, such as shoulder,elbow,wrist; default: those of the labels that are there."),
+        typer.Option(help="Names, such as shoulder,elbow,wrist; default: those in the labels' file."),
     ] = None,
     count: Annotated[int, typer.Option(min=1, max=1000, help="Pictures to label now.")] = 20,
     posterior: Annotated[
         Path | None,
-        typer.Option(help="Of `invdyn infer` from this film: label what surprises it most, not what differs most."),
+        typer.Option(help="Posterior of this film, by `invdyn infer`: offer the pictures that surprise it most."),
     ] = None,
     network: Annotated[
-        Path | None, typer.Option(help="Network of `invdyn train`, whose points are shown to be taken or corrected.")
+        Path | None,
+        typer.Option(help="Network of `invdyn train`; the page shows its points, for you to take or correct."),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
 ) -> None:
-    """Label joints in the pictures of a film that are worth it, in a page of your browser."""
+    """Label joints in a film, in a page of your browser; it offers the pictures that teach most."""
     import webbrowser
 
     from invdyn.recordings import InputError
@@ -61,7 +62,7 @@ def label(
     names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
     names = names or (() if before is None else before.names)
     if not names or len(set(names)) < len(names):
-        raise InputError("which joints are to be labelled? --keypoints shoulder,elbow,wrist, each name once")
+        raise InputError("expected --keypoints, the joints to label, such as shoulder,elbow,wrist, each name once")
     if before is not None and set(names) != set(before.names):
         raise InputError(
             f"{out}: labels of {', '.join(before.names)} are there: go on with these, or name another file"
@@ -232,7 +233,9 @@ def tracks_of(
             f"{path}: who is to be tracked? give --network (of `invdyn train`), or --arm left or right for a person's"
         )
     if person is not None and arm is None:
-        raise InputError("--person chooses whose --arm is tracked; a --network knows what it was trained on")
+        raise InputError(
+            "--person says whose --arm to track; with --network leave it out: a network tracks what it was trained on"
+        )
     film = Film(path)
     tracker: Tracker
     if network is not None:

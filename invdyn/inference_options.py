@@ -25,19 +25,22 @@ class Inference(Recorded):
 
     truth: TruthFile = None
     offset: Annotated[
-        list[str] | None, typer.Option(help="By how much a camera's times run ahead: cam2=0.02, s; repeatable.")
+        list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")
     ] = None
     learn_cameras: Annotated[
-        str, typer.Option(help="What is not known of cameras but the first: offset (of clocks), pose, or both.")
+        str, typer.Option(help="What to fit of all cameras but the first: offset (of clocks), pose, or both.")
     ] = ""
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[
         str,
-        typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
+        typer.Option(
+            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent; or auto: of the "
+            "first and the matern ones that with the most evidence, for three fits instead of one."
+        ),
     ] = "ornstein_uhlenbeck"
     noise: Annotated[
         str | None,
-        typer.Option(help="Observation noise: gaussian or student_t; default: gaussian, of pixels student_t."),
+        typer.Option(help="Observation noise, gaussian or student_t; default: gaussian, and student_t for pixels."),
     ] = None
     filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
@@ -52,7 +55,7 @@ class Inference(Recorded):
     filters_per_task: Annotated[
         int | None, typer.Option(min=1, help="Filters that a worker takes at a time; default: 32.")
     ] = None
-    device: Annotated[str, typer.Option(help="Of the particle filters: cpu or cuda.")] = "cpu"
+    device: Annotated[str, typer.Option(help="Where particle filters compute: cpu or cuda.")] = "cpu"
 
     def check(self, *methods: str) -> None:
         """Raise InputError for a name that is not known."""
@@ -61,7 +64,7 @@ class Inference(Recorded):
         from invdyn.recordings import InputError
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
-        named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.family, FAMILIES)]
+        named += [("torque process", self.torque, (*TORQUE_PROCESSES, "auto")), ("noise", self.family, FAMILIES)]
         for what, given, known in named:
             if given not in known:
                 raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
@@ -95,7 +98,7 @@ class Inference(Recorded):
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
-        from invdyn.models import TORQUE_PROCESSES
+        from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES
 
         from .inputs import load_body, load_known
         from .inputs_of_cameras import load_from_cameras
@@ -134,7 +137,7 @@ class Inference(Recorded):
             "num_draws": self.draws,
             "seed": self.seed,
             "learn_lengths": self.learn_lengths,
-            "torque": TORQUE_PROCESSES[self.torque](),
+            "torque": [TORQUE_PROCESSES[name]() for name in (SMOOTHNESS if self.torque == "auto" else [self.torque])],
             "family": self.family,
             "learn_cameras": tuple(word.strip() for word in self.learn_cameras.split(",") if word.strip()),
             "passive": self.passive,
@@ -148,7 +151,9 @@ class Inference(Recorded):
 
         if self.offset or self.learn_cameras:
             option = "--offset" if self.offset else "--learn-cameras"
-            raise InputError(f"{option} is of several cameras: give their --calibration, and one file of pixels each")
+            raise InputError(
+                f"{option} needs several cameras: pass --calibration, and one file of pixels for each camera"
+            )
 
     def executor(self) -> AbstractContextManager:
         """Executor asked for, or None, for the time of a block. Raises InputError when there is none to be had."""

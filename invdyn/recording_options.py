@@ -23,7 +23,7 @@ class Recorded:
     body: BodyFile
     calibration: Annotated[
         list[Path] | None,
-        typer.Option(help="Of several cameras, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
+        typer.Option(help="The cameras' calibration, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
     ] = None
     units: Annotated[
         str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
@@ -32,20 +32,18 @@ class Recorded:
     format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[
-        bool, typer.Option("--body-lengths", help="No scale known: take it from the body's own length.")
+        bool, typer.Option("--body-lengths", help="The scale is unknown: scale the tracks to the body's length.")
     ] = False
     base: Annotated[
         str | None,
         typer.Option(
-            help="Keypoint that becomes the origin; default: the first joint's (in `diagnose` none, for metres)."
+            help="Keypoint that becomes the origin; default: the first joint's; `diagnose` of metres moves none."
         ),
     ] = None
     individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
     plane: Annotated[
         str | None,
-        typer.Option(
-            help="The axes that point right and up, of a file with three: xy, xz …; default: the two that change."
-        ),
+        typer.Option(help="Axes of a file in space that point right and up, such as xz; default: the two that change."),
     ] = None
     frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False

@@ -226,14 +226,14 @@ class Visibility:
 class Diagnosis:
     """All that :func:`.diagnose.diagnose` finds.
 
-    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` has causes that the recording cannot tell
-    apart, each as its effects' keys, `overlaps` how much alike two of them change it (:mod:`.confusability`), and
-    `separating_experiment` the recording that would; `not_identifiable` keys of effects that it could not have shown.
-    `not_looked_at` counts the candidates for which the budget had nothing left when it ended the search, 0 where it did
-    not. `screened` has every candidate's key and log evidence against "no gap", best first; `visibility` one entry a
-    candidate; `method` what was computed and how (seconds are left out: the report must not change from run to run).
-    In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's `stop`
-    its "end".
+    `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` lists causes that the recording cannot tell
+    apart, each as its effects' keys. `overlaps` says how alike two of them change it (:mod:`.confusability`), and
+    `separating_experiment` which recording would tell them apart. `not_identifiable` lists the keys of effects that the
+    recording could not have shown. `not_looked_at` counts the candidates that the search had not tried when its budget
+    was spent, 0 where it was not. `screened` has every candidate's key and log evidence against "no gap", best first;
+    `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
+    change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue"
+    and an interval's `stop` its "end".
     """
 
     recording: str

@@ -51,7 +51,8 @@ def written(copy: Written) -> list[str]:
     if (tried := copy.rollout) is not None:
         total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
         found.append(
-            f"{tried['engine']} itself, replaying {on} in it, is off by {handy(total['after'], 'rad')} rms after "
-            f"{tried['window_s']:g} s at most; in the original by {handy(total['before'], 'rad')}."
+            f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
+            f"Its angles are off by {handy(total['after'], 'rad')} rms with the corrected file, by "
+            f"{handy(total['before'], 'rad')} with the original."
         )
     return found

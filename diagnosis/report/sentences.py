@@ -226,10 +226,10 @@ def _each(diagnosis: Diagnosis) -> str | None:
     if len(parts) < 2:
         return None
     first, *more = [(words, percent(part.gap_closed)) for words, part in parts.items()]
-    costs = [f"{first[0]} would cost {first[1]} of the gap", *(f"{words} {share}" for words, share in more)]
+    opens = [f"{first[0]} would reopen {first[1]} of the gap", *(f"{words} {share}" for words, share in more)]
     doubtful = [words for words, part in parts.items() if part.interval_90 is None or part.interval_90[0] <= 0]
     data = "Data held out from the fit" if shrinkage.held_out else "These data"
-    text = f"Leaving out {named(costs)}."
+    text = f"Leaving out {named(opens)}."
     return f"{text} {data} do not confirm {named(doubtful)}." if doubtful else text
 
 

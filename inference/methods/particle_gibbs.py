@@ -51,7 +51,7 @@ def particle_gibbs(
 
     The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any torque, over
     all sweeps after the warm-up. Raises InputError for fewer than 2 particles, or a body that is uncertain; LostWork
-    when chains cannot be had.
+    when a task's workers died each time.
     """
     options = options or SMCOptions()
     if options.num_particles < 2:

@@ -51,7 +51,7 @@ def smc(
         executor: whose workers run the filters, ``options.filters_per_task`` at a time; the guide is fitted here.
         checkpoint: keeps the guide and the filters that are done, and goes on from there.
 
-    Raises LostWork when filters cannot be had, SMCFailed when a filter loses all its particles.
+    Raises LostWork when a task's workers died each time, SMCFailed when all particles of a filter have weight zero.
     """
     options = options or SMCOptions()
     options.check()

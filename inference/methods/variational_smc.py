@@ -67,8 +67,9 @@ def vsmc(
         settings: recorded in the result's attributes.
         progress: called with (done, total, what).
         checkpoint: keeps the training, and goes on from there.
-        steps, learning_rate: of Adam; the rate falls tenfold over the steps, and the correction, which has thousands
-            of entries, learns at a tenth of it. What has not raised the bound of a pilot run is undone.
+        steps, learning_rate: of Adam; the rate falls tenfold over the steps. The guide's correction has thousands
+            of entries and learns at a tenth of the rate. Training that did not raise the bound of a pilot run is
+            undone.
 
     Each chain is one filter; with ``free`` it has parameters of its own, which become variables of the posterior
     ("length", "mass", "com", "inertia" of a body, others by their dotted names). The evidence is an unbiased estimate,

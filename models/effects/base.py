@@ -280,6 +280,13 @@ class Effect(ABC):
         """Parameters with which the softer form is much like the ``ideal`` one with its, by name."""
         return dict(ideal)
 
+    def starts_of(self, other: "Effect", values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Parameters that another effect, which much of this one with its ``values`` is taken for, may begin from.
+
+        None if the other looks like something else. Both are bound.
+        """
+        return ()
+
     # -- hooks ---------------------------------------------------------------------------------
     def body(self, p: Values, body: Any) -> Any:
         """The body's numbers."""

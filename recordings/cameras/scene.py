@@ -109,7 +109,9 @@ def reconstruct(
     if up not in UP:
         raise InputError(f"up is one of {', '.join(UP)}, got {up!r}")
     if lengths and baseline:
-        raise InputError("a length of the body and a distance of cameras: state one of them")
+        raise InputError(
+            "the scale comes from the body's lengths or from the distance of two cameras: pass one kind, not both"
+        )
     calibration = views.calibration
     if not (calibration.metric or lengths or baseline):
         raise InputError(

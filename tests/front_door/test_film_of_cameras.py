@@ -113,11 +113,11 @@ BAD = {
     "an unknown part of a camera": (("infer", *TRACKS, *CALL, "--learn-cameras", "lens"), "offset and pose"),
     "cameras of no film": (
         ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--learn-cameras", "pose"),
-        "--learn-cameras is of several cameras",
+        "--learn-cameras needs several cameras",
     ),
     "an offset of no film": (
         ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--offset", "cam2=0"),
-        "--offset is of several cameras",
+        "--offset needs several cameras",
     ),
     "too few rows": (("infer", *TRACKS, *CALL, "--frames", "3:4"), "at least 2 frames"),
     "over the tracks": (("infer", *TRACKS, *CALL[:-1], "cam1.csv"), "overwrite"),

@@ -164,7 +164,7 @@ def test_the_command_labels_and_goes_on(tmp_path, monkeypatch, run):
     call = ("label", "f.mov", "--out", "l.csv", "--count", "3", "--no-browser")
     outcome = run(*call)
     assert outcome.exit_code == 2
-    assert outcome.stderr.startswith("error: which joints are to be labelled?")
+    assert outcome.stderr.startswith("error: expected --keypoints, the joints to label")
     outcome = run(*call, "--keypoints", "elbow, wrist")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.startswith("3 pictures to label: http://127.0.0.1:")

@@ -204,7 +204,7 @@ def test_other_things_that_do_not_fit(tmp_path):
         reconstruct(views, up="north")
     with pytest.raises(InputError, match="no keypoint 'hand'"):
         reconstruct(views, lengths=[Length("hand", "elbow", 0.3)])
-    with pytest.raises(InputError, match="state one of them"):
+    with pytest.raises(InputError, match="pass one kind, not both"):
         reconstruct(views, lengths=[Length("wrist", "elbow", 0.3)], baseline=Length("cam1", "cam2", 1.0))
     with pytest.raises(InputError, match="ask for both"):
         reconstruct(views, intrinsics=["focal"])

@@ -1,0 +1,138 @@
+"""The sentences of a report: what they say of each kind of diagnosis, and what they may not claim."""
+
+from dataclasses import replace
+
+import pytest
+from reported import (
+    ambiguous,
+    diagnosis,
+    empty,
+    friction,
+    hidden,
+    latency,
+    none,
+    outside,
+    seen,
+    three,
+    two,
+)
+
+from invdyn.diagnosis.assessment.result import Cause, Part, Shrinkage
+from invdyn.diagnosis.report import render, words
+from invdyn.diagnosis.report.numbers import handy, percent
+from invdyn.diagnosis.report.sentences import details, kind, left, verdict
+
+
+@pytest.mark.parametrize(
+    ("case", "answer", "says"),
+    [
+        (
+            diagnosis,
+            "cause",
+            "leaves out viscous friction at the shoulder (97 % probable); adding it closes 96 % of the gap.",
+        ),
+        (two, "cause", "two effects: viscous friction at the shoulder and a payload on the forearm (81 % probable)"),
+        (three, "cause", "three effects: "),
+        (none, "none", "No gap: the simulation explains the recording down to its noise (probability of a gap 2 %)."),
+        (empty, "not_enough_data", "Not enough data to say whether there is a gap: 3 rows"),
+        (
+            ambiguous,
+            "ambiguous",
+            "actuator delay at the shoulder or camera latency, which this recording cannot tell apart (together 95 % ",
+        ),
+        (
+            outside,
+            "outside",
+            "There is a gap at the shoulder, and no effect in the catalogue explains it (93 % probable).",
+        ),
+        (hidden, "none", "the joint torques are unknown and could hide one"),
+        (seen, "cause", "leaves out a keypoint offset at the wrist (90 % probable)"),
+    ],
+)
+def test_verdict(case, answer, says):
+    assert kind(case()) == answer
+    sentence = verdict(case()).replace("\u00a0", " ")
+    assert says in sentence
+    assert sentence.count(". ") == 0
+
+
+def test_where_something_is_left_what_explains_most_comes_first():
+    """How far it closes the gap, how probable it is in part, and the rest in N·m, or that the rest is tolerated."""
+    d = replace(outside(), causes=(replace(friction(probability=0.05), in_part=0.9),))
+    limits = dict.fromkeys(d.gap.residual_torque_rms, 0.04)
+    shrinkage = replace(d.shrinkage, gap_closed=0.97, residual_torque_rms_after=dict.fromkeys(limits, 0.05))
+    d = replace(d, gap=replace(d.gap, tolerated_torque=limits), shrinkage=shrinkage)
+    most = "There is a gap at the shoulder; most of it is viscous friction at the shoulder (90 % probable): "
+    most += "adding it closes 97 % of the gap; "
+    assert kind(d) == "outside"
+    assert plainly(verdict(d)) == f"{most}no effect in the catalogue explains the rest, 0.050 N·m at the shoulder."
+    small = replace(d, shrinkage=replace(shrinkage, residual_torque_rms_after=dict.fromkeys(limits, 0.03)))
+    assert plainly(verdict(small)) == f"{most}the rest, 0.030 N·m at the shoulder, is less than is tolerated."
+    assert "Of 9 rows 5 were looked at." in details(replace(d, method={"left out": "Of 9 rows 5 were looked at"}))
+    stopped = replace(d, not_looked_at=7)
+    assert "no effect that the search came to explains the rest" in verdict(stopped)
+    assert "The search stopped at the budget; 7 candidates not looked at (--budget gives more)." in details(stopped)
+    little = replace(d, shrinkage=replace(shrinkage, gap_closed=0.2))
+    assert "; a part of it is viscous friction" in verdict(little)
+
+
+def test_a_gap_that_does_not_matter_is_told_with_its_size():
+    d = diagnosis()
+    limits = {name: 10 * rms for name, rms in d.gap.residual_torque_rms.items()}
+    d = replace(d, gap=replace(d.gap, detected=False, matters=False, tolerated_torque=limits))
+    assert kind(d) == "none"
+    assert plainly(verdict(d)).startswith("No gap that matters: what the simulation lacks, ")
+    assert "where " in verdict(d)
+    assert any(s.startswith("The little that there is looks most like viscous friction") for s in details(d))
+
+
+def plainly(sentence):
+    return sentence.replace("\u00a0", " ")
+
+
+def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
+    """Only of those of which that is known."""
+    d = ambiguous()
+    (sentence,) = left(d)
+    assert sentence.endswith("all remain probable: this recording cannot tell them apart.")
+    keys = d.ambiguity_set[0]
+    (sentence,) = left(replace(d, overlaps=((*keys, 0.973), ("payload", "armature.elbow", 0.1))))
+    assert "(the changes that they predict are 97\u00a0% alike)" in sentence
+
+
+def test_verdict_does_not_claim_what_was_not_reached():
+    d = diagnosis(causes=(friction(probability=0.3), latency(0.2)))
+    assert "at only 30\u00a0%" in verdict(d)
+    assert "closes none of the gap" in verdict(replace(d, shrinkage=replace(d.shrinkage, gap_closed=-0.1)))
+    assert "was not measured" in verdict(replace(d, shrinkage=Shrinkage(None, None, False, {})))
+    assert kind(replace(d, causes=(Cause((), 0.9, 0.0, 0.1),))) == "unclear"
+
+
+def test_the_torque_that_is_missing_is_that_of_the_joint_where_the_gap_lies():
+    case = diagnosis()
+    noisy = replace(case, gap=replace(case.gap, residual_torque_rms={"shoulder": 0.2, "elbow": 0.21}))
+    after = {name: handy(value, "N·m") for name, value in case.shrinkage.residual_torque_rms_after.items()}
+    said = f"left unexplained at the shoulder goes from {handy(0.2, 'N·m')} to {after['shoulder']}"
+    assert said in render(noisy)
+    nowhere = replace(noisy, where=replace(noisy.where, joints={}))
+    said = f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to {after['elbow']}"
+    assert said in render(nowhere)
+
+
+def test_what_each_of_several_effects_closes_is_told():
+    case = diagnosis()
+    parts = {
+        "viscous_friction.shoulder": Part(0.91, (0.88, 0.94)),
+        "actuator_deadzone.elbow": Part(-0.02, (-0.05, 0.01)),
+        "armature.elbow": Part(None, None),
+    }
+    page = render(replace(case, shrinkage=replace(case.shrinkage, by_effect=parts)))
+    friction, deadzone = (words.key_words(name, case) for name in list(parts)[:2])
+    told = f"Leaving out {friction} would reopen {percent(0.91)} of the gap and {deadzone} {percent(-0.02)}."
+    assert told in page
+    assert f"Data held out from the fit do not confirm {deadzone}." in page
+    assert f"{percent(-0.02)} ({percent(-0.05)} to {percent(0.01)})" in page
+    alone = {"viscous_friction.shoulder": Part(0.91, (0.88, 0.94))}
+    for fewer in (render(replace(case, shrinkage=replace(case.shrinkage, by_effect=alone))), render(case)):
+        assert "Leaving out" not in fewer
+        assert "do not confirm" not in fewer
