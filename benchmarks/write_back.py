@@ -121,6 +121,8 @@ def log(robot: Robot, true: str, body: Body, rng: np.random.Generator, name: str
     """Encoders of the true robot, and commands as its file has them, in the body's angles: θ = zero − q."""
     nominal, model = (mujoco.MjModel.from_xml_string(text) for text in (robot.text, true))
     model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_RK4
+    # dry friction that holds, as in the blind check: by default MuJoCo's lets a joint creep
+    model.dof_solref[:], model.dof_solimp[:] = [2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
     data = mujoco.MjData(model)
     rows, per = round(SECONDS * RATE), round(1 / RATE / STEP)
     time = np.arange(rows) / RATE
