@@ -108,7 +108,8 @@ def fitted(made: Played, effect: str, told: bool, folder: Path) -> dict:
         "log",
         sysid.create_initial_state(model, np.zeros(2), np.zeros(2)),
         sysid.TimeSeries.from_control_names(fine, held, model),
-        sysid.TimeSeries.from_names(log.time, angles, model),
+        # its rollouts stamp sensors, which are those of a step's beginning, with the step's end
+        sysid.TimeSeries.from_names(log.time + model.opt.timestep, angles, model),
     )
     residual = sysid.build_residual_fn(models_sequences=[sequences])
     with redirect_stdout(StringIO()):  # a line an iteration
