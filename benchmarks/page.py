@@ -45,6 +45,7 @@ COMMANDS = {
     "check": "check.py --seed 41000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
+    "sysid": "sysid.py --results build/sysid.jsonl --ours build/write_back.jsonl",
     "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""

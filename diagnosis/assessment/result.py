@@ -16,6 +16,8 @@ import numpy as np
 from invdyn.diagnosis.assessment.posture import Posture
 
 SCHEMA = 1
+LEFT_OUT = "left out"
+"""Key of `Diagnosis.method`: what was not looked at of a long recording."""
 
 
 @dataclass(frozen=True)
