@@ -2,26 +2,15 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from pages import ROOT, blocks, commands
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 LONGEST = 900
 """Words: whoever reads on finds the rest in docs/."""
-
-
-def blocks(language):
-    """Contents of the fenced blocks of a language ("" for none)."""
-    found = re.findall(r"^```(\w*)\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.MULTILINE)
-    return [block for said, block in found if said == language]
-
-
-def commands():
-    lines = [line for block in blocks("") for line in block.replace("\\\n", " ").splitlines()]
-    return [line for line in lines if line.startswith("invdyn ")]
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +34,10 @@ def folder(tmp_path_factory):
 
 def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
     monkeypatch.chdir(folder)
-    for line in commands():
+    for line in commands(README):
         found = run(*shlex.split(line)[1:])
         assert found.exit_code == 0, f"{line}: {found.stderr}"
-    for snippet in blocks("python"):
+    for snippet in blocks(README, "python"):
         exec(compile(snippet, str(README), "exec"), {})
     assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {
         p.name for p in folder.iterdir()
