@@ -1,13 +1,15 @@
 """Which rules of the search are needed: what each added to the answer, and what removing it costs.
 
 On cases of development seeds (``benchmarks/development.py make``). One search a case is watched: of every rule, how
-often it was tried, in what share of the time, how often it found a better best cause, and in how many cases the final
-one is its find. A rule that never found a better one has cost time alone, there. ``--without RULE`` searches once more
-with that rule gone, and says where the best cause is another, and by how many nats.
+often it was tried, in what share of the time, how often it found a better best cause, and in how many cases it has a
+say: the final best is its find, or a rival within ``NEAR`` nats of that. A rule without a say cost time alone, there.
+``--without RULE`` searches once more with that rule gone, where it had a say; the score that the best loses is its
+worth.
 
     python benchmarks/ablation.py CASES --out WATCHED          one line a case, and the table; goes on where it ended
-    python benchmarks/ablation.py CASES --out LESS --without reduce
-    python benchmarks/ablation.py CASES --out WATCHED --table LESS
+    python benchmarks/ablation.py CASES --out WATCHED --without reduce
+
+Intervals are Jeffreys', of 90 %.
 """
 
 import argparse
@@ -20,6 +22,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from scipy.stats import beta
+
 from invdyn.diagnosis.diagnose import _searched
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
@@ -30,23 +34,31 @@ ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
     "_several": ("search", "sets of up to four as a whole, from a beam"),
-    "_overtaken": ("search", "extend the best single effect, too"),
-    "_without_older": ("search", "drop the older of two, look for another"),
     "shortened": ("search", "shorter sub-steps where a force jumps"),
-    "refine_every": ("search", "every effect on what is seen, in the end"),
-    "reduce": ("search", "leave effects out"),
-    "exchange": ("search", "another effect in the place of one"),
-    "refine_promising": ("forward_step", "the best of the screen"),
+    "_look": ("search", "every effect on what is seen, in the end"),
+    "reduce": ("search", "drop: leave effects out"),
+    "exchange": ("search", "swap: another effect in the place of one"),
+    "_beside_play": ("swap_step", "the same, beside play"),
+    "refine_promising": ("forward_step", "add: the best of the screen"),
     "refine_clearing": ("forward_step", "those that would leave little to a small residual"),
     "refine_barred": ("forward_step", "those that gain less than a torque could"),
-    "_refine_twins": ("moves", "exact twins"),
-    "_refine_wider": ("moves", "what contains an effect"),
-    "_refine_narrower": ("moves", "its special case"),
-    "_refine_load": ("moves", "a payload for an error of the last link"),
-    "_refine_bent": ("moves", "a bending link for soft tissue"),
-    "refine_softer": ("moves", "the softer form"),
+    "_scan": ("forward_step", "from several values, where no screen tells the size"),
+    "_from_base": ("shortlist", "once more from the base's path, where the way was lost"),
+    "softer": ("shortlist", "the softer form of what would need implausible values"),
+    "refine_play": ("profile_likelihood", "play, by paths of its own"),
+    "_refine_moved": ("moves", "neighbour: a push at another moment"),
+    "refine_softer": ("moves", "neighbour: the softer form"),
+    "twin": ("moves", "neighbour: an exact stand-in"),
+    "wider": ("moves", "neighbour: what contains an effect"),
+    "narrower": ("moves", "neighbour: its special case"),
+    "alike": ("moves", "neighbour: what much of it is taken for"),
 }
-"""Function → the module that calls it, and what it does."""
+"""Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
+KINDS = ("twin", "wider", "narrower", "alike")
+GONE: dict[str, Callable] = {"shortened": lambda problem, *_: problem}
+"""What stands in for a rule that is gone, where that is not None."""
+NEAR = 5.0
+"""Nats of the score behind the best within which a cause has a say in the answer."""
 
 
 class Watch:
@@ -58,28 +70,53 @@ class Watch:
         self.seconds: dict[str, float] = defaultdict(float)
         self.last = self.found_by = ""
         self.stack: list[float] = []
+        self.made: list[tuple[Any, str]] = []
+        self.known: dict[str, float] = {}
+        self.finder: dict[str, str] = {}
 
     def watched(self, name: str, rule: Callable) -> Callable:
         """The rule, counted."""
 
         @wraps(rule)
         def told(*given: Any, **options: Any) -> Any:
-            pool = next(each for each in given if isinstance(each, HypothesisPool))
-            before, begun = best(pool), time.process_time()
+            if name in KINDS and given[-1].kind != name:
+                return rule(*given, **options)
+            pool = next((each for each in given if isinstance(each, HypothesisPool)), None)
+            before, begun = pool and best(pool), time.process_time()
             self.tried[name] += 1
             self.stack.append(0.0)
+            found = None
             try:
-                return rule(*given, **options)
+                found = rule(*given, **options)
+                return found
             finally:
                 took = time.process_time() - begun
                 self.seconds[name] += took - self.stack.pop()
                 if self.stack:
                     self.stack[-1] += took
-                if best(pool) != before and self.last != best(pool):
-                    self.better[name] += 1
-                    self.last, self.found_by = best(pool), name
+                if pool is None and not any(found is each for each in given):
+                    self.made.append((found, name))
+                if pool is not None:
+                    self.seen(pool, name)
+                    if best(pool) != before and self.last != best(pool):
+                        self.better[name] += 1
+                        self.last, self.found_by = best(pool), name
 
         return told
+
+    def seen(self, pool: HypothesisPool, name: str) -> None:
+        """What is new in the pool is this rule's find, or that of a rule within it that made it."""
+        for key, cause in pool.pool.items():
+            if self.known.get(key) != cause.log_evidence:
+                self.known[key] = cause.log_evidence
+                self.finder[key] = next((rule for made, rule in self.made if made is cause), name)
+
+
+def without_it(name: str, rule: Callable) -> Callable:
+    """What stands in for a rule that is gone."""
+    if name not in KINDS:
+        return GONE.get(name, lambda *_, **__: None)
+    return lambda *given: None if given[-1].kind == name else rule(*given)
 
 
 def best(pool: HypothesisPool) -> str:
@@ -98,10 +135,10 @@ def searched(case: Path, without: str) -> dict:
     )
     watch, kept = Watch(), {}
     for name, (module, _) in RULES.items():
-        room = import_module(ROOMS + module)
-        kept[name] = room, getattr(room, name)
-        gone = name == without
-        setattr(room, name, (lambda problem, *_: problem) if gone else watch.watched(name, kept[name][1]))
+        room, called = import_module(ROOMS + module), "_follow" if name in KINDS else name
+        rule = getattr(room, called)
+        kept.setdefault(called, (room, rule))
+        setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
     begun = time.process_time()
     try:
         _, found = _searched(bound, tuple(public["without"]), 1)
@@ -109,6 +146,7 @@ def searched(case: Path, without: str) -> dict:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)
     first = found.ranked[0]
+    rivals = [cause for cause in found.ranked if found.score(cause) > found.score(first) - NEAR]
     return {
         "best": first.key,
         "score": float(found.score(first)),
@@ -118,20 +156,36 @@ def searched(case: Path, without: str) -> dict:
         "tried": watch.tried,
         "better": watch.better,
         "spent": watch.seconds,
-        "found_by": watch.found_by,
+        "found_by": watch.finder.get(first.key, ""),
+        "near": sorted({watch.finder.get(cause.key, "") for cause in rivals}),
     }
 
 
-def table(runs: list[dict]) -> str:
-    """What each rule did in the watched searches."""
-    total = sum(run["seconds"] for run in runs)
-    rows = [("rule", "what it does", "tried", "found a better best", "final best is its find", "share of the time")]
+def rate(k: int, n: int) -> str:
+    """A rate with its interval."""
+    low, high = beta.ppf([0.05, 0.95], k + 0.5, n - k + 0.5)
+    return f"{k}/{n} ({0.0 if k == 0 else low:.2f}–{1.0 if k == n else high:.2f})"
+
+
+def has_a_say(run: dict, rule: str) -> bool:
+    """Whether the best or a near rival is a rule's find."""
+    return rule in (run["found_by"], *run["near"])
+
+
+def table(out: Path) -> str:
+    """What each rule did in the watched searches, and what was lost without it."""
+    runs = {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("*.json"))}
+    rows = [
+        ("rule", "what it does", "tried", "share of the time", "found a better best", "has a say", "lost without it")
+    ]
     rows.append(("---",) * len(rows[0]))
     for name, (_, what) in RULES.items():
-        tried, better = (sum(run[each].get(name, 0) for run in runs) for each in ("tried", "better"))
-        final = sum(run["found_by"] == name for run in runs)
-        share = sum(run["spent"].get(name, 0.0) for run in runs) / total
-        rows.append((f"`{name}`", what, str(tried), str(better), f"{final} of {len(runs)}", f"{share:.2f}"))
+        tried, better = (sum(run[each].get(name, 0) for run in runs.values()) for each in ("tried", "better"))
+        share = sum(run["spent"].get(name, 0.0) for run in runs.values()) / sum(run["seconds"] for run in runs.values())
+        said = rate(sum(has_a_say(run, name) for run in runs.values()), len(runs))
+        less = {path.stem: json.loads(path.read_text()) for path in sorted(out.glob(f"without-{name}/*.json"))}
+        lost = ", ".join(f"{runs[case]['score'] - run['score']:.1f}" for case, run in less.items()) or "–"
+        rows.append((f"`{name}`", what, str(tried), f"{share:.2f}", str(better), said, lost))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
@@ -141,20 +195,18 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, required=True)
     arguments.add_argument("--without", choices=RULES, default="")
     arguments.add_argument("--only", default="")
-    arguments.add_argument("--table", type=Path)
     asked = arguments.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
+    folder = asked.out / f"without-{asked.without}" if asked.without else asked.out
+    folder.mkdir(parents=True, exist_ok=True)
     for case in sorted(path.parent for path in asked.cases.glob("*/answer.json")):
-        there = asked.out / f"{case.name}.json"
-        if asked.table is None and not there.exists() and (not asked.only or case.name in asked.only.split(",")):
+        there, whole = folder / f"{case.name}.json", asked.out / f"{case.name}.json"
+        wanted = not asked.only or case.name in asked.only.split(",")
+        if asked.without and wanted:
+            wanted = whole.exists() and has_a_say(json.loads(whole.read_text()), asked.without)
+        if wanted and not there.exists():
             there.write_text(json.dumps(searched(case, asked.without)))
             print(case.name, json.loads(there.read_text())["best"], flush=True)
-    runs = {path.stem: json.loads(path.read_text()) for path in sorted(asked.out.glob("*.json"))}
-    if not asked.without:
-        print(table(list(runs.values())))
-    for path in sorted(asked.table.glob("*.json")) if asked.table else ():
-        less, whole = json.loads(path.read_text()), runs[path.stem]
-        print(f"{path.stem}: {whole['best']} → {less['best']}, {less['evidence'] - whole['evidence']:+.1f} nats")
+    print(table(asked.out))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How often `invdyn check` finds a mistake in a log, and how often it finds one where there is none.
 
-    python benchmarks/check.py [--logs 20] [--clean 40] [--seed 40000] [--only zero,…]
+    python benchmarks/check.py [--logs 20] [--clean 40] [--seed 40000] [--only zero,…] [--results FILE]
 
 MuJoCo plays random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has encoders
 (noise of .1 to 2 mrad) and the torques given to the motors. Half of all logs, and half of those that are right, are of
@@ -12,8 +12,10 @@ import argparse
 import time as clock
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from kept import kept
 
 from invdyn.blindcheck.cases import _wild
 from invdyn.blindcheck.effects import EFFECTS
@@ -97,27 +99,37 @@ def main() -> None:
     options.add_argument("--clean", type=int, default=40)
     options.add_argument("--seed", type=int, default=40_000)
     options.add_argument("--only", default="")
+    options.add_argument("--results", type=Path, default=None, help="Where results are kept, a line a log.")
     given = options.parse_args()
     begun, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*KINDS, "none"]
+    print("| what is wrong | found, of | s a log | what else is said |\n|---|---|---|---|", flush=True)
     for kind in wanted:
         told: Counter = Counter()
         spent = []
         for number in range(given.clean if kind == "none" else given.logs):
-            rng = np.random.default_rng([given.seed, (*KINDS, "none").index(kind), number])
-            joints = int(rng.choice([2, 3] if kind == "exchanged" else [1, 2, 3]))
-            right, body = log(rng, joints, effect=number % 2 == 1)
-            recording, called, names = (right, "none", ()) if kind == "none" else spoilt(rng, kind, right)
-            start = clock.perf_counter()
-            found = check(recording, body, effects=False).mistakes
-            spent.append(clock.perf_counter() - start)
-            first = (found[0].kind, found[0].joints) if found else ("none", ())
-            told[
-                "right" if first == (called, names) else f"{first[0]} {','.join(first[1])} ({joints} joints, {number})"
-            ] += 1
+            told_of = kept(
+                given.results, f"{given.seed} {kind} {number}", lambda k=kind, n=number: one(given.seed, k, n)
+            )
+            spent.append(told_of["seconds"])
+            told[told_of["answer"]] += 1
         instead = "; ".join(f"{name} ×{n}" for name, n in told.items() if name != "right")
         total = sum(told.values())
-        print(f"{kind:<13} {told['right']:>3} of {total}   {np.mean(spent):.1f} s a log   {instead}", flush=True)
+        print(f"| {kind} | {told['right']} of {total} | {np.mean(spent):.1f} | {instead} |", flush=True)
     print(f"{clock.perf_counter() - begun:.0f} s in all")
+
+
+def one(seed: int, kind: str, number: int) -> dict:
+    """What is found first in a log with a mistake of a kind: "right", or what else; and seconds of CPU."""
+    rng = np.random.default_rng([seed, (*KINDS, "none").index(kind), number])
+    joints = int(rng.choice([2, 3] if kind == "exchanged" else [1, 2, 3]))
+    right, body = log(rng, joints, effect=number % 2 == 1)
+    recording, called, names = (right, "none", ()) if kind == "none" else spoilt(rng, kind, right)
+    start = clock.process_time()
+    found = check(recording, body, effects=False).mistakes
+    seconds = clock.process_time() - start
+    first = (found[0].kind, found[0].joints) if found else ("none", ())
+    answer = "right" if first == (called, names) else f"{first[0]} {','.join(first[1])}".strip()
+    return {"answer": answer, "joints": joints, "seconds": seconds}
 
 
 if __name__ == "__main__":

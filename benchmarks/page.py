@@ -23,14 +23,18 @@ PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
     "spatial_paper": "spatial_paper.py",
+    "mouse": "mouse.py",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",
     "filters": "filters.py",
+    "gpu": "gpu.py",
     "ladder": "ladder.py",
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
+    "simulated_cameras": "simulated_cameras.py --seeds 6",
+    "infer_from_cameras": 'simulated_cameras.py --seeds 2 --fit --cases four "four, points"',
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",
@@ -38,6 +42,9 @@ COMMANDS = {
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
     "diagnose_logs": "diagnose_logs.py",
+    "check": "check.py --seed 41000 --results build/check.jsonl",
+    "servo": "servo.py --results build/servo.jsonl",
+    "write_back": "write_back.py --results build/write_back.jsonl",
     "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""
@@ -90,7 +97,7 @@ def machine() -> str:
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or list(COMMANDS)
+    wanted = sys.argv[1:] or [name for name in COMMANDS if name != "gpu" or torch.cuda.is_available()]
     if unknown := set(wanted) - set(COMMANDS):
         sys.exit(f"no table {', '.join(sorted(unknown))}; expected any of {', '.join(COMMANDS)}")
     for name in wanted:

@@ -137,8 +137,8 @@ def main() -> None:
             compiled |= fast32.compile_seconds | fast64.compile_seconds
             found = rates(steps, N, args.turns)
             if args.particles[0] == N:
-                times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in compiled.items())
-                print(f"\nK = {tree.num_joints} ({tree.name}); compiled: {times}\n")
+                times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.items())
+                print(f"\nK = {tree.num_joints} ({tree.name}); compiled in CPU seconds: {times}\n")
                 print(f"| N | {' | '.join(found)} | numba 32 / MuJoCo | numba 32 / Pinocchio |")
                 print(f"|---|{'---|' * (len(found) + 2)}")
             ratios = [found["numba 32"] / found[other] for other in ("MuJoCo", "Pinocchio")]

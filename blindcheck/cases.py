@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.camera import film
 from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
+from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import CATALOGUE, Present, drawn, named, pace, seen_by_camera, world_with
 from invdyn.blindcheck.motion import Plan, frame_times, play, random_body, random_plan
 from invdyn.blindcheck.scene import scene
-from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 from invdyn.blindcheck.visibility import visibility
 from invdyn.models import Body
@@ -90,10 +90,11 @@ def needs(name: str) -> tuple[str, ...]:
     return EFFECTS[name].needs if name in EFFECTS else UNLISTED_NEEDS.get(name, ())
 
 
-def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -> Case:
-    """Make one case; `effect` None draws it (two of them for kind "two").
+def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None, engine: str = MUJOCO.name) -> Case:
+    """Make one case; `effect` None draws it (two of them for kind "two"); `engine` is one of `ENGINES`.
 
-    Raises ValueError for an unknown kind, or effects that a case of that kind cannot have; ImportError without MuJoCo.
+    Raises ValueError for an unknown kind, or effects that a case of that kind cannot have; ImportError without the
+    engine's package.
     """
     known = effects_of(kind)
     number = {"none": 0, "two": 2}.get(kind, 1)
@@ -108,7 +109,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
     best, strength = None, np.full(len(names), WEAK if kind == "weak" else 1.0)
     for attempt in range(TRIES):
         stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
-        case = _attempt(stream, kind, names, strength)
+        case = _attempt(stream, kind, names, strength, ENGINES[engine])
         if case is None:
             continue
         shown = np.array([each["dprime"] for each in case.answer["effects"]])
@@ -121,7 +122,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None) -
             break
     if best is None:
         raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost mass in {TRIES} tries")
-    best[1].answer.update(seed=seed)
+    best[1].answer.update(seed=seed, engine=engine)
     return best[1]
 
 
@@ -129,7 +130,9 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray) -> Case | None:
+def _attempt(
+    rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray, engine: Engine
+) -> Case | None:
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
@@ -139,18 +142,18 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
     horizontal = not passive and not any("gravity" in needs(name) for name in names) and rng.random() < 0.12
     true_body = random_body(rng, joints, horizontal)
     body = _measured(rng, true_body) if rng.random() < 0.12 else true_body
-    plan = random_plan(rng, true_body, passive)
-    plain = play(World(true_body), World(body), plan)
+    plan = random_plan(rng, true_body, passive, engine.world)
+    plain = play(engine.world(true_body), engine.world(body), plan)
     if _wild(plain):
         return None
-    yardsticks = scene(true_body, plan, plain)
-    present = [drawn(rng, name, yardsticks, much) for name, much in zip(names, strength, strict=True)]
+    yardsticks = scene(true_body, plan, plain, engine.world)
+    present = [drawn(rng, name, yardsticks, much, engine) for name, much in zip(names, strength, strict=True)]
     seed = tuple(int(word) for word in rng.integers(2**31, size=4))
     noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
     noise = float(f"{noise:.3g}")
     style = _style(rng)
-    nominal = World(body)
-    world = world_with(true_body, present, yardsticks)
+    nominal = engine.world(body)
+    world = world_with(true_body, present, yardsticks, engine)
     if not world.possible:
         return None
     real = play(world, nominal, plan, pace(present))
@@ -160,23 +163,26 @@ def _attempt(rng: np.random.Generator, kind: str, names: Sequence[str], strength
         "kind": kind,
         "regime": regime,
         "effects": [
-            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed)) for each in present
+            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed, engine))
+            for each in present
         ],
         "body": {key: [link.nominal(key) for link in true_body.links] for key in ("length", "mass", "com", "inertia")}
         | {"gravity": list(body.gravity), "base": list(body.base)},
         "joints": list(body.joint_names),
         "links": [link.name for link in body.links],
-        "noise": {"keypoint_sd": noise, "encoder_sd": style["encoder"]},
+        "noise": {"keypoint_sd": noise, "encoder_sd": style["encoder"], "law": engine.noise_law(seed)},
     }
     other = None
     if kind != "none" and rng.random() < 0.3 and "external_push" not in names:
         again = replace(
-            random_plan(rng, true_body, passive), frame_rate=plan.frame_rate, command_rate=plan.command_rate
+            random_plan(rng, true_body, passive, engine.world),
+            frame_rate=plan.frame_rate,
+            command_rate=plan.command_rate,
         )
-        second = play(world_with(true_body, present, yardsticks), nominal, again, pace(present))
+        second = play(world_with(true_body, present, yardsticks, engine), nominal, again, pace(present))
         if not _wild(second):
-            other = _record(second, again, body, regime, present, noise, (*seed, 1), style, "other")
-    recording = _record(real, plan, body, regime, present, noise, seed, style, "recording")
+            other = _record(second, again, body, regime, present, noise, (*seed, 1), style, "other", engine)
+    recording = _record(real, plan, body, regime, present, noise, seed, style, "recording", engine)
     struck: tuple[str, ...] = ()
     if kind == "leave_one_out":
         struck = (*names, *(other for each in answer["effects"] for other in stand_ins(each, answer)))
@@ -221,12 +227,13 @@ def _record(
     seed: Sequence[int],
     style: dict,
     name: str,
+    engine: Engine,
 ) -> Recording:
     """The table that the diagnosis gets: stated times, what the camera and encoders gave, perhaps commands."""
     stated = frame_times(plan)
     when = stated / pace(present)
     rng = np.random.default_rng([*seed, 0])
-    points = film(real, when, seen_by_camera(present), noise, seed)
+    points = engine.film(real, when, seen_by_camera(present), noise, seed)
     points = np.round(points if style["base"] else points[:, 1:], 7)
     angles = None
     if style["encoder"]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from invdyn.blindcheck.camera import Effect
-from invdyn.blindcheck.effects import EFFECTS, MECHANISMS, OBSERVATIONS
+from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
+from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.scene import Scene
-from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 from invdyn.models import Body
 
@@ -26,13 +27,13 @@ class Present:
     seed: int | None = None
 
 
-def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float) -> Present:
+def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float, engine: Engine = MUJOCO) -> Present:
     """Draw where an effect is and how large, for a scene."""
     joints = s.body.num_joints
     place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
     if name in OUTSIDE:
         return Present(name, place, {}, int(rng.integers(2**31)))
-    size = EFFECTS[name].size(rng, s, place or 0, strength)
+    size = engine.draw(rng, name, s, place or 0, strength)
     return Present(name, place, {key: float(value) for key, value in size.items()})
 
 
@@ -41,15 +42,16 @@ def site_of(name: str) -> str:
     return EFFECTS[name].site if name in EFFECTS else "joint"
 
 
-def world_with(body: Body, present: Sequence[Present], s: Scene) -> World:
-    """A body with these effects of the dynamics."""
-    world = World(body)
+def world_with(body: Body, present: Sequence[Present], s: Scene, engine: Engine = MUJOCO) -> Any:
+    """A world of a body with these effects of the dynamics."""
+    world = engine.world(body)
     for each in sorted(present, key=lambda e: e.name not in FIRST):
         if each.name in OUTSIDE:
-            each.parameters.update(OUTSIDE[each.name](world, np.random.default_rng(each.seed), s, each.place or 0))
-        elif each.name in MECHANISMS:
+            install = engine.unlisted[each.name]
+            each.parameters.update(install(world, np.random.default_rng(each.seed), s, each.place or 0))
+        elif each.name in engine.mechanisms:
             where = () if each.place is None else (each.place,)
-            MECHANISMS[each.name](world, *where, **each.parameters)
+            engine.mechanisms[each.name](world, *where, **each.parameters)
     return world
 
 
@@ -64,13 +66,18 @@ def seen_by_camera(present: Sequence[Present]) -> list[Effect]:
 
 
 def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
-    """The answer's entry of one effect, with the names and units of the catalogue."""
-    units = EFFECTS[each.name].units if each.name in EFFECTS else None
-    parameters = {
-        name: {"value": value if units else value[0], "unit": units[name] if units else value[1]}
-        for name, value in _as_written(each).items()
-    }
-    entry = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
+    """The answer's entry of one effect, with the names and units of the catalogue.
+
+    Of an engine's own form, parameters that the catalogue has no units for stand in `form`.
+    """
+    units, form = EFFECTS[each.name].units if each.name in EFFECTS else None, {}
+    parameters = {}
+    for name, value in _as_written(each).items():
+        if units is not None and name not in units:
+            form[name] = value
+        else:
+            parameters[name] = {"value": value if units else value[0], "unit": units[name] if units else value[1]}
+    entry: dict[str, Any] = {"effect": each.name, "side": "observation" if each.name in OBSERVATIONS else "dynamics"}
     if each.place is not None:
         kind = site_of(each.name)
         names = {"link": [link.name for link in body.links], "keypoint": body.keypoint_names, "joint": body.joint_names}
@@ -82,7 +89,11 @@ def named(each: Present, body: Body, dprime: float, rms: float) -> dict:
         if each.name == "label_swap":
             entry["partner"] = body.keypoint_names[each.place - 1 if each.place else 1]
     interval = [each.parameters["start"], each.parameters["stop"]] if each.name == "external_push" else None
-    return entry | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
+    return (
+        entry
+        | ({"form": form} if form else {})
+        | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
+    )
 
 
 def _as_written(each: Present) -> dict:

@@ -10,6 +10,7 @@ with θ_d a sum of three sines for each joint; the recording has the u that was 
 C command rows. SI units, radians.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,8 +85,8 @@ class Plan:
         return q, qd, -(self.amplitude * omega**2 * np.sin(angle)).sum(-1)
 
 
-def random_plan(rng: np.random.Generator, body: Body, passive: bool) -> Plan:
-    """A motion for a body. Frames at least 20 for each period of its pendulum."""
+def random_plan(rng: np.random.Generator, body: Body, passive: bool, made: Callable[[Body], World] = World) -> Plan:
+    """A motion for a body, in worlds as `made`. Frames at least 20 for each period of its pendulum."""
     joints, natural = body.num_joints, pendulum_frequency(body)
     rates = [rate for rate in FRAME_RATES if rate >= 20 * natural]
     frame_rate = float(rng.choice(rates or FRAME_RATES[-1:]))
@@ -100,7 +101,7 @@ def random_plan(rng: np.random.Generator, body: Body, passive: bool) -> Plan:
     frequency = np.sort(natural * np.exp(rng.uniform(np.log(0.2), np.log(1.1), (joints, 3))), axis=1)
     command_rate = frame_rate * (1 if passive else int(rng.choice(faster)))
     # what a joint's motor feels with all other joints free; a held command allows only so fast a loop
-    inertia = 1 / np.linalg.inv(World(body).inertia(centre)).diagonal()
+    inertia = 1 / np.linalg.inv(made(body).inertia(centre)).diagonal()
     bandwidth = min(2 * np.pi * natural * rng.uniform(1.0, 2.5), 0.3 * command_rate)
     return Plan(
         duration=round(rng.uniform(4.0, 10.0), 1),

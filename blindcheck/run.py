@@ -24,13 +24,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
-from importlib.metadata import version
+from importlib import import_module
 from pathlib import Path
 
 from invdyn.blindcheck.answer_schema import unreadable
 from invdyn.blindcheck.cases import make_case, planned
 from invdyn.blindcheck.commitment import Locked, Sealed, digest, read_commitment
 from invdyn.blindcheck.confined import Confined
+from invdyn.blindcheck.engine import ENGINES, MUJOCO
 from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.methods import Ours, Theirs
 from invdyn.blindcheck.page import write_page
@@ -59,6 +60,7 @@ class BlindRun:
         workers: processes.
         command: of another method, or None for ours.
         confined: how that method is kept from the seed and from the other cases.
+        engine: that plays reality, a name of `engine.ENGINES`.
     """
 
     def __init__(
@@ -69,17 +71,21 @@ class BlindRun:
         workers: int = 1,
         command: str | None = None,
         confined: Confined = OPEN,
+        engine: str = MUJOCO.name,
     ):
         self.folder, self.counts, self.seed = Path(folder), dict(counts), seed
         self.workers, self.command, self.confined = workers, command, confined
+        self.engine = engine
         self._sealed: Sealed | None = None
 
     def check(self) -> None:
         """Raise InputError or OSError for what would fail only after a long time."""
+        if self.engine not in ENGINES:
+            raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {self.engine!r}")
         try:
-            import mujoco  # noqa: F401
+            import_module(ENGINES[self.engine].module)
         except ImportError:
-            raise InputError("the blind check plays reality in MuJoCo: pip install 'invdyn[robots]'") from None
+            raise InputError(f"the blind check plays reality in {self.engine}: pip install 'invdyn[robots]'") from None
         if self.command is not None:
             try:
                 words = shlex.split(self.command)
@@ -123,19 +129,19 @@ class BlindRun:
         jobs = {name: job for name, *job in planned(self.counts, self.seed)}
         answers = {}
         for path in (path for folder in (making, cases) if folder.exists() for path in sorted(folder.iterdir())):
-            answer = locked.get(path.name, _label(jobs.get(path.name), path))
+            answer = locked.get(path.name, _label(jobs.get(path.name), path, self.engine))
             if answer is not None:
                 answers[path.name] = answer
             elif path.parent == making:
                 shutil.rmtree(path)
         if cases.exists() and answers.keys() != jobs.keys():
             raise InputError(
-                f"{self.folder}: holds a run of other cases, or of another MuJoCo, or lacks .locked; "
+                f"{self.folder}: holds a run of other cases, or of another engine, or lacks .locked; "
                 "give --out another folder"
             )
-        todo = {name: (str(making / name), *job) for name, job in jobs.items() if name not in answers}
+        todo = {name: (str(making / name), *job, self.engine) for name, job in jobs.items() if name not in answers}
         for name, answer in _each(_make, todo, self.workers, progress, "cases made"):
-            locked.put(name, _label(jobs[name], making / name), answer)
+            locked.put(name, _label(jobs[name], making / name, self.engine), answer)
             answers[name] = answer
         self._sealed = Sealed({name: answers[name] for name in jobs}, nonce)
         if sealed.exists() and read_commitment(sealed) != self._sealed.commitment:
@@ -176,6 +182,7 @@ class BlindRun:
         about = {
             "seed": self.seed,
             "cases": self.counts,
+            "engine": ENGINES[self.engine].version,
             "method": self.command or "invdyn",
             "answers_sha256": self._sealed.commitment,
             "diagnoses_sha256": before,
@@ -245,13 +252,13 @@ def _seconds(path: Path) -> float:
         raise InputError(f"{path}: expected the seconds of a diagnosis; delete it to diagnose the case again") from None
 
 
-def _label(job: Sequence | None, case: Path) -> str:
+def _label(job: Sequence | None, case: Path, engine: str) -> str:
     """What a case was made from and by, and its files: an answer is that of no other."""
-    return f"{job}, MuJoCo {version('mujoco')}, {digest(case)}"
+    return f"{job}, {ENGINES[engine].version}, {digest(case)}"
 
 
-def _make(folder: str, seed: int, kind: str, effect: str | None) -> dict:
-    case = make_case(seed, kind, effect)
+def _make(folder: str, seed: int, kind: str, effect: str | None, engine: str) -> dict:
+    case = make_case(seed, kind, effect, engine)
     case.write(folder)
     return case.answer
 

@@ -5,6 +5,7 @@ effect; a mouse's limb and an industrial arm then meet the same share of frictio
 what the effect does to the recording grows in proportion, at least to begin with.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,11 +39,11 @@ class Scene:
         return sum(link.nominal("length") for link in self.body.links)
 
 
-def scene(body: Body, plan: Plan, motion: Trajectory) -> Scene:
+def scene(body: Body, plan: Plan, motion: Trajectory, made: Callable[[Body], World] = World) -> Scene:
     """The yardsticks of a motion; a passive one's torque is the load of gravity."""
     some = slice(None, None, max(1, len(motion.time) // 500))
     still = np.zeros_like(motion.q[some])
-    torque = World(body).inverse(motion.q[some], still, still) if plan.passive else motion.command
+    torque = made(body).inverse(motion.q[some], still, still) if plan.passive else motion.command
     return Scene(
         body=body,
         plan=plan,
@@ -50,7 +51,7 @@ def scene(body: Body, plan: Plan, motion: Trajectory) -> Scene:
         torque=np.sqrt((torque**2).mean(axis=0)),
         peak=np.abs(torque).max(axis=0),
         speed=np.sqrt((motion.qd**2).mean(axis=0)),
-        inertia=World(body).inertia(plan.centre).diagonal(),
+        inertia=made(body).inertia(plan.centre).diagonal(),
     )
 
 

@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from invdyn.blindcheck.camera import film
 from invdyn.blindcheck.effects import OBSERVATIONS
+from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
 from invdyn.blindcheck.motion import frame_times
@@ -30,12 +30,13 @@ def visibility(
     regime: str,
     noise: float,
     seed: Sequence[int],
+    engine: Engine = MUJOCO,
 ) -> tuple[float, float]:
     """(d′, rms of the change in units of the noise) of one of the effects that are present in `real`."""
     rest, stated = [e for e in present if e is not each], frame_times(s.plan)
 
     def tips(trajectory: Trajectory, effects: Sequence[Present], sd: float = 0.0) -> np.ndarray:
-        return film(trajectory, stated / pace(effects), seen_by_camera(effects), sd, seed)[:, 1:]
+        return engine.film(trajectory, stated / pace(effects), seen_by_camera(effects), sd, seed)[:, 1:]
 
     if each.name == "varying_noise":
         quiet, loud = (tips(real, effects, noise) - tips(real, effects) for effects in (rest, present))
@@ -48,7 +49,7 @@ def visibility(
     elif each.name in OBSERVATIONS and each.name != "clock_rate":
         change = (tips(real, present) - tips(real, rest)) / noise
     else:
-        world, camera = partial(world_with, s.body, rest, s), partial(tips, effects=rest)
+        world, camera = partial(world_with, s.body, rest, s, engine), partial(tips, effects=rest)
         change = unlike_any_start(_told(each, real), s.body, world, camera, tips(real, present), stated, noise)
     known = change[np.isfinite(change)]
     return float(np.sqrt((known**2).sum())), float(np.sqrt((known**2).mean())) if known.size else 0.0

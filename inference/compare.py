@@ -150,6 +150,7 @@ def compare(
     check_memory(recording.num_frames, body.num_joints, options, methods)
     bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
     whole = bind(recording, truth=truth, report=stage(progress, "fit"))
+    bind = partial(bind, torque=whole.problem.model.torque)
     head, future, missing = _split(whole, recording, bind, held_out, stage(progress, "fit without the tail"))
     launch = _in_own_process if isolate else partial(measured, executor=executor)
     rows: dict[str, dict[str, Any]] = {}

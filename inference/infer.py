@@ -25,7 +25,7 @@ def infer(
     num_draws: int = 4,
     seed: int = 0,
     settings: Mapping[str, object] | None = None,
-    torque: TorqueProcess | None = None,
+    torque: TorqueProcess | Sequence[TorqueProcess] | None = None,
     integrator: str = "rk4",
     substeps: int | None = None,
     family: str = "gaussian",
@@ -52,7 +52,9 @@ def infer(
         settings: parameters by dotted name that are known, such as {"torque.scale": 20.0}. The other noise scales, λ
             and σ_τ are fitted by marginal likelihood. "vsmc" learns their posterior and that of learned lengths and
             masses, and integrates them out.
-        torque, integrator, substeps, family: see :func:`arm_problem`.
+        torque: process of the torque, Ornstein–Uhlenbeck's by default; of several that with the most evidence, its
+            parameters integrated out (Laplace). Each costs a fit.
+        integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.
         passive: the commanded torque is zero. The inferred torque is then that of friction and other effects.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import arviz as az
+import numpy as np
 from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
@@ -19,7 +20,7 @@ from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody, Body
+from invdyn.models import ArmModel, ArticulatedBody, Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
@@ -140,26 +141,32 @@ def prepare(
     learn_lengths: bool = False,
     report: Callable[[int, int], None] | None = None,
     checkpoint: str | Path | None = None,
+    torque: TorqueProcess | Sequence[TorqueProcess] | None = None,
     **binding: Any,
 ) -> Task:
-    """Bind ``recording`` to ``body`` and fit what is not in ``settings``.
+    """Bind ``recording`` to ``body`` and fit what is not in ``settings``; of several torque processes one is chosen.
 
     ``binding`` are further options of :func:`.initialise.arm_problem`; ``report`` is called with (done, total) of
     the fit; ``checkpoint`` is a folder that keeps it, and what methods have done. Raises InputError when the recording
     does not fit the body, for an unknown parameter, a device that is not there, or a checkpoint of another run.
     """
     options.check()
-    problem = arm_problem(
-        recording,
-        body.with_uncertainty(),
-        parameters=settings,
-        truth=truth,
-        learn_lengths=learn_lengths,
-        **binding,
-    )
-    free = free_parameters(problem, tuple(settings or ()), learn_lengths)
-    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problem, options, seed, free))
-    model, path, converged = _fitted(problem, free, report, kept)
+    problems = [
+        arm_problem(
+            recording,
+            body.with_uncertainty(),
+            parameters=settings,
+            truth=truth,
+            learn_lengths=learn_lengths,
+            torque=process,
+            **binding,
+        )
+        for process in (torque if isinstance(torque, Sequence) else (torque,))
+    ]
+    frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
+    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
+    chosen, model, path, converged, evidence = _fitted(problems, frees, report, kept)
+    problem, free = problems[chosen], frees[chosen]
     record = {
         "fitted": {f.name: model.parameters[f.name].tolist() for f in free},
         "fit_converged": converged,
@@ -168,39 +175,58 @@ def prepare(
         "family": problem.model.observation.family,
         "torque_process": type(problem.model.torque).__name__,
     }
+    if len(problems) > 1:
+        names = [type(each.model.torque).__name__ for each in problems]
+        record["torque_evidence"] = dict(zip(names, evidence, strict=True))
     return Task(replace(problem, model=model), path, options, seed, record, kept, problem, tuple(free))
 
 
 def _fitted(
-    problem: Problem, free: Sequence[Free], report: Report | None, checkpoint: Checkpoint | None
-) -> tuple[ArmModel, Tensor, bool]:
-    """Model, mode, and whether it converged: from the checkpoint, or fitted and kept there."""
+    problems: Sequence[Problem], frees: Sequence[list[Free]], report: Report | None, checkpoint: Checkpoint | None
+) -> tuple[int, ArmModel, Tensor, bool, list[float]]:
+    """Number of the likeliest problem, its model, mode, whether it converged, and the evidence of each, nats.
+
+    They come from the checkpoint, or are fitted and kept there.
+    """
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
         tensors, state = kept
-        path = tensors.pop("path")
-        return problem.model.replace(**tensors), path, state["converged"]
-    model = problem.model
-    if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
-        model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
-    fitted = fit(model, problem.observations, free, progress=report)
+        path, chosen = tensors.pop("path"), state["chosen"]
+        return chosen, problems[chosen].model.replace(**tensors), path, state["converged"], state["evidence"]
+    fits = []
+    for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
+        model = problem.model
+        if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
+            model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
+        fits.append(fit(model, problem.observations, free, progress=_share(report, number, len(problems))))
+    evidence = [float(each.log_marginal) for each in fits]
+    chosen = int(np.argmax(evidence))
+    best = fits[chosen]
     if checkpoint is not None:
-        checkpoint.save({**fitted.model.parameters, "path": fitted.path}, converged=fitted.converged)
-    return fitted.model, fitted.path, fitted.converged
+        tensors = {**best.model.parameters, "path": best.path}
+        checkpoint.save(tensors, converged=best.converged, chosen=chosen, evidence=evidence)
+    return chosen, best.model, best.path, best.converged, evidence
 
 
-def _fingerprint(problem: Problem, options: SMCOptions, seed: int, free: Sequence[Free]) -> dict[str, Any]:
+def _share(report: Report | None, number: int, count: int) -> Report | None:
+    """What reports the progress of one fit of several as that of all."""
+    return None if report is None else lambda done, total: report(number * total + done, count * total)
+
+
+def _fingerprint(
+    problems: Sequence[Problem], options: SMCOptions, seed: int, frees: Sequence[list[Free]]
+) -> dict[str, Any]:
     """All that the numbers of a run depend on, but for the method: each has a folder of its own."""
-    model = problem.model
-    observation, torque = model.observation, model.torque
-    data = [problem.observations, model.time]
+    model = problems[0].model  # others differ from it in their torque process alone
+    observation, torques = model.observation, [each.model.torque for each in problems]
+    data = [problems[0].observations, model.time]
     data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
     return {
         "version": version("invdyn"),
         "recording": digest(*data),
         "body": repr(model.body),
         "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),
-        "free": [repr(f) for f in free],
-        "torque": f"{type(torque).__name__} {vars(torque)}",
+        "free": [repr(f) for free in frees for f in free],
+        "torques": ", ".join(f"{type(torque).__name__} {vars(torque)}" for torque in torques),
         "integrator": f"{model.integrator}, {model.substeps} sub-steps",
         "family": observation.family,
         "seed": seed,

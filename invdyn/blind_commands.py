@@ -30,6 +30,9 @@ def blind(
         typer.Option(help="File with the seed; other processes can read a command line, but not a private file."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=MOST_WORKERS, help="Processes.")] = 2,
+    engine: Annotated[
+        str, typer.Option(help="What plays reality: mujoco or pinocchio, each with forms of effects of its own.")
+    ] = "mujoco",
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
@@ -56,7 +59,7 @@ def blind(
     counts = counted(kinds, cases)
     number, hidden = secret_seed(seed, seed_file, 1_000_000)
     keeps = confined(method_user, confine and method_command is not None, [p for p in (out, seed_file) if p])
-    run = BlindRun(out, counts, number, workers, method_command, keeps)
+    run = BlindRun(out, counts, number, workers, method_command, keeps, engine)
     run.check()
     if method_command is not None:
         typer.echo(keeps.described())

@@ -197,22 +197,38 @@ def diagnose(
     write_back: Annotated[
         Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
     ] = None,
+    network: NetworkFile = None,
+    arm: ArmSide = None,
+    person: PersonSeen = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the folder.")
+    ] = None,
 ) -> None:
-    """Find where simulation and recording part, which effect causes it, and how far the gap closes."""
+    """Find where simulation and recording part, which effect causes it, and how far the gap closes.
+
+    A film is tracked first, with --network or --arm.
+    """
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, verdict
     from invdyn.diagnosis.write_back.write_back import check_write_back
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
 
+    from .inputs_from_film import TrackedFilm
     from .outputs import DiagnosisOutputs
 
     given.check()
     outputs = DiagnosisOutputs(out)
-    outputs.check(*given.files)
+    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.parent / f"{out.name}.tracks.csv")
+    files = [*given.files, *([] if filmed is None else filmed.files)]
+    outputs.check(*files)
     if write_back is not None:
-        check_outputs([write_back], given.files)
+        check_outputs([write_back], files)
         check_write_back(given.body, write_back)
+    if filmed is not None:
+        check_outputs([filmed.tracks, write_back], files)
+        with ProgressBar() as progress:
+            given = filmed.track(None, progress)
     arguments = given.load()
     with ProgressBar() as progress:
         diagnosis = run(**arguments, progress=progress)
@@ -225,7 +241,7 @@ def diagnose(
     typer.echo(verdict(diagnosis))
     for sentence in details(diagnosis):
         typer.echo(sentence)
-    typer.echo(outputs.listing())
+    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 blind_commands.register(app)

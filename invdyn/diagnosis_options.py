@@ -22,6 +22,13 @@ class Diagnosed(Recorded):
         typer.Option(help="Another recording of the same arm, to check the answer on; default: this one's last third."),
     ] = None
     without: Annotated[str, typer.Option(help="Effects to strike from the catalogue, such as payload,armature.")] = ""
+    free: Annotated[
+        str,
+        typer.Option(
+            help="Numbers of the body's file to learn too, such as damping,armature.elbow=0.5: relative standard "
+            "deviations, 0.3 unless said."
+        ),
+    ] = ""
     most: Annotated[int, typer.Option(min=1, help="Most effects in one cause; more take longer.")] = 4
     budget: Annotated[
         float | None,
@@ -100,7 +107,7 @@ class Diagnosed(Recorded):
 
         from .inputs import is_log, load_log, load_logs, load_planar
 
-        body = load_planar(self.body, "a diagnosis")
+        body = freed(load_planar(self.body, "a diagnosis"), self.free)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):
@@ -129,3 +136,34 @@ class Diagnosed(Recorded):
             "seed": self.seed,
             "workers": self.workers,
         }
+
+
+FREE = 0.3
+"""Relative standard deviation of what is only said to be free."""
+
+
+def freed(body: Any, free: str) -> Any:
+    """The body with numbers of its file uncertain, "damping,armature.elbow=0.5".
+
+    Raises InputError for what is no such list, or no joint of the body has; BodyError for an unknown number.
+    """
+    from dataclasses import replace
+
+    from invdyn.models.bodies.joint_parts import NOTHING, PARTS
+    from invdyn.recordings import InputError
+
+    stated = {}
+    for word in filter(None, map(str.strip, free.split(","))):
+        name, _, sd = word.partition("=")
+        try:
+            stated[name] = float(sd) if sd else FREE
+        except ValueError:
+            raise InputError(f"--free: expected a number behind {name}=, such as {name}=0.5, got {sd!r:.60}") from None
+        part, _, joint = name.partition(".")
+        having = [j for j, p in zip(body.joint_names, body.joint_parts, strict=True) if getattr(p or NOTHING, part, 0)]
+        if part in PARTS and not (joint in having if joint in body.joint_names else having):
+            where = joint or "any joint"
+            raise InputError(
+                f"--free: {body.name!r} has no {part} at {where} that could be learned: an effect is looked for there"
+            )
+    return replace(body, uncertainty={**body.uncertainty, **stated}) if stated else body

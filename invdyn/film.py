@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import arviz as az
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -26,7 +27,19 @@ from PIL import Image
 from invdyn.inference import pooled
 from invdyn.recordings import InputError, atomic_path
 
-from .plots import BLUE, INK, PURPLE, STYLE, VERMILION, draw_bands, draw_truth, quantiles, unit_of
+from .plots import (
+    BLUE,
+    INK,
+    PURPLE,
+    STYLE,
+    VERMILION,
+    draw_bands,
+    draw_truth,
+    draw_unseen,
+    quantiles,
+    unit_of,
+    unseen_entry,
+)
 
 if TYPE_CHECKING:
     from .overlay import Overlay
@@ -218,6 +231,7 @@ def still_parts(
     for number, joint in enumerate(joints):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
         draw_bands(axes, time, bands[:, :, number], PURPLE)
+        draw_unseen(axes, idata, number)
         if f"truth_{shown}" in known:
             draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
         axes.set_title(f"{joint} {shown} ({unit_of(idata, shown, number)})", loc="left")
@@ -227,13 +241,14 @@ def still_parts(
         else:
             axes.tick_params(labelbottom=False)
         torque_axes.append(axes)
-    entries = [
+    entries: list[Artist] = [
         Line2D([], [], color=VERMILION, ls="none", marker="o", mfc="none", mew=1.6, label="observed"),
         Line2D([], [], color=BLUE, marker="o", label="predicted"),
         Line2D([], [], color=BLUE, alpha=0.3, linewidth=2.5, label="posterior draws"),
     ]
     if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+    entries += unseen_entry(idata)
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()
     return figure, arm_axes, torque_axes

@@ -33,7 +33,10 @@ class Inference(Recorded):
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[
         str,
-        typer.Option(help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent."),
+        typer.Option(
+            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent; or auto: of the "
+            "first and the matern ones that with the most evidence, for three fits instead of one."
+        ),
     ] = "ornstein_uhlenbeck"
     noise: Annotated[
         str | None,
@@ -61,7 +64,7 @@ class Inference(Recorded):
         from invdyn.recordings import InputError
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
-        named += [("torque process", self.torque, TORQUE_PROCESSES), ("noise", self.family, FAMILIES)]
+        named += [("torque process", self.torque, (*TORQUE_PROCESSES, "auto")), ("noise", self.family, FAMILIES)]
         for what, given, known in named:
             if given not in known:
                 raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
@@ -95,7 +98,7 @@ class Inference(Recorded):
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
-        from invdyn.models import TORQUE_PROCESSES
+        from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES
 
         from .inputs import load_body, load_known
         from .inputs_of_cameras import load_from_cameras
@@ -134,7 +137,7 @@ class Inference(Recorded):
             "num_draws": self.draws,
             "seed": self.seed,
             "learn_lengths": self.learn_lengths,
-            "torque": TORQUE_PROCESSES[self.torque](),
+            "torque": [TORQUE_PROCESSES[name]() for name in (SMOOTHNESS if self.torque == "auto" else [self.torque])],
             "family": self.family,
             "learn_cameras": tuple(word.strip() for word in self.learn_cameras.split(",") if word.strip()),
             "passive": self.passive,

@@ -1,10 +1,10 @@
-"""`invdyn infer film.mp4`: the film is tracked into a table of pixels, which is then a recording like any other."""
+"""`invdyn infer film.mp4` and `diagnose`: a film is tracked into a table of pixels, a recording like any other."""
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import arviz as az
 
@@ -13,18 +13,20 @@ from invdyn.recordings import InputError, read_keypoint_csv
 from invdyn.recordings.tracking.film import Film, is_film
 
 from .film_commands import tracks_of
-from .inference_options import Inference
 from .inputs import load_planar
+from .recording_options import Recorded
 
 if TYPE_CHECKING:
     from .overlay import Overlay
 
+Given = TypeVar("Given", bound=Recorded)
+
 
 @dataclass(frozen=True)
-class TrackedFilm:
+class TrackedFilm(Generic[Given]):
     """A film in a recording's place, who tracks it, and where the tracks go."""
 
-    given: Inference
+    given: Given
     network: Path | None
     arm: str | None
     person: str | None
@@ -32,8 +34,8 @@ class TrackedFilm:
 
     @classmethod
     def of(
-        cls, given: Inference, network: Path | None, arm: str | None, person: str | None, tracks: Path
-    ) -> "TrackedFilm | None":
+        cls, given: Given, network: Path | None, arm: str | None, person: str | None, tracks: Path
+    ) -> "TrackedFilm[Given] | None":
         """None for a recording that is no film.
 
         Raises InputError for options of a film without one, and what a film does not go with; OSError for no body.
@@ -69,8 +71,8 @@ class TrackedFilm:
         """Name of the keypoint at the first joint."""
         return self.given.base or self.body.base_keypoint
 
-    def track(self, checkpoint: Path | None, progress: Callable[[int, int, str], None]) -> Inference:
-        """Track the film; what to infer from then. Raises as `film_commands.tracks_of`."""
+    def track(self, checkpoint: Path | None, progress: Callable[[int, int, str], None]) -> Given:
+        """Track the film; what is given then. Raises as `film_commands.tracks_of`."""
         wanted = (self.base, *self.body.keypoint_names)
         kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
         film = Path(self.given.recording)

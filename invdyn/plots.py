@@ -2,7 +2,8 @@
 
 One row a joint: its angle (rad) and its torque (N·m); beside them one row a keypoint that was tracked, or, where none
 was, a point of the body (observed and predicted, in the recording's length unit); below, the effective sample size of
-the filters over time, resampling marked.
+the filters over time, resampling marked. Rows that tell nothing of a coordinate are hatched: what is drawn there is the
+prior.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
@@ -51,6 +52,7 @@ STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+UNSEEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0}
 SHIFTING = {"torque": "N", "angle": "m", "velocity": "m/s"}
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
@@ -89,6 +91,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 axes.set_title(f"{joint} {name}", loc="left")
                 axes.set_ylabel(unit_of(idata, name, row))
                 draw_bands(axes, time, bands[:, :, row], color)
+                draw_unseen(axes, idata, row)
                 if name == "angle" and "angle" in observed:
                     draw_dots(axes, time, observed["angle"].values[:, row], color)
                 if name == "torque" and "command" in known:
@@ -137,6 +140,7 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
                     axes.plot(time, curves[1], color=color, linewidth=1.3)
                 if truth is not None:
                     draw_truth(axes, time, (reference - base)[:, row])
+                draw_unseen(axes, first, row)
                 axes.set_title(title, loc="left")
                 axes.set_ylabel(unit)
                 limit_to_most(axes, shifted, reference[:, row] - base[:, row])
@@ -151,6 +155,7 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
         entries.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="90 %"))
         if truth is not None:
             entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+        entries += unseen_entry(first)
         figure.legend(handles=entries, loc="outside upper left", ncols=10)
     return figure
 
@@ -210,6 +215,27 @@ def draw_truth(axes: Axes, time: np.ndarray, values: np.ndarray) -> None:
     axes.plot(time, values, color=INK, linewidth=1, dashes=(4, 2))
 
 
+def unseen_rows(idata: az.InferenceData) -> np.ndarray:
+    """Which rows tell nothing of which coordinates, (time, joint) bool; a body in the plane is seen throughout."""
+    posterior = idata["posterior"]
+    seen = xr.DataArray(np.zeros((posterior.sizes["time"], posterior.sizes["joint"])), dims=("time", "joint"))
+    return idata["constant_data"].get("unseen", seen).transpose("time", "joint").values > 0
+
+
+def draw_unseen(axes: Axes, idata: az.InferenceData, joint: int) -> None:
+    """Hatch the rows that do not tell a coordinate, each from halfway to the one before to halfway to the next."""
+    time, unseen = idata["posterior"]["time"].values, unseen_rows(idata)[:, joint]
+    edges = np.concatenate([time[:1], (time[1:] + time[:-1]) / 2, time[-1:]])
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], unseen.astype(int), [0]])))
+    for begin, end in changes.reshape(-1, 2):
+        axes.axvspan(edges[begin], edges[end], **UNSEEN)
+
+
+def unseen_entry(idata: az.InferenceData) -> list[Artist]:
+    """The legend's word for what is hatched, where something is."""
+    return [Patch(**UNSEEN, label="not seen: the prior")] if unseen_rows(idata).any() else []
+
+
 def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
     """Effective sample size, median and bands over filters; marks where they resampled, darker for more."""
     statistics = idata["sample_stats"]
@@ -251,4 +277,4 @@ def legend_entries(idata: az.InferenceData) -> list[Artist]:
         entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
     if "resampled" in idata["sample_stats"] and idata["sample_stats"]["resampled"].any():
         entries.append(Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled"))
-    return entries
+    return entries + unseen_entry(idata)

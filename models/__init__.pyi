@@ -29,6 +29,7 @@ from .observation.pixels import Pixels as Pixels
 from .observation.sensor import NoisySensor as NoisySensor
 from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel
+from .torques import SMOOTHNESS as SMOOTHNESS
 from .torques import TORQUE_PROCESSES as TORQUE_PROCESSES
 from .torques import Matern32 as Matern32
 from .torques import Matern52 as Matern52

@@ -20,7 +20,7 @@ from pyro.distributions import Distribution, MultivariateNormal, Normal
 from torch import Tensor
 
 from invdyn.models.articulated.arm import ArmModel
-from invdyn.models.articulated.defaults import Value, WrongValue, shaped
+from invdyn.models.articulated.defaults import Value, WrongValue, joint_numbers, shaped
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.articulated.timeline import Row, Timeline
 from invdyn.models.bodies.protocol import ArticulatedBody
@@ -94,7 +94,8 @@ class KinematicModel(StateSpaceModel):
     def of(cls, model: ArmModel, order: int = 2) -> Self:
         """The kinematic model of an arm's body, rows, sensors and start."""
         shared = ("body.", "initial.", "emission.")
-        own = {name: value for name, value in model.parameters.items() if name.startswith(shared)}
+        parts = joint_numbers(model.body)
+        own = {n: value for n, value in model.parameters.items() if n.startswith(shared) and n not in parts}
         return cls(model.body, model.time, model.observation, order=order, parameters=own)
 
     @property

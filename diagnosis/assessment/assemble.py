@@ -10,11 +10,11 @@ import torch
 
 from invdyn.diagnosis.assessment.confirm import confirm, posterior
 from invdyn.diagnosis.assessment.confusability import overlaps
-from invdyn.diagnosis.assessment.findings import finding, key
+from invdyn.diagnosis.assessment.findings import finding, key, learned
 from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
 from invdyn.diagnosis.assessment.matters import matters, tolerated
-from invdyn.diagnosis.assessment.model_posterior import Weighed
+from invdyn.diagnosis.assessment.model_posterior import Weighed, too_small
 from invdyn.diagnosis.assessment.result import (
     Cause,
     Diagnosis,
@@ -81,6 +81,11 @@ def assembled(
         if moved.size
         else np.zeros(moved.shape[1])
     )
+    probability = 1.0 - weighed.causes.get("", (none, 0.0))[1]
+    limit = tolerated(bound, unexplained, tolerance)
+    large = matters(bound, none, best, before, limit)
+    if not large:
+        weighed = too_small(weighed)
     causes = tuple(
         Cause(
             tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
@@ -88,17 +93,15 @@ def assembled(
             weighed.log_evidence[cause.key],
             weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
             weighed.in_part[cause.key],
+            learned(bound, cause, seed, found.temper_within()),
         )
         for cause, probability in weighed.causes.values()
         if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
     )
     causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
-    nothing = weighed.causes.get("", (none, 0.0))[1]
     rivals = _ambiguous(causes)
     joints = body.joint_names
     visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
-    probability, limit = 1.0 - nothing, tolerated(bound, unexplained, tolerance)
-    large = matters(bound, none, best, before, limit)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,

@@ -10,11 +10,13 @@ noise does. With the refined precision Λ and the prior's S⁻¹,
 import numpy as np
 import torch
 
-from invdyn.diagnosis.assessment.result import Change, Estimate, Finding
+from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched, log_spread
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
+from invdyn.models.bodies.joint_parts import PARTS
+from invdyn.models.bodies.scalars import UNITS
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.joint_limit import JointLimit
 
@@ -45,7 +47,8 @@ def finding(
 ) -> Finding:
     """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds; ``temper`` is ζ."""
     parameters = effect.parameters(problem.model.scale)
-    draws = _draws(problem, cause, effect, seed, temper)
+    whole = drawn(problem, cause, seed, temper)
+    draws = _draws(problem, cause, effect, whole, seed, temper)
     described = {
         name: (values.reshape(-1).numpy(), unit)
         for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
@@ -60,23 +63,54 @@ def finding(
     for name, quantity in effect.filed.items():
         if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
             e = estimates[name]
+            own = whole.get(f"body.{quantity}.{effect.place[0]}")
+            if own is not None:  # the file's own number is uncertain too
+                changes[name] = Change(before, _estimate(own + described[name][0], e.unit))
+                continue
             low, high = (before + end for end in e.interval_90)
             changes[name] = Change(before, Estimate(before + e.mean, e.sd, (low, high), e.unit))
     return Finding(effect.name, effect.side, place(effect), estimates, changes)
 
 
+def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float = 1.0) -> tuple[Learned, ...]:
+    """The body's uncertain numbers as a cause has them."""
+    body, found = problem.model.body, []
+    values = drawn(problem, cause, seed, temper) if problem.uncertain else {}
+    for number in problem.uncertain:
+        place = (body.joint_names if number.quantity in PARTS else body.link_names)[number.link]
+        after = _estimate(values[number.name], (UNITS | PARTS)[number.quantity])
+        found.append(Learned(place, number.quantity, Change(number.mean, after)))
+    return tuple(found)
+
+
+def _estimate(values: np.ndarray, unit: str) -> Estimate:
+    low, high = np.quantile(values, [0.05, 0.95])
+    return Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit)
+
+
+def drawn(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float) -> dict[str, np.ndarray]:
+    """Draws (``DRAWS``,) of all of a cause's unknowns by name, from the refined Gaussian within the bounds."""
+    among, rng = unknowns(problem, cause.effects), np.random.default_rng(seed)
+    if not among.names:
+        return {}
+    values = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
+    return dict(zip(among.names, np.clip(values, among.lower, among.upper).T, strict=True))
+
+
 def _draws(
-    problem: DiagnosisProblem, cause: FittedHypothesis, effect: Effect, seed: int, temper: float
+    problem: DiagnosisProblem,
+    cause: FittedHypothesis,
+    effect: Effect,
+    whole: dict[str, np.ndarray],
+    seed: int,
+    temper: float,
 ) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     names = [f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)]
     if is_searched(effect):
         parameters = effect.parameters(problem.model.scale)
         return {p.name: _searched(cause, p, f"{effect.key}.{p.name}", temper, rng) for p in parameters}
-    among = unknowns(problem, cause.effects)
-    drawn = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
-    drawn = np.clip(drawn, among.lower, among.upper)
-    return {name.rsplit(".", 1)[1]: drawn[:, among.names.index(name)] for name in names}
+    return {name.rsplit(".", 1)[1]: whole[name] for name in names}
 
 
 def _searched(cause: FittedHypothesis, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:

@@ -116,6 +116,12 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: 
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
 
 
+def too_small(weighed: Weighed) -> Weighed:
+    """What every cause leaves is nothing, where the whole gap does not matter (:mod:`.matters`)."""
+    causes = {key: (cause, alone + weighed.in_part[key]) for key, (cause, alone) in weighed.causes.items()}
+    return replace(weighed, causes=causes, in_part=dict.fromkeys(weighed.in_part, 0.0), outside=0.0)
+
+
 def in_part_only(weighed: Weighed) -> Weighed:
     """The best cause explains a part, as another recording shows."""
     best, probability = next(iter(weighed.causes.values()))

@@ -34,6 +34,18 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Learned:
+    """A number of the body's file that is not known exactly: from the file's to what a cause has it be.
+
+    Such as the "damping" of a joint or the "mass" of a link, whose name is `place`.
+    """
+
+    place: str
+    quantity: str
+    change: Change
+
+
+@dataclass(frozen=True)
 class Written:
     """A corrected copy of the simulation's file.
 
@@ -82,6 +94,7 @@ class Cause:
         probability: of their being at work and nothing else.
         log_evidence, log_evidence_sd: nats; the second is NaN without SMC.
         in_part: probability of their being at work beside something that the catalogue lacks.
+        learned: the body's own numbers that were uncertain, learned with them.
     """
 
     effects: tuple[Finding, ...]
@@ -89,6 +102,7 @@ class Cause:
     log_evidence: float
     log_evidence_sd: float
     in_part: float = 0.0
+    learned: tuple[Learned, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -275,6 +289,7 @@ class Diagnosis:
             "causes": [
                 {
                     "effects": [_finding(finding) for finding in cause.effects],
+                    "learned": [_learned(each) for each in cause.learned],
                     "probability": cause.probability,
                     "probability_in_part": cause.in_part,
                     "log_evidence": cause.log_evidence,
@@ -325,6 +340,13 @@ def _finding(finding: Finding) -> dict:
         to = change.after
         parameters[name] |= {"from": change.before, "to": to.mean, "to_interval_90": list(to.interval_90)}
     return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
+
+
+def _learned(number: Learned) -> dict:
+    to = number.change.after
+    interval = list(to.interval_90)
+    where = {"place": number.place, "quantity": number.quantity, "from": number.change.before}
+    return {**where, "to": to.mean, "sd": to.sd, "to_interval_90": interval, "unit": to.unit}
 
 
 def named(words: Sequence[str]) -> str:

@@ -15,14 +15,17 @@ what a torque imitates, or where errors of prediction show that something is lef
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
+import torch
 
+from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.moves import refine_kin
-from invdyn.diagnosis.hypotheses.multi_start import scan
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
+from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
     SHARE,
     TOO_FAR_BEHIND,
@@ -69,8 +72,7 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
-            if (cause := attempt(scan, problem, base, effect, found.top - TOO_FAR_BEHIND)) is not None:
-                found.add(cause)
+            attempt(_scan, problem, found, base, effect)
     if not base.complete:
         broken = not early or found.top < promised - TOO_FAR_BEHIND / 2
         # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
@@ -80,9 +82,7 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
         fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
         geared = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
         late = _sought(problem, base, scatter if broken else [], enough)
-        for causes in side_by_side([*geared, *late], found.workers, problem.budget):
-            for cause in causes:
-                found.add(cause)
+        found.add_all(problem, [*geared, *late])
     return screened
 
 
@@ -106,6 +106,26 @@ def screened_with(
     return screened, screened
 
 
+def _scan(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, effect: Effect) -> None:
+    """Refine an effect whose slope near its absence says little, from the best of its values, if that gains enough.
+
+    From each, and all combinations of several parameters, it is expanded once on a path of its own, led there.
+    """
+    effects, tried = (*base.effects, effect), []
+    model, parts = problem.model.with_effects(*effects), effect.scan.values()
+    for point in product(*parts):
+        values = base.values | {f"{effect.key}.{n}": v for n, v in zip(effect.scan, point, strict=True)}
+        given = {f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+        there = model.replace(**{name: value for name, value in given.items() if name in model.parameters})
+        path = led(problem, there, lifted(model, base.path), FIRM)
+        tried.append(refine(problem, effects, values, path, FIRM, rounds=1, **base.searched))
+    best = max(tried, key=lambda cause: cause.log_evidence)
+    fair = max(base.log_evidence, SHARE * base.log_evidence + (1 - SHARE) * (found.top - TOO_FAR_BEHIND))
+    found.add(best)
+    if best.log_evidence >= fair:
+        found.add(refine(problem, effects, best.values, best.path, FIRM, **base.searched))
+
+
 def _searchable(
     problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, free: Sequence[Effect]
 ) -> tuple[list[Effect], list[Effect]]:
@@ -122,12 +142,11 @@ def _searchable(
 
 def _sought(
     problem: DiagnosisProblem, base: FittedHypothesis, effects: Sequence[Effect], enough: float
-) -> list[Callable[[], list[FittedHypothesis]]]:
+) -> list[Callable[[], list[FittedHypothesis | None]]]:
     """Searches of ``effects`` beside ``base``, each given up under ``enough`` nats, for :func:`side_by_side`."""
 
-    def searched(effect: Effect) -> list[FittedHypothesis]:
-        cause = attempt(refine_searched, problem, base, effect, enough)
-        return [] if cause is None else [cause]
+    def searched(effect: Effect) -> list[FittedHypothesis | None]:
+        return [attempt(refine_searched, problem, base, effect, enough)]
 
     return [partial(searched, effect) for effect in effects]
 

@@ -1,43 +1,46 @@
-"""Relatives of what was found: effects that stand in for it, contain it or are part of it; its softer form.
+"""Moves from what was found to its neighbours, from values that follow from its own.
 
-A screen along the data's path cannot see a twin in time or in the direction of gravity: the path itself is what they
-shift; and of effects that change a period alone (:mod:`.period_equivalents`) it sees what a little of them does,
-not that much more of a load hardly slows a swing any more. And where joints stick, Gauss–Newton may lose its way
-to an effect, but not from its relative's parameters and path (continuation: Allgower & Georg 1990, "Numerical
-continuation methods").
+A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a softer
+form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of gravity: the
+path itself is what they shift; and of effects that change a period it sees what a little of them does, not that much
+more of a load hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to an effect, but not
+from its neighbour's parameters and path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
 """
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses import period_equivalents as period
+from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
-from invdyn.diagnosis.hypotheses.load_equivalents import nearest_load
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.diagnosis.sensitivity.whiten import sizes
+from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.hidden import Hidden
-from invdyn.models.effects.inertial_error import InertialError
-from invdyn.models.effects.link_flexibility import LinkFlexibility
-from invdyn.models.effects.payload import Payload
-from invdyn.models.effects.soft_tissue import SoftTissue
+from invdyn.models.effects.neighbours import Neighbour, neighbours
 
 ALIKE = 1.0
-"""Nats behind its twin in which a cause has arrived; and that a relative must have gained to be followed again."""
+"""Nats behind a cause from which on its neighbour has not arrived; and that one must gain to be followed again."""
 
 SOFTER = 3
 """Causes of one effect whose softer forms are refined, and one of two or three: each may take minutes."""
 
-ALLOWED = 3.0
-"""Standard deviations from a special case up to which an effect's parameters allow it."""
+SHIFTS = (-1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5)
+STRETCHES = (0.4, 0.63, 1.0, 1.6)
+SHORT = 0.03
+"""Of a burst's duration, or of so many s at least: shifts of its middle, and other durations."""
 
 
 def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
-    """Refine the relatives of what was found, of causes with so many effects, from values that follow.
+    """Refine the neighbours of causes with so many effects, from values that follow.
 
     And the softer forms of the best few of those that leave something, a residual or errors of prediction that are
     alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
@@ -46,11 +49,10 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
     near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - TOO_FAR_BEHIND]
     for cause in near:
         for mine in cause.effects:
-            _refine_twins(problem, found, cause, mine)
-            _refine_wider(problem, found, cause, mine)
-            _refine_narrower(problem, found, cause, mine)
-            _refine_load(problem, found, cause, mine)
-            _refine_bent(problem, found, cause, mine)
+            if "moment" in mine.located:
+                _refine_moved(problem, found, cause, mine)
+            for other in _around(problem, found, cause, mine):
+                _follow(problem, found, cause, mine, other)
     least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
     if not found.explained:
         least = min(least, none + HALF * (found.top - none))
@@ -62,108 +64,38 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
         refine_softer(problem, found, cause)
 
 
-def _refine_twins(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
-    """Refine a cause with the exact equivalents of one of its effects, unless they have arrived."""
-    for other, values in _twins(problem, cause, mine).items():
-        twin = next((e for e in found.candidates if _is(problem, e, other)), None)
-        if twin is None or any(_is(problem, e, other) for e in cause.effects):
-            continue
-        if problem.regime == "unknown_torque" and imitable(twin):
-            continue
-        there = found.pool.get(_in_place(cause, mine, twin))
-        arrived = there is not None and there.log_evidence > cause.log_evidence - ALIKE
-        if not arrived and not _followed(found, cause, mine, twin):
-            refine_instead(problem, found, cause, mine, twin, values, [cause.path, found.path])
+def _around(
+    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect
+) -> Iterator[Neighbour]:
+    """Neighbours of one of a cause's effects that may take its place."""
+    spread = dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
+    values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
+    passive, taken = problem.regime == "passive", {effect.key for effect in cause.effects}
+    for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
+        hidden = problem.regime == "unknown_torque" and imitable(other.effect)
+        if other.effect.key not in taken and not hidden:
+            yield other
 
 
-def _is(problem: DiagnosisProblem, effect: Effect, name: str) -> bool:
-    """Whether an effect is that on the whole arm; by name on a single joint, whose effect is that on all."""
-    return effect.key == name or (problem.model.body.num_joints == 1 and effect.name == name)
+def _follow(
+    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Neighbour
+) -> None:
+    """Refine a neighbour, unless it is where it can be, has nothing to add, or was followed from as good a cause."""
+    there = found.pool.get(_in_place(cause, mine, other.effect))
+    if other.kind == "wider":
+        done = cause.complete or (there is not None and there.complete)
+    else:
+        done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if other.related else ALIKE)
+    done = done or (other.kind == "alike" and cause is not found.ranked[0])
+    if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if other.related else ""):
+        paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
+        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, other), paths)
 
 
-def _twins(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> dict[str, dict[str, float]]:
-    """Parameters with which other effects, by name, are the exact equivalents of one of a cause's."""
-    known = cause.values
-    twins = {}
-    if _is(problem, mine, mine.name):
-        for other, same in mine.twins.items():
-            twins[other] = {its: known[f"{mine.key}.{own}"] for own, its in same.items()}
-    body = problem.model.scale.body
-    swings = problem.regime == "passive" and problem.model.body.num_joints == 1 and bool(body.gravity.any())
-    if swings and mine.name in period.NAMES:
-        own = {p.name: known[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
-        twins |= period.equivalents(period.factor(mine, own, body), body)
-    return twins
-
-
-def _refine_wider(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
-    """Refine a cause with what contains one of its effects, from where the two are the same, if it leaves something."""
-    for wider in found.candidates:
-        narrow = wider.contains.get(mine.name)
-        if cause.complete or narrow is None or wider.where != mine.where or wider.key in cause.key.split("+"):
-            continue
-        there = found.pool.get(_in_place(cause, mine, wider))
-        if (there is not None and there.complete) or _followed(found, cause, mine, wider, _softness(mine)):
-            continue
-        known = cause.values
-        values = {name: known[f"{mine.key}.{its}"] for name, its in narrow.items()}
-        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, wider, values), [cause.path])
-
-
-def _refine_narrower(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
-    """Refine a cause with a special case of one of its effects that its parameters allow: it may not have arrived.
-
-    Where several parameters are to be the same one, that which is known best gives its value.
-    """
-    for narrow in found.candidates:
-        names = mine.contains.get(narrow.name)
-        if names is None or narrow.where != mine.where or narrow.key in cause.key.split("+"):
-            continue
-        there = found.pool.get(_in_place(cause, mine, narrow))
-        if there is not None and there.log_evidence > cause.log_evidence:
-            continue
-        known, sd = cause.values, dict(zip(cause.names, cause.sd, strict=True))
-        worst_first = sorted(names, key=lambda name: -sd[f"{mine.key}.{name}"])
-        values = {names[name]: known[f"{mine.key}.{name}"] for name in worst_first}
-        off = [abs(known[f"{mine.key}.{name}"] - values[its]) / sd[f"{mine.key}.{name}"] for name, its in names.items()]
-        if max(off) > ALLOWED or _followed(found, cause, mine, narrow, _softness(mine)):
-            continue
-        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, narrow, values), [cause.path])
-
-
-def _refine_load(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
-    """Refine a cause with a payload in place of an error of the last link (:mod:`.load_equivalents`)."""
-    payload = next((e for e in found.candidates if isinstance(e, Payload)), None)
-    last = problem.model.body.num_joints - 1
-    if payload is None or not isinstance(mine, InertialError) or mine.place != (last,):
-        return
-    there = found.pool.get(_in_place(cause, mine, payload))
-    if payload.key in cause.key.split("+") or (there and there.log_evidence > cause.log_evidence - ALIKE):
-        return
-    mass, off = nearest_load(cause, mine, payload, problem.model.scale)
-    if off < ALLOWED and not _followed(found, cause, mine, payload):
-        refine_instead(problem, found, cause, mine, payload, {"mass": mass}, [cause.path])
-
-
-def _refine_bent(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
-    """Refine the best cause with a link that bends in place of soft tissue at its tip, which looks much like it.
-
-    A screen sees little of what a bend explains along a path of its own: once, beside a stop, 67 nats of 184.
-    """
-    if not isinstance(mine, SoftTissue) or problem.regime == "unknown_torque" or cause is not found.ranked[0]:
-        return
-    bent = next((e for e in found.candidates if isinstance(e, LinkFlexibility) and e.place == mine.place), None)
-    if bent is None or any(isinstance(effect, Hidden) for effect in cause.effects if effect is not mine):
-        return
-    there = found.pool.get(_in_place(cause, mine, bent))
-    if (there and there.log_evidence > cause.log_evidence) or _followed(found, cause, mine, bent):
-        return
-    stiffness, damping = bent.parameters(problem.model.scale)
-    for start in stiffness.grid[1::2]:  # from one that is too stiff Gauss–Newton finds no softer one
-        values = {"stiffness": start, "damping": damping.grid[0]}
-        refine_instead(problem, found, cause, mine, bent, values, [found.path])
-        if (there := found.pool.get(_in_place(cause, mine, bent))) is not None and there.complete:
-            break
+def _own(problem: DiagnosisProblem, effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
+    """Of what is ``known`` by "<effect key>.<name>" that of one effect, by its parameters' own names."""
+    names = {p.name: f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
+    return {name: known[key] for name, key in names.items() if key in known}
 
 
 def _softness(effect: Effect) -> str:
@@ -172,15 +104,17 @@ def _softness(effect: Effect) -> str:
 
 
 def _as_soft(
-    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, other: Effect, values: dict[str, float]
-) -> tuple[Effect, dict[str, float]]:
-    """A relative and its values, as soft as one of a cause's effects is."""
-    form = other
+    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, other: Neighbour
+) -> tuple[Effect, list[dict[str, float]]]:
+    """A neighbour and its starts; one of the same family is as soft as the cause's effect is."""
+    form = other.effect
+    if not other.related:
+        return form, [dict(start) for start in other.starts]
     for _ in range(mine.softness):
         form = form.softened() or form
-    own = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
+    own = _own(problem, mine, cause.values)
     wanted = [p.name for p in form.parameters(problem.model.scale)]
-    return form, {name: own[name] for name in wanted if name in own} | values
+    return form, [{name: own[name] for name in wanted if name in own} | dict(start) for start in other.starts]
 
 
 def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
@@ -206,12 +140,43 @@ def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
 
 
 def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Effect, form: str = "") -> bool:
-    """Whether the relative, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
+    """Whether the neighbour, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
     key = _in_place(cause, mine, other) + form
     if found.relatives.get(key, -np.inf) > cause.log_evidence - ALIKE:
         return True
     found.relatives[key] = cause.log_evidence
     return False
+
+
+def bared(
+    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect
+) -> tuple[tuple[Effect, ...], Unknowns, np.ndarray, ArmModel]:
+    """What a cause is without one of its effects, nothing refined: effects, unknowns, their values (p,) and model."""
+    rest = tuple(effect for effect in cause.effects if effect is not mine)
+    common, model, known = unknowns(problem, rest), problem.model, cause.values
+    if not rest:
+        return rest, common, common.mean, model  # as it is stated: without a cause its numbers stood in for one
+    model = model.with_effects(*rest)
+    model = model.replace(**{n: v for n, v in cause.model.parameters.items() if n in model.parameters})
+    return rest, common, np.array([known[name] for name in common.names]), model
+
+
+def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
+    """Move a burst in time while that is better.
+
+    Evidence is as narrow a function of its moment as the arm's answer is sharp, and Gauss–Newton ends in the nearest
+    of its peaks. Along the path that it has found, each of a few moments and durations about its own is one regression.
+    """
+    while not _followed(found, cause, mine, mine, " moved"):
+        own = _own(problem, mine, cause.values)
+        (first, last), width = problem.model.time[[0, -1]].tolist(), max(own["duration"], SHORT)
+        middles = [(own["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
+        times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
+        _, common, point, model = bared(problem, cause, mine)
+        (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))
+        refine_instead(problem, found, cause, mine, mine, [likely.values], [cause.path], float(likely.size))
+        cause = found.pool[cause.key]
+        mine = next(effect for effect in cause.effects if effect.key == mine.key)
 
 
 def refine_instead(
@@ -220,17 +185,20 @@ def refine_instead(
     cause: FittedHypothesis,
     mine: Effect,
     other: Effect,
-    values: dict[str, float],
-    starts: list[Tensor],
+    starts: Sequence[Mapping[str, float]],
+    paths: Sequence[Tensor],
+    size: float | None = None,
 ) -> None:
-    """Refine a cause with another effect in place of one, from its values, along one path after the other."""
+    """Refine a cause with another effect in place of one, from one start after the other, until one leaves nothing.
+
+    Under a residual of its own best ``size``, unless another is given.
+    """
     effects = (*(e for e in cause.effects if e is not mine), other)
     kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
-    values = kept | {f"{other.key}.{name}": value for name, value in values.items()}
-    size = float(sizes(problem.regime)[int(cause.by_size.argmax())])
-    for path in starts:
+    size = float(sizes(problem.regime)[int(cause.by_size.argmax())]) if size is None else size
+    for path, start in product(paths, starts):
+        values = kept | {f"{other.key}.{name}": value for name, value in start.items()}
         refined = attempt(refine, problem, effects, values, path, size, **cause.searched)
-        if refined is not None:
-            found.add(refined)
-            if refined.complete:
-                break
+        found.add(refined)
+        if refined is not None and refined.complete:
+            break

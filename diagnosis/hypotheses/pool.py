@@ -1,6 +1,6 @@
 """The pool of causes of a search: which effects are considered, what was refined, and how it ranks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import log
 
@@ -13,6 +13,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS, another, log_prior_of, tempered
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
+from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
 
@@ -58,9 +59,9 @@ class HypothesisPool:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
         return tempered(self.top - self.cleaned)
 
-    def temper_within(self, effect: Effect) -> float:
-        """Power for the intervals of an effect's parameters: all that is gained speaks of stray detections."""
-        beside = self.pool[""].log_evidence if effect.name in MISTAKES else self.cleaned
+    def temper_within(self, effect: Effect | None = None) -> float:
+        """Power for intervals of an effect's parameters, or the body's: all gain speaks of stray detections."""
+        beside = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
         return tempered(self.top - beside, RULE.alpha_within)
 
     def score(self, cause: FittedHypothesis) -> float:
@@ -101,13 +102,21 @@ class HypothesisPool:
         """Whether the best cause has an effect and leaves nothing."""
         return self.ranked[0].complete and bool(self.ranked[0].effects)
 
-    def add(self, cause: FittedHypothesis) -> None:
+    def add(self, cause: FittedHypothesis | None) -> None:
         """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""
-        if not cause.plausible:
+        if cause is None or not cause.plausible:
             return
         known = self.pool.get(cause.key)
         if known is None or cause.log_evidence > known.log_evidence:
             self.pool[cause.key] = cause
+
+    def add_all(
+        self, problem: DiagnosisProblem, parts: Sequence[Callable[[], Sequence[FittedHypothesis | None]]]
+    ) -> None:
+        """Keep what each of the ``parts`` finds, side by side; they know nothing of each other."""
+        for causes in side_by_side(parts, self.workers, problem.budget):
+            for cause in causes:
+                self.add(cause)
 
 
 def others(cause: FittedHypothesis) -> list[Effect]:

@@ -1,22 +1,19 @@
-"""The search for causes: screen, refine the best, add another effect, measure again.
+"""The search for causes: the best one's moves to its neighbours, until it has none that is better.
 
-Forward selection with replacement over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani &
-Friedman 2009, §3.3), each set scored by its tempered evidence and its prior (:mod:`.prior`):
+Stepwise search over sets of at most four effects, or as many as are asked for (Hastie, Tibshirani & Friedman 2009,
+§3.3; Miller 2002), each set scored by its tempered evidence and its prior (:mod:`.prior`). It begins with "no effect",
+and, if detections are stray, with a tracker's mistakes that explain them. Then whatever cause is the best makes the
+first of these moves that it has not made, which may make another one the best:
 
-    1  Refine "no effect". If detections are stray, refine first the mistakes of a tracker that explain them.
-    2  Refine the best single effects of the screen. If the best one leaves something, also try effects that would
-       leave little, effects whose size no screen tells (``Effect.scan``, from several values), and the best one in
-       shorter sub-steps (:mod:`.substeps`). If that leaves something, or its parameters are not credible
-       (:mod:`.credible`), try sets of up to four in a beam (:mod:`.beam_search`).
-    3  Given the best set, screen every effect that could be added. Refine the most promising (:mod:`.forward_step`).
-    4  When one has become two, drop the older and look for a better one in its place.
-    5  Repeat from 3 until no addition raises the posterior. If sets of several have overtaken the best single effect,
-       add to that one, too, in search of a pair that leaves nothing.
-    6  Leave effects of the best set out, one by one, while that raises the posterior.
-    7  Look for a better effect in place of each, along the path of the set. If there is one, or the reduced set has
-       not been through 3, repeat from 3.
-    8  If the best set leaves something after all, refine every effect of the observation beside the best single one,
-       and repeat from 6.
+    drop    each effect of a set, from the set's path and values (:func:`.swap_step.reduce`)
+    add     an effect, also to the best single one that a set has overtaken: all that may join are screened, the most
+            promising refined (:mod:`.forward_step`); where no first one is enough, also sets of up to four as a whole,
+            from a beam (:mod:`.beam_search`)
+    swap    each effect for a better one, along the path of the set (:func:`.swap_step.exchange`)
+    look    at every effect of the observation beside the best single one, if something is left after all
+
+After each of them the neighbours of what it found follow, exact twins, wider and narrower laws, softer forms, others
+that look like it, from values that its own say (:mod:`.moves`).
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -28,7 +25,7 @@ Everything that was refined stays in the pool, so that rivals which the data can
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -46,7 +43,7 @@ from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_every, refine_promising
 from invdyn.diagnosis.hypotheses.substeps import shortened
-from invdyn.diagnosis.hypotheses.swap_step import SWAPS, exchange, reduce, without
+from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
@@ -60,8 +57,8 @@ WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
 """Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
 candidates refined instead of stray detections."""
 
-FORWARD = len(WIDTH)
-"""Effects that are added one by one, at least, if there may be so many."""
+Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], DiagnosisProblem | None]
+"""Refines what a base leads to, into the pool, and may say in which sub-steps the search goes on."""
 
 
 def search(
@@ -86,64 +83,68 @@ def search(
 
 
 def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
-    """Look for causes until nothing that is tried is better; raises :class:`.Spent` where the budget ends before."""
-    known, most = problem.regime != "unknown_torque", found.most
+    """Make the best cause's next move until it has none left; raises :class:`.Spent` where the budget ends before."""
+    known = problem.regime != "unknown_torque"
     if known and found.stray:
         _mistaken(problem, found)
-    extended: set[str] = set()
-    for _ in range(max(FORWARD, most) if known else 1):
-        best = found.ranked[0]
-        if best.key in extended or len(best.effects) >= most:
-            break
-        extended.add(best.key)
-        screened = extend(problem, found, best, _width(best))
-        if known and not best.effects:
-            problem = shortened(problem, found)
-        if known and not best.effects and not _enough(problem, found.ranked[0]):
-            _several(problem, found, screened)
-            reduce(problem, found)
-            _overtaken(problem, found, extended)
-        _without_older(problem, found, best)
-    _settled(problem, found, extended)
-    singles = _singles(found)
-    if known and singles and most > 1 and not found.ranked[0].complete:
-        base = max(singles, key=found.score)
-        best = found.ranked[0]
-        refine_every(problem, found, base, screened_with(problem, found, base, False)[0])
-        if found.ranked[0].key != best.key:
-            _settled(problem, found, extended)
+    made: set[tuple[Move, str]] = set()
+    while True:
+        moves = _moves(found, known, {move for move, _ in made})
+        move, base = next(((m, cause) for m, cause in moves if (m, cause.key) not in made), (None, None))
+        if move is None or base is None:
+            return
+        made.add((move, base.key))
+        problem = move(problem, found, base) or problem
 
 
-def _enough(problem: DiagnosisProblem, cause: FittedHypothesis) -> bool:
-    """Whether a cause leaves nothing, by effects that are what they are called."""
-    return cause.complete and credible(problem, cause)
+def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterator[tuple[Move, FittedHypothesis]]:
+    """Moves of the best cause, in their order, and what of them was ``made`` of others; none is made twice of one.
 
-
-def _settled(problem: DiagnosisProblem, found: HypothesisPool, extended: set[str]) -> None:
-    """Leave effects out and exchange them until the best set stays.
-
-    Where it leaves something others may join what was exchanged, and what is left if it has not been ``extended`` yet:
-    a large effect may be reached only by way of several that imitate it, and hide a small one until then.
+    Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the best
+    single effect. To what came in the place of another, and leaves nothing, nothing is added.
     """
-    reduce(problem, found)
-    while problem.regime != "unknown_torque" and found.ranked[0].effects:
-        before = found.ranked[0]
-        exchange(problem, found)
-        best = found.ranked[0]
-        grows = not best.complete and len(best.effects) < found.most
-        if best.key == before.key and (not grows or best.key in extended):
-            break
-        if grows:
-            extended.add(best.key)
-            extend(problem, found, best, SWAPS if best.key != before.key else _width(best))
-        reduce(problem, found)
-        if found.ranked[0].key == before.key:
-            break
+    best = found.ranked[0]
+    if not known:
+        if not best.effects:
+            yield _grow, best
+        return
+    single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
+    if len(best.effects) > 1:
+        yield reduce, best
+    if single is not None and len(others(best)) > 1:
+        enough = best.complete and len(others(best)) == 2
+        if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
+            yield _grow, single
+    if len(best.effects) < found.most and not (exchange in made and best.complete):
+        yield _grow, best
+    if best.effects:
+        yield exchange, best
+    if single is not None and found.most > 1 and not best.complete and _look not in made:
+        yield _look, single
+
+
+def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> DiagnosisProblem:
+    """Add an effect; the first of all in shorter sub-steps if it needs them, and where it is not enough also several.
+
+    Enough is what leaves nothing, by effects that are what they are called.
+    """
+    screened = extend(problem, found, base, _width(base))
+    if base.effects or problem.regime == "unknown_torque":
+        return problem
+    problem = shortened(problem, found)
+    if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
+        _several(problem, found, screened)
+    return problem
+
+
+def _look(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Refine every effect on what is seen beside a base."""
+    refine_every(problem, found, base, screened_with(problem, found, base, False)[0])
 
 
 def _width(base: FittedHypothesis) -> int:
     """Candidates that are refined beside a base."""
-    return WIDTH[min(len(others(base)), FORWARD - 1)]
+    return WIDTH[min(len(others(base)), len(WIDTH) - 1)]
 
 
 def _begun(
@@ -164,37 +165,8 @@ def _begun(
         raise cannot_follow(problem)
     found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers)
     for found.aside, alone in rest:
-        if alone is not None:
-            found.add(alone)
+        found.add(alone)
     return found
-
-
-def _without_older(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
-    """Where the ``best`` effect has become two, look for a better one in place of the older."""
-    grown = found.ranked[0]
-    if len(grown.effects) != 2 or len(best.effects) != 1:
-        return
-    newer, older = sorted(grown.effects, key=lambda effect: effect.key == best.key)
-    base = found.pool.get(newer.key) or attempt(without, problem, grown, older, problem.loose)
-    if base is not None:
-        found.add(base)
-        extend(problem, found, base, SWAPS)
-
-
-def _overtaken(problem: DiagnosisProblem, found: HypothesisPool, extended: set[str]) -> None:
-    """Where several have overtaken the best single effect, extend that one, too, unless it is one of two that suffice.
-
-    Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the one.
-    """
-    singles, best = _singles(found), found.ranked[0]
-    if len(others(best)) < 2 or not singles:
-        return
-    base = max(singles, key=found.score)
-    if best.complete and len(others(best)) == 2 and others(base)[0].key in {effect.key for effect in best.effects}:
-        return
-    if base.key not in extended:
-        extended.add(base.key)
-        extend(problem, found, base, WIDTH[1])
 
 
 def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
@@ -208,8 +180,7 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     for path in (path for path in (found.aside, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
             base = none.moved_to(none.model, path)
-            if (cause := attempt(refine_searched, problem, base, effect)) is not None:
-                found.add(cause)
+            found.add(attempt(refine_searched, problem, base, effect))
         if found.ranked[0].complete:
             return
     if not found.ranked[0].effects:
@@ -221,11 +192,6 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         found.pool, found.first = tried.pool, screened
 
 
-def _singles(found: HypothesisPool) -> list[FittedHypothesis]:
-    """Causes of one effect, but for those that leave stray detections."""
-    return [cause for cause in found.pool.values() if len(others(cause)) == 1]
-
-
 def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     common, none = unknowns(problem, ()), found.pool[""].log_evidence
@@ -235,9 +201,7 @@ def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequenc
         for each in sets:
             top = found.top
             limits = {"enough": top - TOO_FAR_BEHIND, "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - none))}
-            cause = attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits)
-            if cause is not None:
-                found.add(cause)
+            found.add(attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits))
         refine_kin(problem, found, len(sets[0].effects))
         if found.ranked[0].complete:
             break

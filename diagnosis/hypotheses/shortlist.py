@@ -23,7 +23,6 @@ import numpy as np
 
 from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
@@ -31,7 +30,6 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added
 from invdyn.diagnosis.sensitivity.whiten import sizes
-from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import NotTogether
@@ -62,7 +60,7 @@ def refine_promising(
     base: FittedHypothesis,
     screened: Sequence[Screened],
     width: int,
-    besides: Sequence[Callable[[], list[FittedHypothesis]]] = (),
+    besides: Sequence[Callable[[], Sequence[FittedHypothesis | None]]] = (),
 ) -> None:
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
 
@@ -98,9 +96,7 @@ def refine_promising(
             for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        for causes in side_by_side(parts if first else [*parts, *besides], found.workers, problem.budget):
-            for cause in causes:
-                found.add(cause)
+        found.add_all(problem, parts if first else [*parts, *besides])
 
 
 def refine_clearing(
@@ -113,10 +109,7 @@ def refine_clearing(
     clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
     clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
     limits = {"enough": found.top - TOO_FAR_BEHIND}
-    parts = [partial(_refined, problem, base, each, limits) for each in clear]
-    for causes in side_by_side(parts, found.workers, problem.budget):
-        for cause in causes:
-            found.add(cause)
+    found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in clear])
 
 
 def refine_every(
@@ -130,10 +123,7 @@ def refine_every(
     left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
         limits = {"enough": found.top - TOO_FAR_BEHIND}
-        parts = [partial(_refined, problem, base, each, limits) for each in left[first : first + PAIR]]
-        for causes in side_by_side(parts, found.workers, problem.budget):
-            for cause in causes:
-                found.add(cause)
+        found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in left[first : first + PAIR]])
         if found.explained:
             return
 
@@ -153,15 +143,13 @@ def refine_barred(
     soft = {s.effect.key for s in seen if s.effect.softened() is not None}
     barred = [s for s in seen if s.effect.key in soft or nothing + DOUBT < s.log_evidence <= bar]
 
-    def refined(each: Added) -> list[FittedHypothesis]:
+    def refined(each: Added) -> list[FittedHypothesis | None]:
         known = found.pool.get(key_of((*base.effects, each.effect)))
         causes = [known] if known else _refined(problem, base, each, {})
         ideal = [c for c in causes if each.effect.key in soft and not any(effect.softness for effect in c.effects)]
-        return causes + [form for c in ideal if (form := softer(problem, c, each.effect)) is not None]
+        return [*causes, *(softer(problem, cause, each.effect) for cause in ideal)]
 
-    for causes in side_by_side([partial(refined, each) for each in barred], found.workers, problem.budget):
-        for cause in causes:
-            found.add(cause)
+    found.add_all(problem, [partial(refined, each) for each in barred])
 
 
 def _refined(
@@ -187,14 +175,6 @@ def _refined(
     if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
         again = attempt(_from_base, problem, base, each, limits)
         refined += [again] if again is not None else []
-    if "moment" in each.effect.located and refined:
-        best = max(refined, key=lambda cause: cause.log_evidence)
-        moved = (
-            attempt(relocated, problem, base, each.effect, best)
-            if best.log_evidence > limits.get("enough", -np.inf)
-            else None
-        )
-        refined += [moved] if moved is not None else []
     return refined
 
 

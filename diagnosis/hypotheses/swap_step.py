@@ -11,7 +11,7 @@ import numpy as np
 
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import FIRM, lifted
-from invdyn.diagnosis.hypotheses.moves import refine_instead, refine_kin, refine_softer
+from invdyn.diagnosis.hypotheses.moves import bared, refine_instead, refine_kin, refine_softer
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -19,7 +19,6 @@ from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt,
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
@@ -29,26 +28,17 @@ SWAPS, FAIR = 2, 0.3
 cause leaves nothing, of what the best effect does."""
 
 
-def reduce(problem: DiagnosisProblem, found: HypothesisPool) -> None:
-    """Leave an effect of the best set out, from the path and the values that it was found with, while that is better.
+def reduce(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
+    """Leave each effect of the best set out, from the path and the values that it was found with.
 
     A set may be what it took to get near the parameters of one of its members; and what stands beside an ideal friction
     or stop may stand for the softer form of that.
     """
-    best = found.ranked[0]
-    tried = set()
-    while len(best.effects) > 1:
-        for effect in best.effects:
-            rest = tuple(e for e in best.effects if e is not effect)
-            cause = None if key_of(rest) in tried else attempt(without, problem, best, effect, FIRM)
-            if cause is not None:
-                found.add(cause)
-            tried.add(key_of(rest))
-            if key_of(rest) in found.pool:
-                refine_softer(problem, found, found.pool[key_of(rest)])
-        if found.ranked[0] is best:
-            return
-        best = found.ranked[0]
+    for effect in best.effects:
+        found.add(attempt(without, problem, best, effect, FIRM))
+        rest = key_of([other for other in best.effects if other is not effect])
+        if rest in found.pool:
+            refine_softer(problem, found, found.pool[rest])
 
 
 def without(problem: DiagnosisProblem, whole: FittedHypothesis, effect: Effect, size: float) -> FittedHypothesis | None:
@@ -69,14 +59,13 @@ def without(problem: DiagnosisProblem, whole: FittedHypothesis, effect: Effect, 
     return cause
 
 
-def exchange(problem: DiagnosisProblem, found: HypothesisPool) -> None:
+def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
     """Look for a better effect in place of each of the best set's, along the path that it has found.
 
     Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
     that imitate others together, none gives way while the rest stay. Where one leaves nothing, those that would leave
     as little have arrived.
     """
-    best = found.ranked[0]
     for old in best.effects:
         rest = tuple(effect for effect in best.effects if effect is not old)
         if is_searched(old):
@@ -84,13 +73,7 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         if any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
             _beside_play(problem, found, best, old)
             continue
-        common, model = unknowns(problem, rest), problem.model
-        point = common.mean
-        if rest:
-            known = dict(zip(best.names, best.mean.tolist(), strict=True))
-            point = np.array([known[name] for name in common.names])
-            model = model.with_effects(*rest)
-            model = model.replace(**{n: v for n, v in best.model.parameters.items() if n in model.parameters})
+        _, common, point, model = bared(problem, best, old)
         free = free_beside(found, rest, old)
         if best.complete and not rest:
             arrived = {cause.key for cause in found.pool.values() if cause.complete}
@@ -104,8 +87,8 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         least = min(found.top - TOO_FAR_BEHIND, nothing + HALF * (found.top - nothing))
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
         by_size = np.r_[-np.inf, best.by_size[1:]]
-        bared = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
-        refine_promising(problem, found, bared, near, SWAPS)
+        without_it = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
+        refine_promising(problem, found, without_it, near, SWAPS)
     refine_kin(problem, found, len(best.effects))
 
 
@@ -123,13 +106,11 @@ def _beside_play(problem: DiagnosisProblem, found: HypothesisPool, best: FittedH
     for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:
         other = cause.effects[0]
         own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(problem.model.scale)}
-        refine_instead(problem, found, best, old, other, own, [best.path])
+        refine_instead(problem, found, best, old, other, [own], [best.path])
         swapped = found.pool.get(key_of((*rest, other)))
         better = swapped is not None and swapped.log_evidence > best.log_evidence and not swapped.complete
         if better and len(rest) == 1:
-            again = attempt(refine_searched, problem, cause, rest[0], found.top - TOO_FAR_BEHIND)
-            if again is not None:
-                found.add(again)
+            found.add(attempt(refine_searched, problem, cause, rest[0], found.top - TOO_FAR_BEHIND))
         if found.explained:
             return
 

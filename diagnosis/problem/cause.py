@@ -13,8 +13,7 @@ from torch import Tensor
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import coarsened
 from invdyn.models import ArmModel
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.composition import PREFIX
+from invdyn.models.effects.base import PREFIX, Effect
 
 
 @dataclass(frozen=True)

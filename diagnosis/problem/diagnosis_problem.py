@@ -27,6 +27,7 @@ from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficie
 from invdyn.inference.posterior.jitter import jitter
 from invdyn.models import ArmModel, Body
 from invdyn.models.articulated.as_filed import answered
+from invdyn.models.bodies.joint_parts import NOTHING, PARTS
 from invdyn.models.bodies.scalars import QUANTITIES
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
@@ -67,7 +68,10 @@ class NotEnoughData(InputError):
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A number of the body that is not known exactly: ``quantity`` ("mass") of link ``link``, N(mean, sd²)."""
+    """A number of the body that is not known exactly: ``quantity`` ("mass", "damping") of link or joint ``link``.
+
+    N(mean, sd²).
+    """
 
     quantity: str
     link: int
@@ -179,7 +183,20 @@ def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
         if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
             own.append(Uncertain("inertia", k, moment, moment * float(priors["mass"].stddev / priors["mass"].mean)))
         found += own
-    return tuple(found)
+    return tuple(found + _joint_numbers(body))
+
+
+def _joint_numbers(body: Body) -> list[Uncertain]:
+    """What the file gives joints and calls uncertain, relatively, of all joints or of one."""
+    found = []
+    stated = getattr(body, "uncertainty", {})  # a tree has none
+    for k, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
+        for part in PARTS:
+            value = getattr(parts or NOTHING, part)
+            sd = value * stated.get(f"{part}.{joint}", stated.get(part, 0.0))
+            if sd > 0:
+                found.append(Uncertain(part, k, value, sd))
+    return found
 
 
 def diagnosis_problem(

@@ -1,8 +1,9 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, Written, named
-from invdyn.diagnosis.report.numbers import handy, known, largest, percent, plain
-from invdyn.diagnosis.report.words import SIDES, cause_words, finding_words, key_words, place_words, variable_words
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
+from invdyn.diagnosis.report.file_sentences import changes, learned, written
+from invdyn.diagnosis.report.numbers import handy, known, largest, percent
+from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
@@ -151,7 +152,8 @@ def details(diagnosis: Diagnosis) -> list[str]:
     found = []
     if answer != "none":
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
-        found += _changes(diagnosis)
+        found += changes(diagnosis)
+    found += learned(diagnosis)
     if answer in ("outside", "none") and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
@@ -167,40 +169,9 @@ def details(diagnosis: Diagnosis) -> list[str]:
             "(--budget gives more)."
         )
     if diagnosis.written is not None:
-        found += _written(diagnosis.written)
+        found += written(diagnosis.written)
     if diagnosis.regime == "unknown_torque" and answer != "none":
         found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
-    return found
-
-
-def _changes(diagnosis: Diagnosis) -> list[str]:
-    """What of the simulation's own numbers the best cause changes: from … to …."""
-    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
-    found = []
-    for finding in cause.effects if cause is not None else ():
-        for name, change in finding.changes.items():
-            low, high = (plain(end, 3) for end in change.after.interval_90)
-            found.append(
-                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {plain(change.before, 3)} to "
-                f"{handy(change.after.mean, change.after.unit)} (90 % interval {low} to {high})."
-            )
-    return found
-
-
-def _written(written: Written) -> list[str]:
-    """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
-    if written.nothing is not None:
-        return [f"No corrected file was written: {written.nothing}."]
-    count = len(written.changes)
-    found = [f"The corrected simulation is {written.file}: {count} number{'s' * (count != 1)} changed."]
-    found += [f"Not in it is {words}: {why}." for words, why in written.unsaid.items()]
-    if (tried := written.rollout) is not None:
-        total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
-        found.append(
-            f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
-            f"Its angles are off by {handy(total['after'], 'rad')} rms with the corrected file, by "
-            f"{handy(total['before'], 'rad')} with the original."
-        )
     return found
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
 from invdyn.models import Body
-from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
 
 SEEN = "how the motion is seen is no part of a simulation's file"
+UNCERTAIN = "it was learned because the file calls it uncertain, and stays as the file has it"
 NOT_SAID = "a simulation's file has no word for it"
 
 
@@ -18,7 +19,7 @@ NOT_SAID = "a simulation's file has no word for it"
 class FileChange:
     """One number of a file: of a joint, a link or the whole ("gravity"), by name; what it is, from and to, in `unit`.
 
-    `interval_90` is of `after`; `effect` the finding's key.
+    `interval_90` is of `after`; `effect` the finding's key, or "learned" of a number that was uncertain.
     """
 
     place: str
@@ -58,6 +59,15 @@ def correction(cause: Cause, body: Body) -> Correction:
             changes += SAID[finding.effect](finding, body)
         else:
             unsaid[finding.key] = NOT_SAID
+    said = {(change.place, change.quantity) for change in changes}
+    for number in cause.learned:
+        to = number.change.after
+        if number.quantity not in PARTS:
+            unsaid[f"{number.quantity} of {number.place}"] = UNCERTAIN
+        elif (number.place, number.quantity) not in said:
+            before = number.change.before
+            change = FileChange(number.place, number.quantity, before, to.mean, to.interval_90, to.unit, "learned")
+            changes.append(change)
     return Correction(tuple(changes), unsaid)
 
 
@@ -67,6 +77,9 @@ def _joint(body: Body, name: str) -> JointParts:
 
 def _raised(finding: Finding, place: str, quantity: str, name: str, before: float) -> FileChange:
     """A number by so much more."""
+    if name in finding.changes:
+        after = finding.changes[name].after
+        return FileChange(place, quantity, before, after.mean, after.interval_90, after.unit, finding.key)
     e = finding.parameters[name]
     return FileChange(place, quantity, before, before + e.mean, _moved(e, before), e.unit, finding.key)
 

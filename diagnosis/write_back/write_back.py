@@ -15,6 +15,7 @@ from invdyn.diagnosis.write_back import toml, urdf
 from invdyn.diagnosis.write_back.changes import correction
 from invdyn.models import Body
 from invdyn.models.bodies import body_xml
+from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.bodies.whole_file import read_whole
 from invdyn.recordings import InputError, Recording, atomic_path
 
@@ -77,11 +78,15 @@ def write_back(
 
 
 def best(diagnosis: Diagnosis) -> Cause | None:
-    """The cause that most speaks for, by itself or in part; None where there is no gap, or no effect in it."""
-    if not diagnosis.gap.detected:
+    """The cause that most speaks for, by itself or in part; None where it changes no number of the file.
+
+    Without a gap that is no effect, with the joints' numbers that were learned.
+    """
+    causes = [c for c in diagnosis.causes if diagnosis.gap.detected or not c.effects]
+    cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
+    if cause is None or not (cause.effects or any(number.quantity in PARTS for number in cause.learned)):
         return None
-    cause = max(diagnosis.causes, key=lambda c: c.probability + c.in_part, default=None)
-    return cause if cause is not None and cause.effects else None
+    return cause
 
 
 def _tried(source: str, out: str, body: Body, recording: Recording, held_out: bool) -> dict:

@@ -64,14 +64,14 @@ def backward_simulation(
     """
     kept, total = len(result.states), len(observations)
     first = total - kept
-    dtype = torch.float64
-    model = model.to(dtype=dtype)
-    observations = observations.to(dtype)
+    dtype, device = torch.float64, result.states.device
+    model = model.to(dtype=dtype, device=device)
+    observations = observations.to(dtype=dtype, device=device)
     bridge = None
     if smoother is not None and kept > block + 2:
         bridge = Bridge(model, observations, smoother, block)
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
-    path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=index.device)
+    path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=device)
     path[..., kept - 1, :] = _at(result.states[-1], index).to(dtype)
     for k in range(kept - 2, -1, -1):
         t = first + k

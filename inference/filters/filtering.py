@@ -151,10 +151,7 @@ def run_task(
         return None if progress is None else lambda done, _: progress(before + done, 2 * rows)
 
     with seeded(seed, options.device):
-        result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=counted(0))
-        result = replace(
-            result, **{name: value.cpu() for name, value in vars(result).items() if value is not None}
-        )  # smoothing is done in float64, where the smoother is
+        result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=counted(0)).cpu()
         paths = backward_simulation(
             model, result, observations, options.num_draws, smoother=smoother, progress=counted(rows)
         )

@@ -34,6 +34,15 @@ class FilterResult:
     log_twist: Tensor | None
     ancestors: Tensor
 
+    def cpu(self) -> "FilterResult":
+        """The same on the CPU, where paths are smoothed in float64, as the smoother is."""
+
+        def moved(name: str) -> Any:
+            value = getattr(self, name)
+            return value if value is None else value.cpu()
+
+        return FilterResult(**{field.name: moved(field.name) for field in fields(self)})
+
 
 def joined(results: Sequence[FilterResult]) -> FilterResult:
     """All filters of several runs over the same rows, as of one."""

@@ -66,6 +66,7 @@ class Fit(Generic[M]):
         converged: whether the optimiser met its tolerance.
         phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
         covariance: (P, P) posterior covariance of φ (Laplace).
+        log_marginal: log p(y) with φ integrated out over its prior (Laplace), nats: what models are compared by.
     """
 
     model: M
@@ -75,6 +76,7 @@ class Fit(Generic[M]):
     converged: bool
     phi: np.ndarray
     covariance: np.ndarray
+    log_marginal: float
 
 
 class LogParameters(Generic[M]):
@@ -209,8 +211,8 @@ def fit(
     model.check_names(f.name for f in free)
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
-        none = np.zeros(0)
-        return Fit(model, smoother.log_evidence.item(), smoother.path, {}, True, none, np.zeros((0, 0)))
+        none, evidence = np.zeros(0), smoother.log_evidence.item()
+        return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence)
     objective = _Objective(model, observations, free, start)
     reached: list[float] = []
 
@@ -247,6 +249,7 @@ def fit(
         bool(result.success) or len(reached) < max_iterations,
         result.x,
         covariance,
+        -value + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(objective.sd).sum(),
     )
 
 

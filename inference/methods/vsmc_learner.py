@@ -94,7 +94,7 @@ class Learner(ABC):
             ess_threshold=o.ess_threshold,
             resampling=o.resampling,
         )
-        return filters.run(self.rows, progress=report)
+        return filters.run(self.rows, progress=report).cpu()
 
     def settings(self, given: dict) -> dict:
         """What is recorded."""

@@ -43,9 +43,9 @@ from invdyn.models.articulated.transition import Transition
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.registry import dynamics_for
-from invdyn.models.effects.base import Effect
+from invdyn.models.effects.base import PREFIX, Effect
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.composition import PREFIX, Composition
+from invdyn.models.effects.composition import Composition
 from invdyn.models.effects.parameters import check_tracked, hidden_scales, is_signed, parameters_of
 from invdyn.models.effects.scale import Experience, Scale
 from invdyn.models.observation.keypoints import Keypoints

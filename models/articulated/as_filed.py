@@ -1,7 +1,8 @@
 """What a body's file gives its joints besides hinges, as parts of the simulation: :mod:`..bodies.joint_parts`.
 
 Played by the hooks that effects have, so that an effect of the catalogue adds to them: friction of .2 N·m at a joint
-whose file says .1 is a change of +.1. They have no parameters and no place in a search.
+whose file says .1 is a change of +.1. They have no place in a search. Their numbers are the model's "body.damping" and
+so on, (..., K), which stand as the file has them, or are learned where it calls them uncertain.
 
 A servo's command is the torque that its target alone asks for, K c + u₀ (:func:`servo_torque`), which effects on motors
 delay or change as any; its stiffness and damping answer to the angle and the velocity here.
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.bodies.protocol import ArticulatedBody
@@ -28,9 +30,18 @@ class Filed(Effect):
         super().__init__(joint)
         self.place, self.parts = (number,), parts
 
+    @property
+    def prefix(self) -> str:
+        """Of the body's numbers."""
+        return "body."
+
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """None."""
+        """None of its own."""
         return ()
+
+    def number(self, p: Values, name: str) -> Tensor:
+        """Its joint's, (..., 1)."""
+        return p[name][..., self.place[0] : self.place[0] + 1]
 
 
 class FiledPassive(Filed):
@@ -40,7 +51,7 @@ class FiledPassive(Filed):
         """−b θ̇ − k (θ − θ₀)."""
         j, own = self.place[0], self.parts
         q, qd = now.q[..., j : j + 1], now.qd[..., j : j + 1]
-        return now.at(j, -own.damping * qd - own.stiffness * (q - own.rest))
+        return now.at(j, -self.number(p, "damping") * qd - self.number(p, "stiffness") * (q - own.rest))
 
 
 class FiledRotor(Filed):
@@ -48,7 +59,7 @@ class FiledRotor(Filed):
 
     def inertia(self, p: Values, joints: int) -> Tensor:
         """I_a at the joint."""
-        return torch.tensor([self.parts.armature if k == self.place[0] else 0.0 for k in range(joints)])
+        return p["armature"] * one_hot(torch.tensor(self.place[0]), joints).to(p["armature"])
 
 
 class FiledFriction(Filed):
@@ -59,7 +70,7 @@ class FiledFriction(Filed):
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """F."""
-        return now.q.new_full((1,), self.parts.friction)
+        return self.number(p, "friction")
 
 
 class FiledLimit(Filed):

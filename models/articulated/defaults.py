@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.joint_parts import NOTHING, PARTS
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.scale import typical_torque
@@ -27,6 +28,7 @@ def default_parameters(
 
     return {
         **{f"body.{name}": value for name, value in numbers._asdict().items()},
+        **joint_numbers(body),
         **torque.defaults(typical_torque(dynamics, numbers)),
         "noise.angle": constant(1e-3),
         "noise.velocity": constant(1e-2),
@@ -35,6 +37,16 @@ def default_parameters(
         "initial.velocity": constant(0.0),
         "initial.velocity_scale": constant(3.0),
         **observation.defaults(dynamics.reach(numbers).item()),
+    }
+
+
+def joint_numbers(body: ArticulatedBody) -> dict[str, Tensor]:
+    """What the body's file gives its joints, "body.damping" (K,) and so on; none of a body that has no such parts."""
+    parts = [each or NOTHING for each in getattr(body, "joint_parts", ())]
+    if all(each == NOTHING for each in parts):
+        return {}
+    return {
+        f"body.{name}": torch.tensor([getattr(each, name) for each in parts], dtype=torch.float64) for name in PARTS
     }
 
 

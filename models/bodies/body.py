@@ -25,7 +25,7 @@ from torch.distributions import constraints
 
 from invdyn.models.bodies import body_chain, body_toml, body_xml, joint_parts_toml, robot_file
 from invdyn.models.bodies.from_files import FromFiles
-from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.joint_parts import PARTS, JointParts
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
@@ -70,6 +70,8 @@ class BodyParameters(NamedTuple):
 class Body(FromFiles, BodyBase):
     """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
 
+    Of joints' parts these are by quantity or of one joint, "damping" or "damping.elbow"; diagnoses alone learn them.
+
     Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite
     numbers, and unknown or negative uncertainties.
     """
@@ -101,7 +103,11 @@ class Body(FromFiles, BodyBase):
             # a keypoint is called after the joint that it shows, so one name cannot mean two places
             if tip in self.joint_names and self.joint_names.index(tip) != place + 1:
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
-        check_keys(self.uncertainty, QUANTITIES, f"{where}: uncertainty")
+        for key in self.uncertainty:
+            part, dot, joint = key.partition(".")
+            check_keys([part if part in PARTS else key], [*QUANTITIES, *PARTS], f"{where}: uncertainty")
+            if dot and joint not in self.joint_names:
+                raise BodyError(f"{where}: uncertainty of {key}: expected a joint among {', '.join(self.joint_names)}")
         sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
         if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
             raise BodyError(
@@ -268,13 +274,14 @@ class Body(FromFiles, BodyBase):
         """Return the body with its relative sds made priors around the nominal values, and none left.
 
         Scalars that are priors or learned already stay so. A com or inertia that is given one no longer
-        follows length and mass. Raises `BodyError` for a relative sd of a com or inertia of 0.
+        follows length and mass. Joints' parts stay as they are. Raises `BodyError` for a relative sd of a com or
+        inertia of 0.
         """
         links = []
         for link in self.links:
             priors = {}
             for key, sd in self.uncertainty.items():
-                if sd > 0 and isinstance(getattr(link, key), float | None):
+                if sd > 0 and key in QUANTITIES and isinstance(getattr(link, key), float | None):
                     if link.nominal(key) == 0:
                         raise BodyError(f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior")
                     priors[key] = prior(link.nominal(key), sd * abs(link.nominal(key)))

@@ -11,7 +11,7 @@
     mass = 1.5                  # kg
     com = 0.15                  # m from the joint, along the link; default length/2
     inertia = 0.01125           # kg·m² about the centre of mass; default mass·length²/12
-    [uncertainty]               # optional relative standard deviations, marginalised
+    [uncertainty]               # optional relative standard deviations, marginalised; damping.elbow = 0.3 of one joint
     mass = 0.05
 
 Instead of a number, a link's length, mass, com or inertia may be one of two tables:
@@ -72,9 +72,17 @@ def of(tables: dict, path: str) -> dict:
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
     if not isinstance(tables.get("uncertainty", {}), dict):
         raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
+    if "uncertainty" in tables:
+        tables["uncertainty"] = _flat(tables["uncertainty"])
     check_keys(tables, BODY_KEYS, str(path))
     tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
     return {"name": Path(path).stem, **tables}
+
+
+def _flat(stated: dict) -> dict:
+    """Keys such as damping.elbow as one word each, which TOML takes for a table in a table."""
+    inner = {f"{key}.{joint}": sd for key, of in stated.items() if isinstance(of, dict) for joint, sd in of.items()}
+    return {key: sd for key, sd in stated.items() if not isinstance(sd, dict)} | inner
 
 
 def write(path: str | Path, tables: dict) -> None:
@@ -84,8 +92,13 @@ def write(path: str | Path, tables: dict) -> None:
         values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
     if tables["uncertainty"]:
-        lines += ["", "[uncertainty]", *(f"{k} = {literal(v)}" for k, v in tables["uncertainty"].items())]
+        lines += ["", "[uncertainty]", *(f"{_key(k)} = {literal(v)}" for k, v in tables["uncertainty"].items())]
     write_whole(path, "\n".join(lines) + "\n")
+
+
+def _key(name: str) -> str:
+    """A key as TOML has it: in quotes, where it is no plain word."""
+    return name if name.isidentifier() and name.isascii() else literal(name)
 
 
 def _read_link(link: dict, where: str) -> dict:

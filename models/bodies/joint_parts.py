@@ -92,4 +92,6 @@ class JointParts:
 
 
 NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
+PARTS = {"damping": "N·m·s/rad", "friction": "N·m", "armature": "kg·m²", "stiffness": "N·m/rad"}
+"""Parts that may be uncertain, with their units: their sds are relative, and a joint without one keeps none."""
 NOTHING = JointParts()

@@ -44,6 +44,8 @@ from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
+PREFIX = "effect."
+
 ABRUPT = 0.006
 """s, sub-step that follows a force that jumps: 35 of 40 recordings with dry friction lose less than 5 nats to 3 ms."""
 
@@ -174,6 +176,11 @@ class Effect(ABC):
         return ".".join([self.name, *self.where])
 
     @property
+    def prefix(self) -> str:
+        """What the names of its parameters begin with in a model."""
+        return f"{PREFIX}{self.key}."
+
+    @property
     def softness(self) -> int:
         """How many forms softer than the ideal one it is."""
         return int(self.soft)
@@ -272,6 +279,13 @@ class Effect(ABC):
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """Parameters with which the softer form is much like the ``ideal`` one with its, by name."""
         return dict(ideal)
+
+    def starts_of(self, other: "Effect", values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Parameters that another effect, which much of this one with its ``values`` is taken for, may begin from.
+
+        None if the other looks like something else. Both are bound.
+        """
+        return ()
 
     # -- hooks ---------------------------------------------------------------------------------
     def body(self, p: Values, body: Any) -> Any:

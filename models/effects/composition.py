@@ -19,7 +19,6 @@ from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
 
-PREFIX = "effect."
 PARTS = 8
 """Of a row, each with a line of its own, where a lagging command is changed further."""
 
@@ -212,5 +211,5 @@ class Composition:
 
 def own_values(effect: Effect, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """An effect's own parameters by their own names."""
-    start = f"{PREFIX}{effect.key}."
+    start = effect.prefix
     return {name.removeprefix(start): value for name, value in parameters.items() if name.startswith(start)}

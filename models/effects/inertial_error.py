@@ -1,9 +1,12 @@
 """A link whose mass, centre of mass and inertia are not those of the body file."""
 
+from collections.abc import Mapping, Sequence
+
 from pyro.distributions import Normal, StudentT
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
+from invdyn.models.effects.payload import Payload
 from invdyn.models.effects.scale import Scale
 
 LEAST = 0.02
@@ -46,3 +49,17 @@ class InertialError(Effect):
             com=with_entry(body.com, k, com + p["com"]),
             inertia=with_entry(body.inertia, k, (inertia + p["inertia"]).maximum(LEAST * inertia)),
         )
+
+    def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Of a payload, where the link is the last: a mass m at the tip, a length l from the joint, adds
+
+        m l to the moment of its weight about the joint, and m l² to its inertia; either may be known alone.
+        """
+        k = self.place[0]
+        if not isinstance(other, Payload) or k != len(scale.body.mass) - 1:
+            return ()
+        mass, com, length = (float(numbers[k]) for numbers in (scale.body.mass, scale.body.com, scale.body.length))
+        heavier, further = mass + values["mass"], com + values["com"]
+        by_weight = (heavier * further - mass * com) / length
+        by_inertia = (values["inertia"] + heavier * further**2 - mass * com**2) / length**2
+        return [{"mass": load} for load in (by_weight, by_inertia) if load > 0]

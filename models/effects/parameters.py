@@ -8,8 +8,7 @@ from pyro.distributions import Distribution
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.composition import PREFIX
+from invdyn.models.effects.base import PREFIX, Effect
 from invdyn.models.effects.hidden import Hidden
 from invdyn.models.effects.scale import Scale
 

@@ -13,7 +13,11 @@ TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "recurrent": Recurrent,
 }
 
+SMOOTHNESS = ("ornstein_uhlenbeck", "matern32", "matern52")
+"""From rough to smooth: stationary processes with a size and a correlation time each, among which evidence chooses."""
+
 __all__ = [
+    "SMOOTHNESS",
     "TORQUE_PROCESSES",
     "Matern32",
     "Matern52",

@@ -7,10 +7,10 @@ from invdyn.blindcheck.camera import film
 from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.equivalence import NUMBERS, exactly_alike, stand_ins
 from invdyn.blindcheck.simulator import World
-from invdyn.diagnosis.hypotheses.period_equivalents import equivalents, factor
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.period_equivalents import equivalents, factor
 from invdyn.recordings import Recording
 
 pytest.importorskip("mujoco")

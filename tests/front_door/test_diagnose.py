@@ -156,6 +156,20 @@ def test_a_body_in_mjcf(folder, run, calls):
     assert [link.nominal("mass") for link in calls[0]["body"].links] == pytest.approx([0.5, 0.3])
 
 
+def test_numbers_of_the_file_are_freed(folder, run, calls):
+    text = (folder / "arm.toml").read_text().replace('tip = "wrist"', 'tip = "wrist"\ndamping = 0.1\narmature = 0.02')
+    (folder / "arm.toml").write_text(text)
+    outcome = run(*DIAGNOSE, "--free", "damping,armature.elbow=0.5, mass=0.05")
+    assert outcome.exit_code == 0, outcome.output
+    stated = {
+        key: sd for key, sd in calls[0]["body"].uncertainty.items() if key in ("damping", "armature.elbow", "mass")
+    }
+    assert stated == {"damping": 0.3, "armature.elbow": 0.5, "mass": 0.05}
+    outcome = run(*DIAGNOSE, "--free", "armature.shoulder")
+    assert outcome.exit_code == 2
+    assert "no armature at shoulder that could be learned" in outcome.stderr
+
+
 BAD = {
     "no recording": (("diagnose", "none.csv", *DIAGNOSE[2:]), "none.csv"),
     "no body": ((*DIAGNOSE[:3], "none.toml", *DIAGNOSE[4:]), "none.toml"),
@@ -163,6 +177,9 @@ BAD = {
     "no held-out recording": ((*DIAGNOSE, "--held-out", "none.csv"), "none.csv"),
     "held out is of another body": ((*DIAGNOSE, "--held-out", "hand.csv"), "velocity"),
     "unknown effect": ((*DIAGNOSE, "--without", "magic"), "viscous_friction"),
+    "free of an unknown kind": ((*DIAGNOSE, "--free", "dampng"), "did you mean 'damping'"),
+    "free without a number": ((*DIAGNOSE, "--free", "mass=much"), "mass=0.5, got 'much'"),
+    "free of nothing": ((*DIAGNOSE, "--free", "damping"), "has no damping at any joint"),
     "zero and hidden": ((*DIAGNOSE, "--passive", "--hide-torque"), "choose one"),
     "held out is the recording": ((*DIAGNOSE, "--held-out", "./rec.csv"), "rec.csv: expected another recording"),
     "a recording twice": ((*DIAGNOSE, "--also", "hand.csv,hand.csv"), "for --also, got one twice"),

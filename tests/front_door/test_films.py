@@ -1,5 +1,7 @@
 """`invdyn train` and `invdyn track`: files out, and one line for whatever is wrong."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 from filmed import NAMES, joints, picture, swinging
@@ -7,7 +9,7 @@ from PIL import Image
 
 from invdyn.inference import load_posterior, pooled
 from invdyn.overlay import Overlay
-from invdyn.recordings import Recording, load
+from invdyn.recordings import InputError, Recording, load
 from invdyn.recordings.tracking.film import Film
 from invdyn.recordings.tracking.heatmap import HeatmapTracker
 from invdyn.recordings.tracking.labels import Labels, write_labels
@@ -168,6 +170,37 @@ def test_infer_keeps_what_was_tracked(folder, run, quick_inference, monkeypatch)
     assert len(seen) == 80 - 64
     assert (folder / "arm.tracks.csv").read_bytes() == first
     assert quick_inference[0]["recording"].length_unit == "m"
+
+
+def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
+    (folder / "arm.toml").write_text(BODY)
+    given = []
+
+    def diagnose(**arguments):
+        given.append(arguments)
+        raise InputError("seen enough")
+
+    # The package has a function of that name, too.
+    monkeypatch.setattr(import_module("invdyn.diagnosis.diagnose"), "diagnose", diagnose)
+    call = words(["diagnose", *INFER[1:]], out="found")
+    outcome = run(*call, "--passive", "--frames", "10:60")
+    assert outcome.stderr.endswith("error: seen enough\n"), outcome.output
+    recording = given[0]["recording"]
+    np.testing.assert_allclose(recording.time, shared[1][10:60], atol=1e-9)
+    off = recording.keypoints - 0.01 * shared[2][10:60] * [1, -1]
+    assert np.median(np.linalg.norm(off, axis=-1)) < 0.01  # m, a pixel
+    assert recording.confidence is not None
+    assert given[0]["passive"] is True
+    assert (folder / "found.tracks.csv").exists()
+    for option, message in (
+        (["--held-out", "f.mov"], "f.mov: expected another recording of the same arm for --held-out"),
+        (["--tracks", "n.safetensors"], "n.safetensors: this output would overwrite an input"),
+        (["--arm", "left"], "f.mov: who is to be tracked?"),
+        (["--calibration", "c.toml"], "a diagnosis takes one recording in metres"),
+    ):
+        outcome = run(*call, *option)
+        assert outcome.exit_code == 2
+        assert outcome.stderr.startswith(f"error: {message}")
 
 
 def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):

@@ -5,11 +5,11 @@ import pytest
 import torch
 import xarray as xr
 
-from invdyn.film import arm_points, film_frames, skeleton
+from invdyn.film import arm_points, film_frames, skeleton, still_parts
 from invdyn.inputs import load_body, load_recording
 from invdyn.inputs_in_space import rigid_distances
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
-from invdyn.plots import plot_posterior
+from invdyn.plots import plot_comparison, plot_posterior
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
 from invdyn.simulate import resting
 
@@ -175,6 +175,34 @@ def test_a_figure_shows_the_points_that_were_tracked(posterior):
     first, _, last = posterior.posterior.keypoint.values
     assert [title for title in titles if title.endswith("keypoint")] == [f"{first} keypoint", f"{last} keypoint"]
     assert len(figure.axes[0].get_lines()) == 6  # of x, y and z: a median, and dots
+
+
+def test_rows_that_tell_nothing_of_a_coordinate_are_hatched(posterior):
+    """A run, a single row, and one to the end: each from halfway to the row before to halfway to the next."""
+    unseen = np.zeros((12, 3), np.int8)
+    unseen[[2, 3, 7, 10, 11], 1] = 1
+    marked = posterior.copy()
+    marked.constant_data = marked.constant_data.assign(unseen=(("time", "joint"), unseen))
+    name, time = posterior.posterior.joint.values[1], posterior.posterior.time.values
+    rows = np.array([[1.5, 3.5], [6.5, 7.5], [9.5, 11.0]]) * (time[1] - time[0])
+    for figure, titles in (
+        (plot_posterior(marked), (f"{name} angle", f"{name} torque")),
+        (plot_comparison({"smc": marked}), (f"{name} torque",)),
+        (still_parts(marked, arm_points(marked), np.zeros((12, 1, 3)))[0], (f"{name} torque (N·m)",)),
+    ):
+        hatched = {axes.get_title(loc="left"): spans for axes in figure.axes if (spans := hatches(axes))}
+        for title in titles:
+            np.testing.assert_allclose(hatched.pop(title), rows)
+        assert all(title.startswith("less the") for title in hatched)  # what a comparison's right half shows
+        assert figure.legends[0].get_texts()[-1].get_text() == "not seen: the prior"
+    assert not any(hatches(axes) for axes in plot_posterior(posterior).axes)
+
+
+def hatches(axes):
+    """Begin and end, s, of what is hatched."""
+    return [
+        span.get_extents().transformed(axes.transData.inverted()).intervalx for span in axes.patches if span.get_hatch()
+    ]
 
 
 def test_a_film_has_two_views_along_the_bodys_own_lines(posterior):

@@ -147,7 +147,29 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert "outside the catalogue, the sum of these: 0.31" in text  # an exercise: 0.7 × 0.1 + 0.3 × 0.8
 
 
-@pytest.mark.parametrize("file", sorted(FOLDER.glob("0[1-4]_*.py")), ids=lambda file: file.stem)
+def test_my_robot_gets_a_corrected_file():
+    pytest.importorskip("mujoco")
+    notebook = jupytext.read(FOLDER / "07_my_robot.py")
+    text = printed(run(notebook))
+    assert "torque sign | at joint 'elbow'" in text
+    assert "mistakes: 0" in text
+    assert re.search(r"^  [01]\.\d\d  (.+)$", text, re.M)[1] == "viscous_friction.elbow"
+    told = re.search(r"from (\S+) to (\S+) \((\S+) to (\S+)\); truth (\S+)", text)
+    before, after, low, high, truth = map(float, told.groups())
+    assert before == 0.1
+    assert low < after < high
+    assert after == pytest.approx(truth, rel=0.01)
+    written = float(re.search(r'<joint name="elbow".* damping="(\S+)"', text)[1])
+    assert written == pytest.approx(after, abs=1e-4)
+    nominal, corrected = map(float, re.search(r"all angles: (\S+) rad before, (\S+) rad after", text).groups())
+    assert corrected < 0.05 * nominal
+    assert figures(notebook) == 1
+    # the answers of the exercises
+    assert float(re.search(r"zero at elbow: \+(\S+)°", text)[1]) == pytest.approx(30, abs=1)
+    assert "0.0125 kg·m², 76%" in text
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("0[123467]_*.py")), ids=lambda file: file.stem)
 def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     cells = jupytext.read(file).cells
     assert "**You will learn**" in cells[0].source
@@ -175,3 +197,27 @@ def test_three_d_holds_what_it_says():
     assert 0.75 < float(re.search(r"90 % bands hold (\d\.\d+) of \d+ hidden", text)[1]) <= 1
     assert ("cannot be had here" in text) == ("INVDYN_DATA" not in os.environ)
     assert figures(notebook) == 3
+
+
+def test_from_the_film_tells_strays_and_what_lasts():
+    notebook = jupytext.read(FOLDER / "06_from_the_film.py")
+    text = printed(run(notebook))
+    medians = re.search(r"median error: elbow (\S+) px, wrist (\S+) px", text).groups()
+    assert max(map(float, medians)) < 1.5  # px; a joint is a disc of five
+    strays = [int(number) for number in re.search(r"3 px: pictures \[(.+)\]", text)[1].split(",")]
+    assert min(strays) >= 50
+    assert max(strays) < 65  # all while the ball rolls
+    least, most = map(float, re.search(r"surprise of a stray: (\S+) and more; of the others: (\S+) at", text).groups())
+    assert least > most
+    assert float(re.search(r"picture before it: correlation (\S+)", text)[1]) > 0.3
+    held = {name: float(share) for name, share in re.findall(r"^(.+): bands hold (\S+) of the torques", text, re.M)}
+    assert held["film"] < held["white noise of that size"] - 0.03
+    assert held["white noise of that size"] == pytest.approx(0.9, abs=0.08)  # of 180 torques, correlated
+    assert held["triangulated points"] < held["pixels"] - 0.05
+    assert held["pixels"] > 0.8
+    # the answers of the exercises
+    before, after = map(int, re.search(r"3 px: (\d+) before, (\d+) after", text).groups())
+    assert after < before == len(strays)
+    assert re.search(r"= 2\.5 of 45", text)
+    assert held["white"] < held["pixels"]
+    assert figures(notebook) == 4

@@ -3,6 +3,9 @@
 Arguments lie by column, (columns, B, N): B bodies with N particles each, or B = 1 where all have the same body; numbers
 of the body are (count, B), or (count, B, N) where each particle has its own. Angles' cosines and sines come in ready:
 torch computes them for many at a time. Divisions follow numpy's rules, and NaN and infinity are kept.
+
+Compiled loops live as long as their dynamics. numba could keep them on disk, but as pickles, which run code when they
+are read; the few seconds are not worth that.
 """
 
 import logging
@@ -22,6 +25,8 @@ from invdyn.models.dynamics.spatial.programs import Program, function
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}  # not nnan and ninf: a simulation that diverges must show it
 LANES = 16
 """Particles in a block: in float32 what one vector register of the widest kind holds."""
+LONG = 2.0
+"""Seconds of compiling from which on the user is told."""
 DTYPES = {torch.float32: np.float32, torch.float64: np.float64}
 
 _log = logging.getLogger(__name__)
@@ -40,7 +45,7 @@ def engine() -> Any:
 
 
 class Compiled:
-    """Loops of programs, each compiled at its first use; `seconds` has what that took, by method and dtype."""
+    """Loops of programs, each compiled at its first use; `seconds` of CPU that this took, by method and dtype."""
 
     def __init__(self, numba: Any):
         self._numba = numba
@@ -83,7 +88,7 @@ class Compiled:
     def _loop(self, method: str, traced: Program, sizes: list[int], own: bool, dtype: torch.dtype) -> Any:
         key = (id(traced), own, dtype)
         if key not in self._loops:
-            began = time.perf_counter()
+            began = time.thread_time()
             scalar = self._numba.from_dtype(np.dtype(DTYPES[dtype]))
             array = scalar[:, :, ::1]
             types = (*(array for _ in traced.words), array, scalar[::1], array)
@@ -91,9 +96,10 @@ class Compiled:
             # the program is kept with its loop: the id of one that is gone could become another's
             literals = np.array(list(traced.source.literals.values()), DTYPES[dtype])
             self._loops[key] = compiling(_loop_source(traced, sizes, own)), literals, traced
-            took = time.perf_counter() - began
+            took = time.thread_time() - began
             self.seconds[f"{method} {str(dtype).removeprefix('torch.')}"] = took
-            _log.info("numba compiled %s of %d operations in %.1f s", method, traced.operations, took)
+            said = "numba compiled %s of %d operations in %.1f s of CPU: once for as long as these dynamics live"
+            _log.log(logging.WARNING if took > LONG else logging.INFO, said, method, traced.operations, took)
         return self._loops[key][:2]
 
 

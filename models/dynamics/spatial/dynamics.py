@@ -80,7 +80,7 @@ class SpatialDynamics(Dynamics):
 
     @property
     def compile_seconds(self) -> dict[str, float]:
-        """Seconds that numba took for each program so far, by method and dtype."""
+        """Seconds of CPU that numba took for each program so far, by method and dtype."""
         return dict(self._compiled.seconds) if self._compiled else {}
 
     def operations(self, method: str) -> int:

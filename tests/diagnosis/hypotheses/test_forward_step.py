@@ -7,7 +7,7 @@ import pytest
 from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.forward_step import extend
+from invdyn.diagnosis.hypotheses.forward_step import _scan, extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
@@ -90,6 +90,19 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
 
 
+def test_load_friction_is_found_from_afar():
+    """From the best of several values: where joints stick, the slope near none of it says little."""
+    friction = EFFECTS["load_friction"]("pivot").bound(PENDULUM)
+    bound = diagnosis_problem(recording_of(friction, rows=120, coefficient=0.2), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    found = HypothesisPool([friction], {"": none}, [], path, stray)
+    _scan(bound, found, none, friction)
+    cause = found.pool[friction.key]
+    assert cause.complete
+    assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
+
+
 @pytest.mark.parametrize("kept", [True, False])
 def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(monkeypatch, kept):
     """Given up under what the screen promises, less a margin; under what was found, where that is far from it."""
@@ -109,7 +122,7 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
-    monkeypatch.setattr(module, "scan", lambda *_: none)
+    monkeypatch.setattr(module, "_scan", lambda *_: None)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append((given[2].name, given[3])))
     extend(bound, pool, none, 1)
     names = [name for name, _ in asked]

@@ -25,7 +25,9 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     path, stray = data_path(bound)
     none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
     one = next(e for e in candidates if e.name == name)
-    cause = replace(none, effects=(one,), names=(f"{one.key}.{parameter}",), mean=np.array([0.03]))
+    cause = replace(
+        none, effects=(one,), names=(f"{one.key}.{parameter}",), mean=np.array([0.03]), covariance=np.array([[1e-6]])
+    )
     started = []
     monkeypatch.setattr(
         sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
@@ -53,7 +55,9 @@ def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one(monkeypatc
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
+    names = tuple(f"{truth.key}.{name}" for name in ("coulomb", "static", "velocity"))
     lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence - 1)
+    lost = replace(lost, names=names, mean=np.array([0.04, 0.3, 1.0]), covariance=1e-6 * np.eye(3))
     assert not narrow.complete
     pool = {cause.key: cause for cause in (none, narrow, lost)}
     found = HypothesisPool(considered(bound), pool, [], path, stray)
@@ -157,8 +161,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     path, stray = data_path(bound)
     none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
-    for relatives in ("_refine_twins", "_refine_wider", "_refine_narrower"):
-        monkeypatch.setattr(room, relatives, lambda *_: None)
+    monkeypatch.setattr(room, "_around", lambda *_: [])
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
     def cause(gain, *effects):
@@ -183,8 +186,8 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
     names = tuple(f"{tissue.key}.{p.name}" for p in tissue.parameters(bound.model.scale))
     cause = replace(
-        none, effects=(tissue,), names=names, mean=np.array([1e-4]), log_evidence=none.log_evidence + 50,
-        by_size=nothing_left,
+        none, effects=(tissue,), names=names, mean=np.array([1e-4]), covariance=np.eye(1),
+        log_evidence=none.log_evidence + 50, by_size=nothing_left,
     )  # fmt: skip
     assert cause.complete
     refine_kin(bound, HypothesisPool([], {"": none, cause.key: cause}, [], path, stray), 1)
@@ -241,7 +244,9 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     both = tuple(e for e in considered(bound) if e.name == "coulomb_friction")
     names = tuple(f"{effect.key}.torque" for effect in both)
     left = np.where(np.arange(len(none.by_size)) == 1, 0.0, -1e3)
-    cause = replace(none, effects=both, names=names, mean=np.array([0.1, 0.2]), by_size=left)
+    cause = replace(
+        none, effects=both, names=names, mean=np.array([0.1, 0.2]), covariance=1e-6 * np.eye(2), by_size=left
+    )
     room, tried = sys.modules[refine_kin.__module__], []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
     monkeypatch.setattr(room, "softer", lambda _, cause, mine: tried.append(mine.key))

@@ -13,13 +13,11 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import INSTEAD, WIDTH, _mistaken, _overtaken, _settled, search
-from invdyn.diagnosis.hypotheses.swap_step import SWAPS
+from invdyn.diagnosis.hypotheses.search import INSTEAD, _mistaken, _moves, _sought, search
+from invdyn.diagnosis.hypotheses.swap_step import exchange
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
-
-KEY = "joint_limit.pivot.upper"
 
 
 @cache
@@ -99,75 +97,68 @@ def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
             assert {e.side for cause in found.pool.values() for e in cause.effects} <= {"observation"}
 
 
+@cache
+def parts():
+    """A pool of "no effect", two single effects, a pair and three, all of which leave something; and who is who."""
+    bound = diagnosis_problem(recording_of(), PENDULUM)
+    path, _ = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE, rounds=1)
+    effects = {e.name: e for e in considered(bound) if e.name in ("payload", "viscous_friction", "armature")}
+    a, b, c = effects.values()
+    left = np.where(np.arange(len(none.by_size)) == 0, -100.0, 0.0)
+    of = {
+        name: replace(none, effects=of, by_size=left, log_evidence=nats)
+        for name, of, nats in (
+            ("", (), 0.0), ("a", (a,), 100.0), ("b", (b,), 90.0), ("bc", (b, c), 150.0), ("abc", (a, b, c), 300.0),
+        )
+    }  # fmt: skip
+    return list(effects.values()), of, path
+
+
 @pytest.mark.parametrize(
-    ("overtaking", "gain", "complete", "known", "looked"),
+    ("best", "complete", "swapped", "most", "moves"),
     [
-        (("viscous_friction.pivot",), 50.0, False, False, True),
-        (("viscous_friction.pivot",), 50.0, False, True, False),  # it was extended before
-        (("viscous_friction.pivot",), -50.0, False, False, False),  # it is the best, and the next to be extended
-        (("viscous_friction.pivot",), 50.0, True, False, True),  # beside it, another might do better
-        ((KEY,), 50.0, False, False, True),
-        ((KEY,), 50.0, True, False, False),
-        ((KEY, "viscous_friction.pivot"), 50.0, True, False, True),  # and here one might be enough
+        ("", False, False, 4, ["_grow "]),
+        ("a", True, False, 4, ["_grow a", "exchange a"]),  # a small one may be hidden
+        ("a", True, True, 4, ["exchange a"]),
+        ("a", False, True, 4, ["_grow a", "exchange a", "_look a"]),
+        ("a", False, True, 1, ["exchange a"]),
+        ("bc", False, False, 4, ["reduce bc", "_grow a", "_grow bc", "exchange bc", "_look a"]),
+        ("bc", True, True, 4, ["reduce bc", "_grow a", "exchange bc"]),  # beside the one, another might do better
+        ("ab", True, True, 4, ["reduce ab", "exchange ab"]),
+        ("abc", True, True, 4, ["reduce abc", "_grow a", "exchange abc"]),  # and here one might be enough
+        ("abc", False, False, 3, ["reduce abc", "_grow a", "exchange abc", "_look a"]),
     ],
 )
-def test_the_best_single_effect_that_several_overtook_is_extended_too(
-    monkeypatch, overtaking, gain, complete, known, looked
-):
+def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swapped, most, moves):
     """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
-    extended, key = [], KEY
-    bound = diagnosis_problem(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
-    path, stray = data_path(bound)
-    effects = {e.key: e for e in considered(bound)}
-    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (effects[key],)))
-    spike = np.arange(len(none.by_size)) == 0
-    none, one = replace(none, log_evidence=0.0), replace(one, log_evidence=100.0)
-    worse = replace(one, effects=(effects["payload"],), log_evidence=90.0)
-    more = (effects["payload"], *(effects[each] for each in overtaking))
-    both = replace(one, effects=more, log_evidence=100.0 + gain, by_size=np.where(spike == complete, 0.0, -100.0))
-    monkeypatch.setattr(sys.modules[search.__module__], "extend", lambda *given: extended.append(given[2:]))
-    pool = HypothesisPool(list(effects.values()), {c.key: c for c in (none, one, worse, both)}, [], path, stray)
-    before = {"", key} if known else {""}
-    _overtaken(bound, pool, before)
-    assert extended == ([(one, 4)] if looked else [])
-    assert (key in before) is (known or looked)
+    candidates, of, path = parts()
+    name = {cause.key: each for each, cause in of.items()}
+    pool = {cause.key: cause for each, cause in of.items() if len(each) <= 1}
+    given = of.get(best) or replace(of["bc"], effects=(*of["a"].effects, *of["b"].effects))
+    name[given.key] = best
+    by_size = np.where((np.arange(len(given.by_size)) == 0) == complete, 0.0, -100.0)
+    pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
+    found = HypothesisPool(candidates, pool if best else {given.key: given}, [], path, False, most=most)
+    made = _moves(found, True, {exchange} if swapped else set())
+    assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
-@pytest.mark.parametrize(
-    ("complete", "known", "gains", "swapped", "widths"),
-    [
-        (False, False, False, False, [WIDTH[1]]),
-        (False, False, True, False, [WIDTH[1], WIDTH[2]]),  # and then what has joined it
-        (False, True, False, False, []),  # it was extended before
-        (True, False, False, False, []),
-        (False, False, False, True, [SWAPS]),  # what came in place of another
-    ],
-)
-def test_what_is_left_of_a_set_is_extended_too(monkeypatch, complete, known, gains, swapped, widths):
-    """A large effect that was reached by way of others that imitate it, which are left out then, hides a small one."""
-    bound = diagnosis_problem(recording_of(EFFECTS["joint_stiffness"]("pivot"), stiffness=1.0, torque=0.5), PENDULUM)
-    path, stray = data_path(bound)
-    effects = {e.key: e for e in considered(bound)}
-    limit, payload, gain = (effects[key] for key in ("joint_limit.pivot.upper", "payload", "actuator_gain.pivot"))
-    none, one = (refine(bound, given, {}, path, LOOSE, rounds=1) for given in ((), (limit,)))
-    sizes = np.where(np.arange(len(none.by_size)) == 0, 0.0 if complete else -100.0, 0.0)
-    one = replace(one, by_size=sizes, log_evidence=none.log_evidence + 500.0)
-    worse = replace(one, effects=(limit, gain), log_evidence=one.log_evidence - 50.0)
-    more = replace(one, effects=(limit, payload), log_evidence=one.log_evidence + 300.0)
-    other = replace(one, effects=(payload,), log_evidence=one.log_evidence + 100.0)
-    module, asked = sys.modules[search.__module__], []
-    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, one, worse)}, [], path, stray)
+def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
+    candidates, of, path = parts()
+    name = {cause.key: each for each, cause in of.items()}
+    found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
+    asked, finds = [], {"_grow ": ["a", "b"], "_look a": ["abc"], "reduce abc": ["bc"]}
+    for move in ("reduce", "_grow", "exchange", "_look"):
 
-    def extend(_, pool, base, width):
-        asked.append(width)
-        if gains:
-            pool.add(more)
+        def made(_, pool, base, move=move):
+            asked.append(f"{move} {name[base.key]}")
+            for each in finds.get(asked[-1], ()):
+                pool.add(of[each])
 
-    monkeypatch.setattr(module, "extend", extend)
-    monkeypatch.setattr(module, "reduce", lambda *_: None)
-    monkeypatch.setattr(module, "exchange", lambda _, pool: pool.add(other) if swapped else None)
-    _settled(bound, pool, {"", worse.key, one.key} if known else {"", worse.key})
-    assert asked == widths
+        monkeypatch.setattr(sys.modules[search.__module__], move, made)
+    _sought(diagnosis_problem(recording_of(), PENDULUM), found)
+    assert asked == ["_grow ", "_grow a", "exchange a", "_look a", "reduce abc", "_grow abc", "exchange abc"]
 
 
 def add_friction(found, complete):
@@ -191,10 +182,11 @@ def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monke
     monkeypatch.setattr(module, "credible", lambda *_: named)
     monkeypatch.setattr(module, "shortened", lambda problem, _: problem)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+    for name in ("_several", "reduce", "exchange", "refine_every"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     search(bound, path, stray, MANY)
-    assert ("_several" in asked) is ("_overtaken" in asked) is looked
+    assert ("_several" in asked) is looked
+    assert ("refine_every" in asked) is not complete
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -218,7 +210,7 @@ def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeyp
 
     monkeypatch.setattr(module, "shortened", shortened)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "_overtaken", "_settled", "refine_every"):
+    for name in ("_several", "reduce", "exchange", "refine_every"):
         monkeypatch.setattr(module, name, lambda *_: None)
     search(bound, path, stray, MANY)
     own = bound.model.substeps

@@ -9,7 +9,6 @@ import torch
 from pendulum import PENDULUM
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
-from invdyn.diagnosis.hypotheses.event_timing import relocated
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -41,7 +40,7 @@ def test_a_set_loses_what_it_does_not_need():
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
     found = HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray)
     assert found.ranked[0].key == both.key
-    reduce(bound, found)
+    reduce(bound, found, found.ranked[0])
     assert found.ranked[0].key == "viscous_friction.pivot"
 
 
@@ -70,7 +69,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     found = HypothesisPool(considered(bound), {"": none, **pool}, [], path, stray)
     assert found.ranked[0].key == key_of((friction, other))
     assert found.pool[friction.key].complete
-    reduce(bound, found)
+    reduce(bound, found, found.ranked[0])
     assert tried == [(friction.key, friction.key)]
     assert found.ranked[0] is causes[soft,]
 
@@ -89,7 +88,7 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
         tried[tuple(e.name for e in effects)] = kept
 
     monkeypatch.setattr(sys.modules[reduce.__module__], "refine", refined)
-    reduce(bound, HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray))
+    reduce(bound, HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray), both)
     assert tried == {("outliers",): both.searched, ("viscous_friction",): {}}
 
 
@@ -143,7 +142,7 @@ def test_beside_play_what_does_as_well_alone_takes_a_place_and_play_is_searched_
     monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.moves"], "refine", refined)
     monkeypatch.setattr(sys.modules[exchange.__module__], "refine_searched", play_searched)
     monkeypatch.setattr(sys.modules[exchange.__module__], "refine_kin", lambda *_: None)
-    exchange(bound, found)
+    exchange(bound, found, found.ranked[0])
     assert tried == [(key_of((play, drag)), 0.1)]  # dry friction is ten nats behind
     assert searched == [(drag.key, play.key)]
     assert found.ranked[0].log_evidence == none.log_evidence + 150
@@ -158,7 +157,7 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
     values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
     none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
     found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
-    exchange(bound, found)
+    exchange(bound, found, found.ranked[0])
     assert found.ranked[0].key == "coulomb_friction.pivot"
     assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
     assert len(found.pool) < 6  # and no more than a few
@@ -182,14 +181,14 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
         return screen(problem, model, path, effects, *given)
 
     monkeypatch.setattr(sys.modules[exchange.__module__], "screen_in_halves", screened)
-    exchange(bound, found)
+    monkeypatch.setattr(sys.modules[exchange.__module__], "refine_kin", lambda *_: None)
+    exchange(bound, found, found.ranked[0])
     assert {"stribeck_friction", "viscous_friction"} <= set(tried)
     assert len(tried) < len(free) / 2
     arrived = replace(cause, effects=(EFFECTS["stribeck_friction"]("pivot"),), log_evidence=cause.log_evidence - 5)
     tried.clear()
-    exchange(
-        bound, HypothesisPool(considered(bound), {"": none, cause.key: cause, arrived.key: arrived}, first, path, stray)
-    )
+    pool = {"": none, cause.key: cause, arrived.key: arrived}
+    exchange(bound, HypothesisPool(considered(bound), pool, first, path, stray), cause)
     assert "viscous_friction" in tried
     assert "stribeck_friction" not in tried  # it leaves nothing either
 
@@ -204,7 +203,7 @@ def test_in_a_set_too_one_gives_way_while_the_other_stays():
     pair = tuple(EFFECTS[name]("pivot").bound(PENDULUM) for name in ("quadratic_drag", "armature"))
     other = refine(bound, pair, {}, path, LOOSE)
     found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
-    exchange(bound, found)
+    exchange(bound, found, found.ranked[0])
     best = found.ranked[0]
     assert best.key == "armature.pivot+viscous_friction.pivot"
     values = dict(zip((name.rpartition(".")[2] for name in best.names), best.mean, strict=True))
@@ -234,12 +233,12 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
     monkeypatch.setattr(module, "screen_in_halves", screened)
     monkeypatch.setattr(module, "refine_promising", lambda *a: tried.extend(s.effect.name for s in a[3] if s.effect))
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
-    exchange(bound, found)
+    exchange(bound, found, found.ranked[0])
     assert tried == ["gravity_tilt"]
 
 
-def test_a_push_in_the_place_of_a_bending_link_is_moved_in_time(monkeypatch):
-    """What it joins is the set without the link, in model and path too: the hinge in the link has states of its own."""
+def test_what_takes_the_place_of_a_bending_link_joins_the_set_without_it(monkeypatch):
+    """In model and path too: the hinge in the link has states of its own."""
     bound = diagnosis_problem(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     friction, bending = EFFECTS["viscous_friction"]("pivot"), EFFECTS["link_flexibility"]("rod")
@@ -248,11 +247,7 @@ def test_a_push_in_the_place_of_a_bending_link_is_moved_in_time(monkeypatch):
     both = replace(both, log_evidence=none.log_evidence + 100)
     room, bases = sys.modules[exchange.__module__], []
     monkeypatch.setattr(room, "refine_promising", lambda problem, found, base, *_: bases.append(base))
-    exchange(bound, HypothesisPool([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray))
+    exchange(bound, HypothesisPool([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray), both)
     base = next(base for base in bases if base.effects == both.effects[:1])
     assert [effect.name for effect in base.model.effects] == ["viscous_friction"]
     assert base.path.shape[-1] == base.model.state_dim < both.model.state_dim
-    values = base.values | {f"{push.key}.{n}": v for n, v in {"impulse_x": 0.0, "impulse_y": 0.0}.items()}
-    values |= {f"{push.key}.moment": 0.7, f"{push.key}.duration": 0.1}
-    pushed = refine(bound, (*base.effects, push), values, base.path, FIRM, rounds=1)
-    assert relocated(bound, base, push, pushed).log_evidence >= pushed.log_evidence

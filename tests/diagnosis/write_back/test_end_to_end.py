@@ -43,9 +43,9 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     row = (tmp_path / "report.html").read_text().partition("The corrected file")[2].partition("</tbody>")[0]
     told = re.search(r"damping of elbow, N·m·s/rad</th>\D*>([\d.]+)</td>\D*>([\d.]+)</td>", row)
     assert [float(number) for number in told.groups()] == pytest.approx([0.1, change["to"]], rel=1e-3)
-    replayed = next(sentence for sentence in details(written) if "replaying a held-out recording" in sentence)
+    replayed = next(sentence for sentence in details(written) if "replayed a held-out recording" in sentence)
     said_of = [f"by {handy(angles[which], 'rad')}" for which in ("after", "before")]
-    assert replayed.index(said_of[0]) < replayed.index("in the original") < replayed.index(said_of[1])
+    assert replayed.index(said_of[0]) < replayed.index("with the corrected file") < replayed.index(said_of[1])
 
 
 def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):

@@ -110,9 +110,24 @@ def test_entries_apart():
     assert root[0, 1] == root[1, 0] == 0
 
 
+def test_the_marginal_is_the_integral_over_the_prior(chain, y):
+    """By quadrature of the Kalman filter's evidence, over sixty frames whose posterior is nearly Gaussian."""
+    found = fit(chain.model(STEPS), torch.as_tensor(y), FREE)
+    exact, sd = negative_log_posterior(chain, y), np.sqrt(np.diagonal(found.covariance))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+    terms = [
+        np.log(w * v) + 0.5 * (a**2 + b**2) - exact(found.phi + sd * (a, b))
+        for a, w in zip(nodes, weights, strict=True)
+        for b, v in zip(nodes, weights, strict=True)
+    ]
+    integral = np.logaddexp.reduce(terms) + np.log(sd).sum() - math.log(2 * math.pi * 2.0 * 0.7)
+    assert found.log_marginal == pytest.approx(integral, abs=0.15)
+    assert found.log_marginal < found.log_evidence - 1  # two parameters cost something
+
+
 def test_nothing_to_fit_is_the_evidence(chain, y):
     found = fit(chain.model(STEPS), torch.as_tensor(y), [])
-    assert found.log_evidence == pytest.approx(oracles.kalman(chain, y)[0], abs=1e-6)
+    assert found.log_evidence == found.log_marginal == pytest.approx(oracles.kalman(chain, y)[0], abs=1e-6)
     assert found.converged
 
 

@@ -58,7 +58,7 @@ def test_inverse_dynamics_of_an_arm(data_folder):
 
 
 def test_opensim_reads_what_is_written(tmp_path, monkeypatch):
-    """By OpenSim's own reader (the wheel `opensim`, 380 MB with what it needs: no part of the extras)."""
+    """By OpenSim's own reader: the wheel `opensim`, which there is for Linux and Windows on x86-64."""
     monkeypatch.chdir(tmp_path)  # it writes a log where it is loaded
     opensim = pytest.importorskip("opensim")
     time, values = np.linspace(0, 1, 5), np.random.default_rng(0).normal(size=(5, 2))

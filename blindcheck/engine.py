@@ -1,0 +1,75 @@
+"""What plays reality: worlds, mechanisms, and the camera that films them. `ENGINES` has them by name.
+
+Engines share names, places, units and usual sizes of effects (`effects.EFFECTS`), bodies, motions and answers.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from invdyn.blindcheck import camera
+from invdyn.blindcheck.effects import EFFECTS, MECHANISMS
+from invdyn.blindcheck.pinocchio import camera as second_camera
+from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
+from invdyn.blindcheck.pinocchio.forms import drawn_form
+from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
+from invdyn.blindcheck.pinocchio.unlisted import UNLISTED
+from invdyn.blindcheck.scene import Scene
+from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.models import Body
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One generator of reality.
+
+    Attributes:
+        name: for the command line and in the answers.
+        package: that plays it; its module is imported under `module`.
+        world: a body → a world that mechanisms change and that then runs: see `simulator.World`.
+        draw: (generator, effect, scene, place, strength) → the effect's parameters.
+        mechanisms: effect → what installs it, called with a world, a place unless it is of the whole arm, and the
+            parameters by name.
+        unlisted: the same of effects outside the catalogue, called with a world, a generator, a scene and a joint.
+        film: (trajectory, true times, effects, noise, seed) → points; see `camera.film`.
+        noise_law: the tracker's law of a reality's seed, in a word.
+    """
+
+    name: str
+    package: str
+    module: str
+    world: Callable[[Body], Any]
+    draw: Callable[[np.random.Generator, str, Scene, int, float], dict]
+    mechanisms: Mapping[str, Callable[..., None]]
+    unlisted: Mapping[str, Callable[..., dict]]
+    film: Callable[..., np.ndarray]
+    noise_law: Callable[[Sequence[int]], str]
+
+    @property
+    def version(self) -> str:
+        """Of its package. Raises PackageNotFoundError without it."""
+        return f"{self.name} {version(self.package)}"
+
+
+def _usual(rng: np.random.Generator, name: str, s: Scene, place: int, strength: float) -> dict:
+    return EFFECTS[name].size(rng, s, place, strength)
+
+
+MUJOCO = Engine("mujoco", "mujoco", "mujoco", World, _usual, MECHANISMS, OUTSIDE, camera.film, lambda seed: "normal")
+PINOCCHIO = Engine(
+    "pinocchio",
+    "pin",
+    "pinocchio",
+    SecondWorld,
+    drawn_form,
+    FORMS,
+    UNLISTED,
+    second_camera.film,
+    second_camera.noise_law,
+)
+ENGINES = {engine.name: engine for engine in (MUJOCO, PINOCCHIO)}
+"""By name; the first is the default."""

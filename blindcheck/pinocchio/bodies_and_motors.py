@@ -1,0 +1,254 @@
+"""Links, loads and motors in other forms. SI units, radians.
+
+play          a gear that is slack over its width and springs beyond, with a rotor of its own share of the inertia
+bending       a sprung hinge anywhere in the middle fifth of a link, or two of them at its thirds
+delay         between two rows by interpolation: of delay/interval = n + f,  (1 − f) u[c − n] + f u[c − n − 1]
+saturation    hard, or round: u / (1 + |u/u_max|^p)^(1/p)
+dead zone     sharp, or u − d tanh(u/d)
+a push        constant, or as a half wave
+"""
+
+from collections import deque
+
+import numpy as np
+
+from invdyn.blindcheck.pinocchio.chain import Piece
+from invdyn.blindcheck.pinocchio.forms import form
+from invdyn.blindcheck.pinocchio.simulator import World
+from invdyn.blindcheck.scene import Scene, natural_hz
+
+SHAKE = 2 * np.pi * 60.0
+"""rad/s, at which a rotor shakes on its gear's teeth, or more."""
+
+
+@form()
+def payload(world: World, mass: float) -> None:
+    """A point mass at the last tip."""
+    last = world.pieces[-1]
+    com = (last.mass * last.com + mass * last.length) / (last.mass + mass)
+    last.inertia += last.mass * (last.com - com) ** 2 + mass * (last.length - com) ** 2
+    last.mass, last.com = last.mass + mass, com
+
+
+@form()
+def inertial_error(world: World, link: int, mass: float, com: float, inertia: float) -> None:
+    """A link whose inertial is so much off its file's."""
+    piece = next(piece for piece in world.pieces if piece.tip == link)
+    piece.mass, piece.com, piece.inertia = piece.mass + mass, piece.com + com, piece.inertia + inertia
+
+
+@form()
+def gravity_tilt(world: World, angle: float) -> None:
+    """Gravity turned counter-clockwise."""
+    x, y = world.gravity
+    world.gravity = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
+
+
+@form()
+def armature(world: World, joint: int, inertia: float) -> None:
+    """A rotor's inertia, reflected."""
+    world.rotors[joint] = world.rotors.get(joint, 0.0) + inertia
+
+
+@form()
+def actuator_gain(world: World, joint: int, gain: float) -> None:
+    """(1 + ε) u."""
+    world.shape(joint, lambda u, interval: (1 + gain) * u)
+
+
+@form()
+def actuator_delay(world: World, joint: int, delay: float) -> None:
+    """A delay between rows, by interpolation; before the first row, the first."""
+    late: deque[float] = deque()
+
+    def of(u: float, interval: float) -> float:
+        if len(world.rows) == 1:
+            late.clear()
+        whole, part = divmod(delay / interval, 1.0)
+        late.append(u)
+        while len(late) > whole + 2:
+            late.popleft()
+        newer, older = (late[max(len(late) - 1 - int(whole) - back, 0)] for back in (0, 1))
+        return (1 - part) * newer + part * older
+
+    world.shape(joint, of)
+
+
+@form()
+def actuator_lag(world: World, joint: int, time_constant: float) -> None:
+    """T u̇_f + u_f = u, settled at first."""
+    world.lags[joint] = time_constant
+
+
+def _round(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    return p if rng.random() < 0.5 else p | {"sharpness": float(rng.uniform(12.0, 30.0))}
+
+
+@form(_round)
+def actuator_saturation(world: World, joint: int, limit: float, sharpness: float | None = None) -> None:
+    """No more than ±limit, with a hard or a round corner."""
+
+    def of(u: float, interval: float) -> float:
+        if sharpness is None:
+            return min(max(u, -limit), limit)
+        return u / (1 + abs(u / limit) ** sharpness) ** (1 / sharpness)
+
+    world.shape(joint, of)
+
+
+def _soft_zone(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    return p if rng.random() < 0.5 else p | {"soft": 1.0}
+
+
+@form(_soft_zone)
+def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0) -> None:
+    """Of the command what exceeds ±width; or softly so."""
+
+    def of(u: float, interval: float) -> float:
+        return u - width * np.tanh(u / width) if soft else u - min(max(u, -width), width)
+
+    world.shape(joint, of)
+
+
+def _play(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    share = float(rng.uniform(0.35, 0.65))
+    rotor = share * s.body.links[k].nominal("inertia")
+    stiffness = max(rotor * max(SHAKE, 30 * natural_hz(s)) ** 2, 20 * s.torque[k] / p["width"])
+    damping = 2 * rng.uniform(0.1, 0.4) * np.sqrt(stiffness * rotor)
+    return p | {"rotor_share": share, "gear_stiffness": float(stiffness), "gear_damping": float(damping)}
+
+
+@form(_play)
+def backlash(
+    world: World, joint: int, width: float, rotor_share: float, gear_stiffness: float, gear_damping: float
+) -> None:
+    """Slack of so much in all between a rotor, with its share of the link's inertia, and the link; teeth only push."""
+    place = world.hinge(joint)
+    link = world.pieces[place]
+    rotor = rotor_share * link.inertia
+    motor = Piece(0.0, 1e-9 * link.mass, 0.0, rotor, joint, None, link.sign, link.zero)
+    link.joint, link.sign, link.zero, link.inertia = None, 1.0, 0.0, link.inertia - rotor
+    world.pieces.insert(place, motor)
+
+    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+        s = at[joint] + 1
+        side, depth = np.sign(q[s]), abs(q[s]) - width / 2
+        if depth > 0:
+            tau[s] -= side * max(0.0, gear_stiffness * depth + gear_damping * side * v[s])
+
+    world.force(act)
+    world.resolve(lambda mobility: np.sqrt(gear_stiffness * mobility[joint]))
+
+
+def _bending(rng: np.random.Generator, s: Scene, link: int, p: dict) -> dict:
+    if rng.random() < 0.5:
+        return p | {"position": float(rng.uniform(0.4, 0.6))}
+    # two springs in a row bend a load at the far end about as far as one of half their stiffness in the middle
+    return {"each_stiffness": 2 * p["stiffness"], "each_damping": 2 * p["damping"]}
+
+
+@form(_bending)
+def link_flexibility(
+    world: World,
+    link: int,
+    stiffness: float | None = None,
+    damping: float = 0.0,
+    position: float = 0.5,
+    each_stiffness: float = 0.0,
+    each_damping: float = 0.0,
+) -> None:
+    """A link cut in two at a share of its length, or in three, that has its mass, centre and inertia while straight."""
+    place = next(s for s, piece in enumerate(world.pieces) if piece.tip == link)
+    ends = [0.0, 1 / 3, 2 / 3, 1.0] if stiffness is None else [0.0, position, 1.0]
+    k, d = (each_stiffness, each_damping) if stiffness is None else (stiffness, damping)
+    pieces = _cut(world.pieces[place], ends)
+    world.pieces[place : place + 1] = pieces
+
+    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+        first = next(s for s, piece in enumerate(world.pieces) if piece is pieces[1])
+        for s in range(first, first + len(pieces) - 1):
+            tau[s] -= k * q[s] + d * v[s]
+
+    world.force(act)
+    tip = pieces[-1]
+    about = tip.inertia + tip.mass * tip.com**2
+    world.resolve(lambda mobility: 2 * np.sqrt(k / about))
+
+
+def _cut(whole: Piece, ends: list[float]) -> list[Piece]:
+    """Pieces of a link between shares of its length, uniform as far as its inertia allows."""
+    shares = np.diff(ends)
+    middles = (np.array(ends[1:]) + ends[:-1]) / 2
+    from_centre = (middles - (shares * middles).sum()) * whole.length
+    # centres as far apart as a uniform rod's, nearer where the link has less inertia
+    spread = whole.mass * (shares * from_centre**2).sum()
+    nearer = min(1.0, np.sqrt(0.8 * whole.inertia / spread))
+    rest = (whole.inertia - nearer**2 * spread) * shares**3 / (shares**3).sum()
+    pieces = [
+        Piece(length, share * whole.mass, whole.com + nearer * off - start, inertia)
+        for length, share, off, start, inertia in zip(
+            shares * whole.length, shares, from_centre, np.array(ends[:-1]) * whole.length, rest, strict=True
+        )
+    ]
+    pieces[0].joint, pieces[0].sign, pieces[0].zero = whole.joint, whole.sign, whole.zero
+    pieces[-1].tip = whole.tip
+    return pieces
+
+
+def _wave(rng: np.random.Generator, s: Scene, tip: int, p: dict) -> dict:
+    if rng.random() < 0.5:
+        return p
+    x, y = (np.pi / 2 * p.pop(key) for key in ("force_x", "force_y"))  # of the same impulse
+    return p | {"peak_x": x, "peak_y": y}
+
+
+@form(_wave)
+def external_push(
+    world: World,
+    keypoint: int,
+    start: float,
+    stop: float,
+    force_x: float = 0.0,
+    force_y: float = 0.0,
+    peak_x: float = 0.0,
+    peak_y: float = 0.0,
+) -> None:
+    """A force at a tip during an interval, constant or half a sine's wave; its mean over each step acts."""
+    half_wave = bool(peak_x or peak_y)
+    force, now = np.array([peak_x, peak_y] if half_wave else [force_x, force_y]), [0.0]
+
+    def begin(t: float, h: float, q: np.ndarray, v: np.ndarray, at: list[int]) -> None:
+        first, last = max(t, start), min(t + h, stop)
+        if last <= first:
+            now[0] = 0.0
+        elif half_wave:
+            ends = np.cos(np.pi * (np.array([first, last]) - start) / (stop - start))
+            now[0] = (ends[0] - ends[1]) * (stop - start) / np.pi / h
+        else:
+            now[0] = (last - first) / h
+
+    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+        if now[0]:
+            tip = next(s for s, piece in enumerate(world.pieces) if piece.tip == keypoint)
+            signs = np.array([piece.sign for piece in world.pieces[: tip + 1]])
+            heading = np.cumsum(signs * q[: tip + 1] + [piece.zero for piece in world.pieces[: tip + 1]])
+            along = np.stack([np.cos(heading), np.sin(heading)], -1)
+            lever = np.cumsum((along * [[piece.length] for piece in world.pieces[: tip + 1]])[::-1], axis=0)[::-1]
+            tau[: tip + 1] += signs * now[0] * (lever[:, 0] * force[1] - lever[:, 1] * force[0])
+
+    world.begin(begin)
+    world.force(act)
+
+
+@form()
+def base_motion(world: World, amplitude_x: float, amplitude_y: float, frequency: float, phase: float) -> None:
+    """The base moves by (a_x, a_y) sin(2π f t + phase): in its frame gravity is g − a_b(t)."""
+    amplitude, omega = np.array([amplitude_x, amplitude_y]), 2 * np.pi * frequency
+    world.base_shift = lambda t: np.sin(omega * t + phase)[:, None] * amplitude
+
+    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+        x, y = world.gravity + omega**2 * np.sin(omega * t + phase) * amplitude
+        world.model.gravity.linear = np.array([x, 0.0, y])
+
+    world.force(act)
+    world.resolve(lambda mobility: omega)

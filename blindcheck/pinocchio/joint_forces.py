@@ -1,0 +1,148 @@
+"""Forces of joints in other forms: φ counts from hanging or between links. SI units, radians.
+
+dry frictions     hard (`simulator.World.dry`), or smoothed, L tanh(|φ̇|/creep)
+Stribeck          exp(−(φ̇/ω)²), or 1/(1 + (φ̇/ω½)²) (Hess & Soom, J. Tribol. 1990), half way at the same speed
+stops             a spring and a damper, or k x (1 + 3/2 e ẋ) (Hunt & Crossley, J. Appl. Mech. 1975)
+drift             −(b₀ + slope t) φ̇, or b₀ + rise (1 − exp(−t/T)): a gear that warms up or runs dry
+"""
+
+import numpy as np
+
+from invdyn.blindcheck.pinocchio.forms import form, hard_or_creeping
+from invdyn.blindcheck.pinocchio.simulator import World
+from invdyn.blindcheck.scene import Scene
+
+HALF_WAY = float(np.sqrt(np.log(2)))
+"""exp(−x²) = ½ at this x."""
+
+
+@form()
+def viscous_friction(world: World, joint: int, damping: float) -> None:
+    """−b φ̇."""
+    world.torque(joint, lambda t, q, v: -damping * v)
+    world.resolve(lambda mobility: damping * mobility[joint])
+
+
+@form(hard_or_creeping)
+def coulomb_friction(world: World, joint: int, torque: float, creep: float = 0.0) -> None:
+    """Of one level."""
+    world.dry(joint, lambda q, v, load: torque, creep)
+
+
+def _stribeck(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    p = {key: p[key] for key in ("coulomb", "static", "velocity")}  # through no bristles here
+    if rng.random() < 0.5:
+        p["half_speed"] = HALF_WAY * p.pop("velocity")
+    return hard_or_creeping(rng, s, k, p)
+
+
+@form(_stribeck)
+def stribeck_friction(
+    world: World,
+    joint: int,
+    coulomb: float,
+    static: float,
+    velocity: float | None = None,
+    half_speed: float = 1.0,
+    creep: float = 0.0,
+) -> None:
+    """A level that falls with speed, along a Gaussian with `velocity`, else by Hess and Soom's law."""
+
+    def level(q: float, v: float, load: float) -> float:
+        share = 1 / (1 + (v / half_speed) ** 2) if velocity is None else np.exp(-((v / velocity) ** 2))
+        return coulomb + (static - coulomb) * share
+
+    world.dry(joint, level, creep)
+
+
+@form(hard_or_creeping)
+def load_friction(world: World, joint: int, coefficient: float, creep: float = 0.0) -> None:
+    """A level that grows with the load."""
+    world.dry(joint, lambda q, v, load: coefficient * abs(load), creep)
+
+
+@form()
+def quadratic_drag(world: World, joint: int, drag: float) -> None:
+    """−c φ̇ |φ̇|."""
+    world.torque(joint, lambda t, q, v: -drag * v * abs(v))
+
+
+@form()
+def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: float) -> None:
+    """A spring that rests at an angle from hanging, or between the links."""
+    rest = world.own(joint, rest_angle)
+    world.torque(joint, lambda t, q, v: -stiffness * (q - rest))
+
+
+@form()
+def joint_coupling(world: World, joint: int, stiffness: float, ratio: float, rest_angle: float) -> None:
+    """A tendon over this joint and the one before: a spring of length σᵢ φᵢ − r σⱼ φⱼ, with its rest."""
+    here, before = world.sign(joint), ratio * world.sign(joint - 1)
+    rest = rest_angle + here * world.own(joint, 0.0) - before * world.own(joint - 1, 0.0)
+
+    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+        tension = stiffness * (here * q[at[joint]] - before * q[at[joint - 1]] - rest)
+        tau[at[joint]] -= here * tension
+        tau[at[joint - 1]] += before * tension
+
+    world.force(act)
+
+
+def _limit(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    if rng.random() < 0.5:
+        return p
+    del p["damping"]
+    return p | {"loss": float(rng.uniform(0.05, 0.4) / s.speed[k])}
+
+
+@form(_limit)
+def joint_limit(
+    world: World,
+    joint: int,
+    angle: float,
+    stiffness: float,
+    side: float,
+    damping: float | None = None,
+    loss: float = 0.0,
+) -> None:
+    """A stop that pushes and never pulls; its loss e, s/rad, grows with the depth where it has no damper."""
+    at, side = world.own(joint, angle), side * world.sign(joint)
+
+    def torque(t: float, q: float, v: float) -> float:
+        depth, closing = side * (q - at), side * v
+        if depth <= 0:
+            return 0.0
+        push = (
+            stiffness * depth * (1 + 1.5 * loss * closing) if damping is None else stiffness * depth + damping * closing
+        )
+        return -side * max(0.0, push)
+
+    world.torque(joint, torque)
+    world.resolve(lambda mobility: 2 * np.sqrt(stiffness * mobility[joint]))
+
+
+def _drift(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    if rng.random() < 0.5:
+        return p
+    constant, whole = float(rng.uniform(0.7, 2.0) * s.plan.duration), p.pop("slope") * s.plan.duration
+    return p | {"rise": whole / -float(np.expm1(-s.plan.duration / constant)), "time_constant": constant}
+
+
+@form(_drift)
+def drifting_friction(
+    world: World, joint: int, damping: float, slope: float = 0.0, rise: float = 0.0, time_constant: float = 1.0
+) -> None:
+    """Viscous, and more of it with time."""
+
+    def coefficient(t: float) -> float:
+        return max(damping + slope * t - rise * float(np.expm1(-t / time_constant)), 0.0)
+
+    world.torque(joint, lambda t, q, v: -coefficient(t) * v)
+
+
+@form()
+def torque_ripple(world: World, joint: int, amplitude: float, periods: float, phase: float) -> None:
+    """A sin(N θ + phase) as the motor has it, whose angle is φ."""
+    sign = world.sign(joint)
+    moved = phase - periods * sign * world.own(joint, 0.0)
+    world.torque(joint, lambda t, q, v: sign * amplitude * np.sin(periods * sign * q + moved))

@@ -1,0 +1,200 @@
+"""Reality as Pinocchio's equations and our own integrator play it: the second generator, a `Chain` that moves.
+
+Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, Springer 2008, ch. 7) as Pinocchio has it
+(Carpentier et al., IEEE SII 2019), and the classical Runge–Kutta method of order 4 in steps of at most 2 ms, or of a
+twentieth of the fastest swing's inverse angular frequency, or of what a mechanism asks for by `resolve`.
+
+Dry friction that is hard (`dry`) is, over each step h, the force that brings the joint to rest at the step's end, as
+far as its level L allows (Moreau's time stepping, 1988):  f = clip(−(φ̇/h + a)/A, ±L), a the acceleration without it,
+A the joint's mobility; several joints in turn (Gauss–Seidel).
+
+Shapes: K joints, S ≥ K hinges, N steps, C command rows. SI units, radians.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from invdyn.blindcheck.pinocchio.chain import Chain
+from invdyn.blindcheck.simulator import FASTEST, Trajectory
+from invdyn.models import Body
+
+LONGEST_STEP = 2e-3  # s
+DRY_STEP = 5e-4  # s, where there is dry friction
+FOLLOWED = 0.2  # radians or e-folds that a mechanism may change in a step
+SWEEPS, SETTLED = 100, 1e-9  # over dry joints at most; until they change by less than such a share
+SWING_SHARE = 0.05  # a step's share of the inverse angular frequency of the fastest swing
+
+Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray, list[int]], None]
+"""(t, φ (S,), φ̇ (S,), torque (S,), hinges (K,) of the joints): adds to the torque, N·m, in place."""
+Level = Callable[[float, float, float], float]
+"""(φ, φ̇, load N·m) → N·m: the load is what the motor gives, less what gravity and rotation exert on the joint."""
+Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
+
+
+class World(Chain):
+    """A body under Pinocchio, open to mechanisms until its first run. Raises as `Chain`."""
+
+    def __init__(self, body: Body):
+        super().__init__(body)
+        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
+        self.lags: dict[int, float] = {}  # joint → s
+        self.rows: list[np.ndarray] = []  # commands of this run so far, (K,) each
+        self._lagged: dict[int, float] = {}
+        self._rates: list[Callable[[np.ndarray], float]] = []
+        self._forces: list[Force] = []
+        self._shapes: list[tuple[int, Callable[[float, float], float]]] = []
+        self._begins: list[Callable] = []
+        self._dry: list[tuple[int, Level, float]] = []
+
+    def resolve(self, rate: Callable[[np.ndarray], float]) -> None:
+        """Ask for steps that follow what changes at a rate, 1/s, given the joints' mobilities (K,), 1/(kg·m²)."""
+        self._rates.append(rate)
+
+    def force(self, act: Force) -> None:
+        """Register torques that depend on time, angles and velocities, smoothly or nearly so."""
+        self._forces.append(act)
+
+    def torque(self, joint: int, of: Callable[[float, float, float], float]) -> None:
+        """Register a joint's own torque (t, φ, φ̇) → N·m, that turns φ."""
+
+        def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+            tau[at[joint]] += of(t, q[at[joint]], v[at[joint]])
+
+        self.force(act)
+
+    def shape(self, joint: int, of: Callable[[float, float], float]) -> None:
+        """Register what a joint's drive makes of a row's command: (u, interval s) → u, called once a row, in turn."""
+        self._shapes.append((joint, of))
+
+    def begin(self, act: Callable[[float, float, np.ndarray, np.ndarray, list[int]], None]) -> None:
+        """Register `act(t, h, φ, φ̇, hinges)`, called before each step of h seconds."""
+        self._begins.append(act)
+
+    def dry(self, joint: int, level: Level, creep: float = 0.0) -> None:
+        """Register dry friction of a `level`; hard, or L tanh(|φ̇|/creep), which never sticks."""
+        self._dry.append((joint, level, creep))
+
+    def compile(self) -> None:
+        """Build Pinocchio's model and choose the step; later changes by mechanisms do nothing."""
+        super().compile()
+        longest = [LONGEST_STEP, SWING_SHARE / self.fastest_swing(), *([DRY_STEP] if self._dry else [])]
+        mobility = self.mobility()
+        self._longest = min([*longest, *(FOLLOWED / max(rate(mobility), 1e-9) for rate in self._rates)])
+
+    def run(
+        self,
+        command_time: np.ndarray,
+        policy: Policy,
+        q: Sequence[float] | np.ndarray,
+        qd: Sequence[float] | np.ndarray,
+        restart: tuple[Trajectory, float] | None = None,
+    ) -> Trajectory:
+        """Simulate from the first to the last of the evenly spaced `command_time` (C,), as `simulator.World.run`."""
+        self.ready()
+        interval = (command_time[-1] - command_time[0]) / (len(command_time) - 1)
+        per_row = int(np.ceil(interval / self._longest - 1e-9))
+        h = interval / per_row
+        total = (len(command_time) - 1) * per_row
+        time = command_time[0] + h * np.arange(total + 1)
+        window = total + 1 if restart is None else max(1, round(restart[1] / h))
+        at, signs = self.at, self.signs
+        path, speed = np.full((total + 1, len(signs)), np.nan), np.full((total + 1, len(signs)), np.nan)
+        given = np.full((len(command_time), self.num_joints), np.nan)
+        self.rows, self._lagged, motor = [], {}, np.zeros(len(signs))
+        x, v = self._state(q, qd)
+        with np.errstate(all="ignore"):  # a run that diverges overflows before it is stopped
+            for i in range(total + 1):
+                if restart is not None and i and i % window == 0:
+                    true = restart[0]
+                    states = (
+                        [np.interp(time[i], true.time, each) for each in given_.T] for given_ in (true.q, true.qd)
+                    )
+                    x, v = self._state(*states)
+                if not np.abs(v).max() < FASTEST:
+                    break
+                path[i], speed[i] = x, v
+                if i % per_row == 0:
+                    joints = signs[at] * x[at] + self.zeros[at], signs[at] * v[at]
+                    given[i // per_row] = policy(i // per_row, time[i], *joints)
+                    self._command(given[i // per_row], interval, motor)
+                if i < total:
+                    x, v = self._advance(time[i], h, x, v, motor)
+        return self._trajectory(time, path, speed, command_time, given)
+
+    def _state(self, q: Sequence[float] | np.ndarray, qd: Sequence[float] | np.ndarray) -> tuple[np.ndarray, ...]:
+        x, v = np.zeros(len(self.pieces)), np.zeros(len(self.pieces))
+        x[self.at] = self.signs[self.at] * (np.asarray(q) - self.zeros[self.at])
+        v[self.at] = self.signs[self.at] * np.asarray(qd)
+        return x, v
+
+    def _command(self, row: np.ndarray, interval: float, motor: np.ndarray) -> None:
+        """What the motors give in a row, into `motor` (S,); where a drive lags, what it tends to."""
+        self.rows.append(row)
+        u = row.copy()
+        for joint, of in self._shapes:
+            u[joint] = of(u[joint], interval)
+        for joint in self.lags:
+            self._lagged.setdefault(joint, u[joint])  # settled at first
+        self._wanted = u
+        motor[self.at] = self.signs[self.at] * u
+
+    def _advance(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> tuple[np.ndarray, ...]:
+        for joint, lag in self.lags.items():  # the mean over the step of an exponential approach
+            gap, share = self._lagged[joint] - self._wanted[joint], -np.expm1(-h / lag)
+            motor[self.at[joint]] = self.signs[self.at[joint]] * (self._wanted[joint] + gap * share * lag / h)
+            self._lagged[joint] -= gap * share
+        for act in self._begins:
+            act(t, h, x, v, self.at)
+        torque = motor if not self._dry else motor + self._friction(t, h, x, v, motor)
+        a1 = self._acceleration(t, x, v, torque)
+        v2 = v + h / 2 * a1
+        a2 = self._acceleration(t + h / 2, x + h / 2 * v, v2, torque)
+        v3 = v + h / 2 * a2
+        a3 = self._acceleration(t + h / 2, x + h / 2 * v2, v3, torque)
+        v4 = v + h * a3
+        a4 = self._acceleration(t + h, x + h * v3, v4, torque)
+        return x + h / 6 * (v + 2 * (v2 + v3) + v4), v + h / 6 * (a1 + 2 * (a2 + a3) + a4)
+
+    def _acceleration(self, t: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> np.ndarray:
+        torque = motor.copy()
+        for act in self._forces:
+            act(t, x, v, torque, self.at)
+        return self.pin.aba(self.model, self.data, x, v, torque)
+
+    def _friction(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> np.ndarray:
+        """Dry frictions (S,), N·m, held over a step."""
+        a, friction = self._acceleration(t, x, v, motor), np.zeros(len(x))
+        load = motor + self.pin.nonLinearEffects(self.model, self.data, x, v)
+        columns = []
+        for joint, *_ in self._dry:
+            more = motor.copy()
+            more[self.at[joint]] += 1.0
+            columns.append(self._acceleration(t, x, v, more) - a)
+        for _ in range(SWEEPS):
+            before = friction.copy()
+            for (joint, level, creep), column in zip(self._dry, columns, strict=True):
+                s = self.at[joint]
+                faster = v[s] + h / 2 * a[s]
+                most = level(x[s] + h / 2 * v[s], faster, load[s]) * (np.tanh(abs(faster) / creep) if creep else 1.0)
+                new = min(max(friction[s] - (v[s] / h + a[s]) / column[s], -most), most)
+                a = a + (new - friction[s]) * column
+                friction[s] = new
+            if np.abs(friction - before).max() <= SETTLED * np.abs(friction).max():
+                break
+        return friction
+
+    def _trajectory(
+        self, time: np.ndarray, path: np.ndarray, speed: np.ndarray, command_time: np.ndarray, given: np.ndarray
+    ) -> Trajectory:
+        angle = self.signs * path + self.zeros
+        heading = np.cumsum(angle, axis=1)
+        lengths = np.array([piece.length for piece in self.pieces])
+        steps = lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        tips = [s for s, piece in enumerate(self.pieces) if piece.tip is not None]
+        base = np.broadcast_to(self.base, (len(time), 1, 2))
+        points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
+        if self.base_shift is not None:
+            points = points + self.base_shift(time)[:, None]
+        turned = angle[:, self.at], (self.signs * speed)[:, self.at]
+        return Trajectory(time, *turned, points, heading[:, tips], np.asarray(command_time), given)

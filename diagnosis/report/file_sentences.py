@@ -1,0 +1,58 @@
+"""Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
+
+from invdyn.diagnosis.assessment.result import Diagnosis, Written
+from invdyn.diagnosis.report.numbers import handy, plain
+from invdyn.diagnosis.report.words import finding_words, place_words
+from invdyn.models.bodies.joint_parts import PARTS
+from invdyn.models.effects import EFFECTS
+
+
+def changes(diagnosis: Diagnosis) -> list[str]:
+    """What of the simulation's own numbers the best cause changes: from … to …."""
+    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+    found = []
+    for finding in cause.effects if cause is not None else ():
+        for name, change in finding.changes.items():
+            low, high = (plain(end, 3) for end in change.after.interval_90)
+            found.append(
+                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {plain(change.before, 3)} to "
+                f"{handy(change.after.mean, change.after.unit)} (90 % interval {low} to {high})."
+            )
+    return found
+
+
+def learned(diagnosis: Diagnosis) -> list[str]:
+    """Joints' numbers of the body's file that were uncertain, as the best cause has them; not those it changes too."""
+    causes = [c for c in diagnosis.causes if diagnosis.gap.detected or not c.effects]
+    cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
+    if cause is None:
+        return []
+    told = {(f.where.get("joint"), EFFECTS[f.effect].filed[name]) for f in cause.effects for name in f.changes}
+    found = []
+    for number in cause.learned:
+        if number.quantity in PARTS and (number.place, number.quantity) not in told:
+            before, after = number.change.before, number.change.after
+            low, high = (plain(end, 3) for end in after.interval_90)
+            what = f"{number.quantity} of {place_words('joint', number.place)}"
+            found.append(
+                f"Learned: {what} is {handy(after.mean, after.unit)} "
+                f"(90 % interval {low} to {high}), {plain(before, 3)} in the file."
+            )
+    return found
+
+
+def written(copy: Written) -> list[str]:
+    """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
+    if copy.nothing is not None:
+        return [f"No corrected file was written: {copy.nothing}."]
+    count = len(copy.changes)
+    found = [f"The corrected simulation is {copy.file}: {count} number{'s' * (count != 1)} changed."]
+    found += [f"Not in it is {words}: {why}." for words, why in copy.unsaid.items()]
+    if (tried := copy.rollout) is not None:
+        total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
+        found.append(
+            f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
+            f"Its angles are off by {handy(total['after'], 'rad')} rms with the corrected file, by "
+            f"{handy(total['before'], 'rad')} with the original."
+        )
+    return found

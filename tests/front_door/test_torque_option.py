@@ -1,0 +1,34 @@
+"""`--torque`: a process by name, or the likeliest."""
+
+import json
+
+import pytest
+
+from invdyn.inference import load_posterior
+
+SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
+
+
+def test_the_likeliest_is_taken_and_told(folder, run):
+    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40", "--encoders", "1e-4")
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "auto", *SMALL)
+    assert outcome.exit_code == 0, outcome.output
+    settings = json.loads(load_posterior("p.nc").attrs["settings"])
+    evidence = settings["torque_evidence"]
+    assert set(evidence) == {"OrnsteinUhlenbeck", "Matern32", "Matern52"}
+    best = settings["torque_process"]
+    assert evidence[best] == max(evidence.values())
+    (line,) = (line for line in outcome.stdout.splitlines() if line.startswith("torque process"))
+    assert line.startswith(f"torque process {best}, by evidence; ")
+    behind = {name: evidence[best] - value for name, value in evidence.items() if name != best}
+    for name, nats in behind.items():
+        assert f"{name} {nats:.1f} nat" in line
+
+
+@pytest.mark.parametrize("name", ["smooth", "AUTO"])
+def test_an_unknown_one_is_refused(folder, run, name):
+    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40")
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", name)
+    assert outcome.exit_code == 2
+    assert f"unknown torque process '{name}': known are ornstein_uhlenbeck" in outcome.stderr
+    assert "matern52, recurrent, auto" in outcome.stderr

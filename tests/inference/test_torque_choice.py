@@ -1,0 +1,82 @@
+"""Of several torque processes the likeliest is taken: the one that made the torque, where that can be told."""
+
+import importlib
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import SMCOptions, compare, prepare
+from invdyn.inference import task as task_module
+from invdyn.models import ArmModel, Body, Encoders, Link, Matern52, Observation, OrnsteinUhlenbeck
+from invdyn.recordings import Recording
+
+ARM = Body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
+KNOWN = {"emission.angle_scale": 2e-5, "noise.angle": 1e-6, "noise.velocity": 1e-4, "initial.velocity_scale": 0.5}
+TIME = 0.01 * np.arange(150)
+SIZES = SMCOptions(num_filters=2, num_particles=20, num_draws=2)
+BOTH = (OrnsteinUhlenbeck(), Matern52())
+
+
+def moved_by(process, **scales):
+    """Encoder angles of a rod that a torque of this process moves."""
+    parameters = {**KNOWN, **{f"torque.{name}": value for name, value in scales.items()}}
+    model = ArmModel(ARM, TIME, Observation(Encoders()), torque=process, parameters=parameters)
+    torch.manual_seed(1)
+    angles = model.simulate()[1].numpy()
+    return Recording(TIME, np.empty((len(TIME), 0, 2)), (), angles=angles, joint_names=("hinge",))
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    return moved_by(Matern52(), scale=2.0, lengthscale=0.3)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return moved_by(OrnsteinUhlenbeck(), scale=6.0, decay=5.0)
+
+
+@pytest.mark.parametrize(("made", "name"), [("smooth", "Matern52"), ("rough", "OrnsteinUhlenbeck")])
+def test_the_process_that_made_the_torque(made, name, request):
+    told = []
+    recording = request.getfixturevalue(made)
+    task = prepare(recording, ARM, options=SIZES, seed=0, settings=KNOWN, torque=BOTH, report=lambda *n: told.append(n))
+    evidence = task.record["torque_evidence"]
+    assert task.record["torque_process"] == type(task.problem.model.torque).__name__ == name
+    assert max(evidence, key=evidence.get) == name
+    assert abs(np.subtract(*evidence.values())) > 3  # nats: no draw
+    (alone,) = (process for process in BOTH if type(process).__name__ == name)
+    one = prepare(recording, ARM, options=SIZES, seed=0, settings=KNOWN, torque=alone)
+    assert task.record["fitted"] == one.record["fitted"]
+    assert "torque_evidence" not in one.record
+    assert all(done <= total for done, total in told)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_a_choice_that_was_kept_is_not_made_again(smooth, tmp_path, monkeypatch):
+    def again(torque):
+        folder = tmp_path / "run"
+        return prepare(smooth, ARM, options=SIZES, seed=0, settings=KNOWN, torque=torque, checkpoint=folder)
+
+    first = again(BOTH)
+    monkeypatch.setattr(task_module, "fit", None)
+    second = again(BOTH)
+    assert second.record == first.record
+    assert torch.equal(second.path, first.path)
+    assert type(second.problem.model.torque) is Matern52
+
+
+def test_a_comparison_holds_out_under_the_process_that_it_chose(rough, monkeypatch):
+    bound = []
+
+    def spied(recording, *args, torque, **options):
+        bound.append(torque)
+        return prepare(recording, *args, torque=torque, **options)
+
+    monkeypatch.setattr(importlib.import_module("invdyn.inference.compare"), "prepare", spied)
+    found = compare(rough, ARM, ["laplace"], settings=KNOWN, torque=BOTH, num_filters=2, num_draws=2)
+    assert bound[0] == BOTH
+    assert type(bound[1]) is OrnsteinUhlenbeck
+    assert len(bound) == 2
+    assert not found.failures

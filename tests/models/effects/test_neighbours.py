@@ -1,0 +1,120 @@
+"""What an effect may be taken for, and from where: exact where it is exact, with hypothesis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pendulum import ARM, PENDULUM
+
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.neighbours import ALLOWED, neighbours
+from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
+from invdyn.simulate import random_arm
+
+BODIES = {"one link": PENDULUM, "two links": ARM, "flat": replace(PENDULUM, gravity=(0.0, 0.0))}
+SCALES = {name: random_arm(body, duration=0.1, fps=50).scale for name, body in BODIES.items()}
+CANDIDATES = {
+    name: [e.bound(body) for kind in EFFECTS.values() for e in kind.everywhere(body, body.keypoint_names)]
+    for name, body in BODIES.items()
+}
+SCALE = SCALES["one link"]
+M, C, LENGTH = 1.0, 0.125, 0.25  # the forearm's
+
+
+def around(key, values, where="two links", sd=0.01, passive=False):
+    mine = next(e for e in CANDIDATES[where] if e.key == key)
+    found = neighbours(mine, values, dict.fromkeys(values, sd), CANDIDATES[where], SCALES[where], passive)
+    return {(each.effect.key, each.kind): list(each.starts) for each in found}
+
+
+def whole(name, values):
+    """An effect on the pendulum, and all its parameters: those not said change nothing."""
+    effect = next(e for e in CANDIDATES["one link"] if e.name == name)
+    return effect, {p.name: values.get(p.name, 0.0) for p in effect.parameters(SCALE)}
+
+
+def loaded(m):
+    """Changes of the forearm's mass, centre of mass and inertia by a point mass at its tip, by hand."""
+    moment = C**2 * M + LENGTH**2 * m
+    com = (M * C + m * LENGTH) / (M + m)
+    return {"mass": m, "com": com - C, "inertia": moment - (M + m) * com**2}
+
+
+@given(st.floats(0.01, 3.0))
+def test_errors_that_are_a_load_begin_at_that_load(mass):
+    starts = around("inertial_error.forearm", loaded(mass))["payload", "alike"]
+    assert [start["mass"] for start in starts] == pytest.approx([mass, mass], rel=1e-9)
+    assert around("inertial_error.upper_arm", loaded(mass)) == {}
+
+
+def test_a_link_that_is_lighter_carries_nothing():
+    assert around("inertial_error.forearm", {"mass": -0.2, "com": 0.0, "inertia": -0.001}) == {}
+
+
+def test_twins_have_the_values_of_each_other():
+    assert around("actuator_delay", {"delay": 0.03}) == {("camera_latency", "twin"): [{"latency": 0.03}]}
+    assert around("actuator_delay.elbow", {"delay": 0.03}) == {}  # of one motor of two
+    assert around("actuator_delay.pivot", {"delay": 0.03}, "one link") == {
+        ("camera_latency", "twin"): [{"latency": 0.03}]
+    }
+    assert around("camera_roll", {"angle": 0.1})["gravity_tilt", "twin"] == [{"angle": 0.1}]
+
+
+def test_a_law_and_its_special_case_are_neighbours_where_parameters_allow_it():
+    assert around("coulomb_friction.elbow", {"torque": 0.2}) == {
+        ("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]
+    }
+    values = {"coulomb": 0.1, "static": 0.1 + 2 * ALLOWED * 0.01, "velocity": 1.0}
+    assert around("stribeck_friction.elbow", values) == {}
+    near = values | {"static": 0.1 + 0.5 * ALLOWED * 0.01}
+    assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower")}
+
+
+def test_soft_tissue_may_be_a_link_that_bends():
+    """The one whose tip it is at, from stiffnesses of which each is at least that of the next frequency."""
+    (starts,) = around("soft_tissue.wrist", {"kappa": 1e-4}).values()
+    stiffness = [start["stiffness"] for start in starts]
+    assert len(stiffness) == 3
+    assert np.all(np.diff(stiffness) > 0)
+    assert set(around("soft_tissue.elbow", {"kappa": 1e-4})) == {("link_flexibility.upper_arm", "alike")}
+
+
+@pytest.mark.parametrize(
+    ("where", "passive", "names"),
+    [
+        ("one link", True, {*NAMES} - {"clock_rate"}),
+        ("one link", False, set()),
+        ("two links", True, set()),
+        ("flat", True, set()),
+    ],
+)
+def test_only_what_hangs_and_is_left_to_itself_has_one_period(where, passive, names):
+    found = around("clock_rate", {"rate": 1.08}, where, passive=passive)
+    assert {key.partition(".")[0] for key, kind in found if kind == "twin"} == names
+
+
+@given(st.floats(0.5, 2.0))
+def test_each_equivalent_has_the_same_factor(rho):
+    found = equivalents(rho, SCALE.body)
+    assert set(found) <= set(NAMES)
+    for name, values in found.items():
+        assert factor(*whole(name, values), SCALE.body) == pytest.approx(rho, rel=1e-9)
+
+
+def test_a_swing_cannot_be_slower_than_its_weight_at_the_tip():
+    """A load at the tip of a rod makes a pendulum of its length at most, which is half as long again; no more mass
+    makes the swing faster."""
+    assert set(equivalents(1.4, SCALE.body)) == set(NAMES)
+    assert set(equivalents(1.6, SCALE.body)) == set(NAMES) - {"payload"}
+    assert set(equivalents(0.9, SCALE.body)) == {"clock_rate", "inertial_error"}
+    assert set(equivalents(0.6, SCALE.body)) == {"clock_rate"}  # a link's weight by itself resists as much
+
+
+def test_a_link_that_does_not_hang_has_no_period():
+    """Balanced, or turned over by a load beyond its joint."""
+    for com in (0.0, -0.05):
+        link = PENDULUM.with_values(com=[com]).parameters()
+        effect = EFFECTS["payload"]().bound(PENDULUM)
+        assert equivalents(factor(effect, {"mass": 0.4}, link), link) == {}
