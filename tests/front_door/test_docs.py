@@ -14,6 +14,7 @@ from invdyn.cli import app
 from invdyn.inputs import load_body, load_recording
 
 FILES = ROOT / "docs" / "files.md"
+PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]*)\)")
 
 
 @pytest.mark.parametrize(("page", "line"), [(page.name, line) for page in PAGES for line in commands(page)])
@@ -68,6 +69,15 @@ def _body(folder: Path) -> Path:
 def test_the_picture_of_the_rooms_is_that_of_the_code():
     script = _script(ROOT / "docs" / "architecture_picture.py")
     assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+
+
+def test_each_picture_of_a_page_is_made_by_a_script():
+    shown = {Path(link).name for page in PAGES for link in PICTURE.findall(page.read_text("utf-8"))}
+    scripts = [*(ROOT / "docs").glob("*.py"), *(ROOT / "benchmarks").glob("*.py")]
+    text = "".join(script.read_text("utf-8") for script in scripts)
+    kept = {path.name for ending in ("png", "gif", "svg") for path in (ROOT / "docs").glob(f"*.{ending}")}
+    assert shown == kept
+    assert {name for name in kept if f'"{name}"' not in text} == set()
 
 
 def _script(path: Path):

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -44,6 +45,15 @@ def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
     }
     assert (folder / "diagnosis" / "report.html").exists()
     assert "nan" not in capsys.readouterr().out.lower()
+
+
+def test_its_extras_are_those_that_can_be_installed():
+    text = README.read_text("utf-8")
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    (asked,) = re.findall(r'^python -m pip install -c constraints.txt -e "\.\[(.*)\]"$', text, re.MULTILINE)
+    assert set(asked.split(",")) <= set(known)
+    told = re.findall(r"`(\w+)`", text.split("Extras: ")[1].split("\n\n")[0])
+    assert set(told) == set(known) - {"dev", "docs"}
 
 
 def test_it_is_short():
