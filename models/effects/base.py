@@ -312,8 +312,9 @@ class Effect(ABC):
         return None
 
     def settling(self, p: Values) -> tuple[Tensor, Tensor] | None:
-        """Time constant with which dry friction brings its joint to rest, and times what pushes it, the speed that it
-        creeps with, (..., 1) s each; None for at once, and for good.
+        """Times T and ρ of soft dry friction, (..., 1) s each; None for a joint that stops at once and does not creep.
+
+        Friction brings its joint to rest with time constant T. There it creeps with ρ times the acceleration that pushes it.
         """
         return None
 
