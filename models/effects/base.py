@@ -314,8 +314,8 @@ class Effect(ABC):
     def settling(self, p: Values) -> tuple[Tensor, Tensor] | None:
         """Times T and ρ of soft dry friction, (..., 1) s each; None for a joint that stops at once and does not creep.
 
-        Friction brings its joint to rest with time constant T. There the joint creeps with ρ times the acceleration that
-        pushes it.
+        Friction brings its joint to rest with time constant T. There the joint creeps with ρ times the acceleration
+        that pushes it.
         """
         return None
 
