@@ -1,8 +1,8 @@
 """`invdyn check`: whether a log is what it says it is, what its motion excites, and which effects it could show.
 
-In this order, as each needs the one before: units by their size (:mod:`invdyn.recordings.plausible`); signs, zeros,
-columns, gears and offsets by torques against motion (:mod:`..problem.mistakes`), each put right before the next is
-looked for; base parameters (:mod:`.excitation`); effects (:mod:`.visible`).
+Each step needs the one before. First come units, by their size (:mod:`invdyn.recordings.plausible`). Then come signs,
+zeros, columns, gears and offsets, by torques against motion (:mod:`..problem.mistakes`); each is put right before the
+next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
 """
 
 from collections.abc import Sequence
