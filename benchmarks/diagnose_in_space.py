@@ -82,6 +82,18 @@ def run(robot: str, number: int, seconds: float, folder: Path, workers: int) -> 
     }
 
 
+def table(rows: list[dict[str, Any]]) -> str:
+    """Of the cases."""
+    lines = ["| the file lacks | the diagnosis says | parameter over true | candidates | not looked at | CPU s |"]
+    lines.append("|---|---|---|---|---|---|")
+    for row in rows:
+        share = "" if row["parameter over true"] is None else f"{row['parameter over true']:.3f}"
+        count = row["candidates"].split()[0]
+        cells = (row["case"], row["said"], share, count, row["not looked at"], f"{row['CPU s']:.0f}")
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", choices=sorted(CASES), default="panda")
@@ -92,13 +104,15 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         for number in arguments.only or range(len(CASES[arguments.robot])):
             row = run(arguments.robot, number, arguments.seconds, Path(folder), arguments.workers)
-            print(json.dumps(row), flush=True)
+            rows.append(row)
             if arguments.out is not None:
                 with arguments.out.open("a", encoding="utf-8") as lines:
                     lines.write(json.dumps(row) + "\n")
+    print(table(rows))
 
 
 if __name__ == "__main__":

@@ -47,21 +47,20 @@ def play(
     late: float = 0.0,
     encoders: float | None = 2e-4,
     cameras: float | None = None,
-    path: str | None = None,
 ) -> Recording:
-    """What MuJoCo makes of a robot of a file's ``text``, or ``path``, under torques held within rows.
+    """What MuJoCo makes of a robot of a file's ``text`` under torques held within rows.
 
     They follow sums of sines about ``middle``, by bias torques and a weak controller. By joint: more ``damping``
     N·m·s/rad, ``friction`` N·m and ``armature`` kg·m²; ``payload`` kg at a site of a body; motors ``late`` by s.
     ``encoders`` rad and ``cameras`` m are sds of noise; None for no such columns.
     """
-    model = mujoco.MjModel.from_xml_string(text) if path is None else mujoco.MjModel.from_xml_path(path)
+    model = mujoco.MjModel.from_xml_string(text)
     for values, array in ((damping, model.dof_damping), (friction, model.dof_frictionloss)):
         for joint, more in (values or {}).items():
             array[model.joint(joint).dofadr[0]] += more
     for joint, more in (armature or {}).items():
         model.dof_armature[model.joint(joint).dofadr[0]] += more
-    plain = mujoco.MjModel.from_xml_string(text) if path is None else mujoco.MjModel.from_xml_path(path)
+    plain = mujoco.MjModel.from_xml_string(text)
     if payload:
         _load(model, *carried_by, payload)
     data, ideal, rng = mujoco.MjData(model), mujoco.MjData(plain), np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 """Gravity from another direction: the frame is not level."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from pyro.distributions import Normal
@@ -23,7 +23,7 @@ class GravityTilt(Effect):
     phrase = "tilted gravity"
     meaning = "gravity that points elsewhere than in the simulation"
     shown_by = "the joints' encoders, or the base's own edges in view of the camera"
-    twins: Mapping[str, Mapping[str, str]] = {"camera_roll": {"angle": "angle"}}
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
     site = "arm"
     about: tuple[int, ...] = ()
@@ -38,7 +38,7 @@ class GravityTilt(Effect):
         other = super()._bound(body, where)
         if body.space == 3:
             upright = max(range(3), key=lambda axis: abs(body.gravity[axis]))
-            other.about, other.twins = tuple(axis for axis in range(3) if axis != upright), {}
+            other.about = tuple(axis for axis in range(3) if axis != upright)
         return other
 
     @property
