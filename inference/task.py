@@ -36,8 +36,8 @@ DROP, LITTLE = "emission.confidence_drop", 0.02
 def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
     """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
 
-    Not the dynamics' own noise ε: white noise on a velocity is a white torque by another name, and where it is
-    free it takes torque away from τ (on the DFKI arm the evidence likes that, and the error doubles).
+    The dynamics' own noise ε is not among them. White noise on a velocity is a white torque by another name, and takes
+    torque away from τ. On the DFKI arm the evidence likes that, and the torque's error doubles.
     """
     body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
     wanted = [
