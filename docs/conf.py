@@ -26,6 +26,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["pictures.py", "reference_pages.py"]
 html_theme = "furo"
 html_title = "invdyn"
+highlight_language = "text"  # blocks without a language are commands
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
