@@ -33,8 +33,7 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
-    "simulated_cameras": "simulated_cameras.py --seeds 6",
-    "infer_from_cameras": 'simulated_cameras.py --seeds 2 --fit --cases four "four, points"',
+    "simulated_cameras": 'simulated_cameras.py --seeds 4 --cases two "two, points" four "four, points"',
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",
@@ -42,9 +41,11 @@ COMMANDS = {
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
     "diagnose_logs": "diagnose_logs.py",
+    "ablation": "ablation.py",
     "check": "check.py --seed 41000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
+    "sysid": "sysid.py --results build/sysid.jsonl --ours build/write_back.jsonl",
     "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""

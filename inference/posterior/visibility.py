@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.functional import jvp
 
-from invdyn.models.dynamics.interface import jvp
 from invdyn.models.observation.observation import Observation
 
 BLUNT = 0.5
@@ -47,7 +47,8 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
         by_one = seen.all(-1).any(-2)[..., None, None]  # camera at least, of P sites
         slopes.append(torch.where(by_one, jacobian[..., list(pixels.sites), :, :], 0.0).flatten(-3, -2))
         points = model.dynamics.keypoints(angle, model.body_parameters())
-        shown = [jvp(pixels.about, (points,), (along,)) for along in jacobian.unbind(-1)]
+        # Twice in reverse: where shapes broadcast, forward mode would import torch's compiler first, for a second.
+        shown = [jvp(pixels.about, points, along)[1] for along in jacobian.unbind(-1)]
         own = torch.where(seen.flatten(1).unsqueeze(-1), torch.stack(shown, -1), 0.0)
         scale = model.parameters["emission.pixel_scale"]
         if pixels.lasting:

@@ -171,10 +171,10 @@ class Effect(ABC):
     def bound(self, body: ArticulatedBody) -> Self:
         """Return the effect with its places looked up in ``body``.
 
-        Raises ValueError for names that it lacks, and for an effect of the plane on a body in space.
+        Raises ValueError for names that it lacks, and for a body of a kind that it does not fit.
         """
-        if self.planar and not isinstance(body, Body):
-            raise ValueError(f"{self.name}: expected a chain in the plane, got '{body.name}'; leave the effect out")
+        if not self.fits(body):
+            raise ValueError(f"{self.name}: expected {self.of_body}, got '{body.name}'; leave the effect out")
         return self._bound(body, self.where if self.form is None else self.where[:-1])
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
@@ -196,11 +196,21 @@ class Effect(ABC):
         return other
 
     @classmethod
+    def fits(cls, body: ArticulatedBody) -> bool:
+        """Whether it can act on a body of this kind, wherever."""
+        return not cls.planar or isinstance(body, Body)
+
+    @property
+    def of_body(self) -> str:
+        """What kind of body it fits, in words."""
+        return "a chain in the plane" if self.planar else "a chain in the plane or a tree in space"
+
+    @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One instance for every place of ``body`` at which the effect can act, in every form; ``keypoints`` are those
         tracked.
         """
-        if cls.planar and not isinstance(body, Body):
+        if not cls.fits(body):
             return []
         places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
