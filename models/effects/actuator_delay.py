@@ -1,6 +1,7 @@
 """Motors that act late: u(t − T)."""
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import HalfNormal
 from torch import Tensor
@@ -21,7 +22,7 @@ class ActuatorDelay(Actuator):
     meaning = "torques that come later than commanded"
     shown_by = "a common clock of camera and motors, such as a light that the command switches"
     of_targets = True
-    twins: Mapping[str, Mapping[str, str]] = {"camera_latency": {"delay": "latency"}}
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_latency": {"delay": "latency"}}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Dead time T, s."""

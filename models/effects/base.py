@@ -86,7 +86,7 @@ class Effect(ABC):
     """What its other readings are, by their word in :attr:`forms`, and its softer form, by a parameter of that."""
     shown_by: ClassVar[str] = ""
     """The recording that brings it out and nothing like it."""
-    twins: Mapping[str, Mapping[str, str]] = {}
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     """Effects, by name, that stand in for it exactly: its parameters, by name, and theirs of the same value."""
 
     pulls: ClassVar[bool] = False

@@ -7,6 +7,7 @@ the motors', are ahead:
 """
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import HalfNormal
 from torch import Tensor
@@ -27,7 +28,7 @@ class CameraLatency(Effect):
     phrase = "camera latency"
     meaning = "positions that are stamped later than they were"
     shown_by = "a common clock of camera and motors, such as a light that the command switches"
-    twins: Mapping[str, Mapping[str, str]] = {"actuator_delay": {"latency": "delay"}}
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"actuator_delay": {"latency": "delay"}}
 
     side, site = "observation", "arm"
 

@@ -1,6 +1,7 @@
 """A camera that is not level: the picture turned about the frame's origin."""
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import StudentT
 from torch import Tensor
@@ -20,7 +21,7 @@ class CameraRoll(Optics):
     phrase = "camera roll"
     meaning = "a picture turned about the line of sight"
     shown_by = "the joints' encoders, or the base's own edges in view of the camera"
-    twins: Mapping[str, Mapping[str, str]] = {"gravity_tilt": {"angle": "angle"}}
+    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"gravity_tilt": {"angle": "angle"}}
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""
