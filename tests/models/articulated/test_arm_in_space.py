@@ -22,7 +22,7 @@ from invdyn.models import (
 )
 from invdyn.models.bodies.in_space import tree_of
 from invdyn.models.bodies.scalars import prior
-from invdyn.models.effects import Armature, CoulombFriction, JointStiffness, Payload, ViscousFriction
+from invdyn.models.effects import Armature, CoulombFriction, ExternalPush, JointStiffness, Payload, ViscousFriction
 
 F64 = torch.float64
 ARM = Body("arm", [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)])
@@ -50,12 +50,17 @@ def test_scales_are_the_same(both):
 
 @pytest.mark.parametrize(
     "effects",
-    [(), (ViscousFriction("elbow"), Armature("shoulder"), JointStiffness("elbow")), (CoulombFriction("elbow"),)],
-    ids=["ideal", "smooth", "dry"],
+    [
+        (),
+        (ViscousFriction("elbow"), Armature("shoulder"), JointStiffness("elbow")),
+        (CoulombFriction("elbow"),),
+        (Payload(),),
+    ],
+    ids=["ideal", "smooth", "dry", "loaded"],
 )
 def test_rows_are_the_same(effects, both):
-    """Effects at joints know nothing of the plane."""
-    values = {"damping": 0.1, "inertia": 0.02, "stiffness": 0.5, "torque": 0.2}
+    """Effects at joints, and a load, do in space what they do in the plane."""
+    values = {"damping": 0.1, "inertia": 0.02, "stiffness": 0.5, "torque": 0.2, "mass": 0.3}
     planar, spatial = (model.with_effects(*effects) for model in both)
     named = {n: torch.tensor([values.get(n.rpartition(".")[2], 0.0)], dtype=F64) for n in planar.priors}
     planar, spatial = (model.replace(**named) for model in (planar, spatial))
@@ -68,8 +73,8 @@ def test_rows_are_the_same(effects, both):
 
 
 def test_an_effect_of_the_plane_is_refused_in_space(both):
-    with pytest.raises(ValueError, match="payload: expected a chain in the plane, got 'arm'"):
-        both[1].with_effects(Payload())
+    with pytest.raises(ValueError, match="external_push: expected a chain in the plane, got 'arm'"):
+        both[1].with_effects(ExternalPush(ARM.keypoint_names[-1]))
 
 
 def test_driven_joints_are_refused_in_one_line():
