@@ -1,19 +1,22 @@
 """Which rules of the search are needed: what each added to the answer, and what removing it costs.
 
-On cases of development seeds (``benchmarks/development.py make``). One search a case is watched: of every rule, how
-often it was tried, in what share of the time, how often it found a better best cause, and in how many cases it has a
-say: the final best is its find, or a rival within ``NEAR`` nats of that. A rule without a say cost time alone, there.
-``--without RULE`` searches once more with that rule gone, where it had a say; the score that the best loses is its
-worth.
+One search a case is watched: of every rule, how often it was tried, in what share of the time, how often it found a
+better best cause, and in how many cases it has a say: the final best is its find, or a rival within ``NEAR`` nats of
+that. A rule without a say cost time alone, there. ``--without RULE`` searches once more with that rule gone, where it
+had a say; what the best's score loses is its worth.
 
-    python benchmarks/ablation.py CASES --out WATCHED          one line a case, and the table; goes on where it ended
-    python benchmarks/ablation.py CASES --out WATCHED --without reduce
+    python benchmarks/ablation.py                     quick cases; one line each, and the table; goes on where it ended
+    python benchmarks/ablation.py --without reduce
+    python benchmarks/ablation.py --cases CASES --out WATCHED      cases of benchmarks/development.py
 
-Intervals are Jeffreys', of 90 %.
+Quick cases are 2 s of a two-link arm under known torques, 2 mm of noise, and one effect or two of the catalogue, larger
+than three quarters of what its prior draws. They are played by our own classes, so that they say how the search finds
+its way, and nothing about reality. Intervals are Jeffreys', of 90 %.
 """
 
 import argparse
 import json
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -22,13 +25,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import torch
 from scipy.stats import beta
 
 from invdyn.diagnosis.diagnose import _searched
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.models import Body
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
+from invdyn.models import Body, Link
+from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect
 from invdyn.recordings import read_keypoint_csv
+from invdyn.simulate import random_arm, record
 
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
@@ -54,6 +61,37 @@ RULES = {
     "alike": ("moves", "neighbour: what much of it is taken for"),
 }
 """Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
+UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
+ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
+SECONDS = 2.0
+QUICK = (
+    "payload", "inertial", "friction", "creeping friction", "stribeck", "loaded friction", "stop", "bend", "tissue",
+    "push", "play", "delay", "roll", "stray", "spring + damper", "friction + payload", "ripple + roll", "damper + gain",
+)  # fmt: skip
+"""Quick cases, by their effects."""
+QUICK_EFFECTS = {
+    name: effect.bound(ARM)
+    for name, effect in {
+        "payload": EFFECTS["payload"](),
+        "inertial": EFFECTS["inertial_error"]("upper_arm"),
+        "friction": EFFECTS["coulomb_friction"]("elbow"),
+        "creeping friction": EFFECTS["coulomb_friction"]("shoulder").softened(),
+        "stribeck": EFFECTS["stribeck_friction"]("elbow"),
+        "loaded friction": EFFECTS["load_friction"]("shoulder"),
+        "stop": EFFECTS["joint_limit"]("elbow", "upper"),
+        "bend": EFFECTS["link_flexibility"]("forearm"),
+        "tissue": EFFECTS["soft_tissue"]("wrist"),
+        "push": EFFECTS["external_push"]("wrist"),
+        "play": EFFECTS["backlash"]("elbow"),
+        "delay": EFFECTS["actuator_delay"](),
+        "roll": EFFECTS["camera_roll"](),
+        "stray": EFFECTS["outliers"](),
+        "spring": EFFECTS["joint_stiffness"]("elbow"),
+        "damper": EFFECTS["viscous_friction"]("shoulder"),
+        "gain": EFFECTS["actuator_gain"]("elbow"),
+        "ripple": EFFECTS["torque_ripple"]("shoulder"),
+    }.items()
+}
 KINDS = ("twin", "wider", "narrower", "alike")
 GONE: dict[str, Callable] = {"shortened": lambda problem, *_: problem}
 """What stands in for a rule that is gone, where that is not None."""
@@ -119,20 +157,44 @@ def without_it(name: str, rule: Callable) -> Callable:
     return lambda *given: None if given[-1].kind == name else rule(*given)
 
 
+def large(effect: Effect, seed: int) -> dict[str, torch.Tensor]:
+    """Parameters of a bound effect, further from their absence than three quarters of what the prior draws."""
+    given = {}
+    torch.manual_seed(seed)
+    for parameter in effect.parameters(random_arm(ARM, duration=SECONDS, fps=50, commanded=True).scale):
+        draws = parameter.prior.sample((64,)).double()
+        absent = draws.median() if parameter.absent in (None, math.inf) else torch.tensor(parameter.absent)
+        far = (draws - absent).abs().argsort()
+        chosen = draws[far[0 if absent == draws.median() else 48]]
+        given[f"effect.{effect.key}.{parameter.name}"] = chosen.reshape(1)
+    return given
+
+
+def quick(name: str) -> DiagnosisProblem:
+    """The problem of a quick case."""
+    effects = [QUICK_EFFECTS[each] for each in name.split(" + ")]
+    arm = random_arm(ARM, duration=SECONDS, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=len(name))
+    values = {key: value for effect in effects for key, value in large(effect, len(name)).items()}
+    return diagnosis_problem(record(arm.with_effects(*effects).replace(**values), len(name))[0], ARM)
+
+
+def filed(case: Path) -> tuple[DiagnosisProblem, tuple[str, ...]]:
+    """The problem of a case in a folder, and effects to leave out."""
+    public = json.loads((case / "case.json").read_text())
+    body = Body.from_toml(case / "body.toml")
+    names = {"keypoints": body.keypoint_names, "joints": body.joint_names, "base": body.base_keypoint}
+    recording = read_keypoint_csv(case / "recording.csv", **names)
+    return diagnosis_problem(recording, body, passive=public["regime"] == "passive"), tuple(public["without"])
+
+
 def best(pool: HypothesisPool) -> str:
     """The best cause, by key and evidence."""
     first = pool.ranked[0]
     return f"{first.key} {first.log_evidence:.2f}"
 
 
-def searched(case: Path, without: str) -> dict:
+def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -> dict:
     """One search, watched or without a rule."""
-    public = json.loads((case / "case.json").read_text())
-    body = Body.from_toml(case / "body.toml")
-    names = {"keypoints": body.keypoint_names, "joints": body.joint_names, "base": body.base_keypoint}
-    bound = diagnosis_problem(
-        read_keypoint_csv(case / "recording.csv", **names), body, passive=public["regime"] == "passive"
-    )
     watch, kept = Watch(), {}
     for name, (module, _) in RULES.items():
         room, called = import_module(ROOMS + module), "_follow" if name in KINDS else name
@@ -141,7 +203,7 @@ def searched(case: Path, without: str) -> dict:
         setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
     begun = time.process_time()
     try:
-        _, found = _searched(bound, tuple(public["without"]), 1)
+        _, found = _searched(bound, left_out, 1)
     finally:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)
@@ -191,21 +253,28 @@ def table(out: Path) -> str:
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("cases", type=Path)
-    arguments.add_argument("--out", type=Path, required=True)
+    arguments.add_argument("--cases", type=Path)
+    arguments.add_argument("--out", type=Path, default=Path("build/ablation"))
     arguments.add_argument("--without", choices=RULES, default="")
     arguments.add_argument("--only", default="")
     asked = arguments.parse_args()
+    cases: dict[str, Callable[[], tuple[DiagnosisProblem, tuple[str, ...]]]]
+    if asked.cases is None:
+        cases = {name: lambda name=name: (quick(name), ()) for name in QUICK}
+    else:
+        folders = sorted(path.parent for path in asked.cases.glob("*/answer.json"))
+        cases = {folder.name: lambda folder=folder: filed(folder) for folder in folders}
     folder = asked.out / f"without-{asked.without}" if asked.without else asked.out
     folder.mkdir(parents=True, exist_ok=True)
-    for case in sorted(path.parent for path in asked.cases.glob("*/answer.json")):
-        there, whole = folder / f"{case.name}.json", asked.out / f"{case.name}.json"
-        wanted = not asked.only or case.name in asked.only.split(",")
+    for name, case in cases.items():
+        there, whole = folder / f"{name}.json", asked.out / f"{name}.json"
+        wanted = not asked.only or name in asked.only.split(",")
         if asked.without and wanted:
             wanted = whole.exists() and has_a_say(json.loads(whole.read_text()), asked.without)
         if wanted and not there.exists():
-            there.write_text(json.dumps(searched(case, asked.without)))
-            print(case.name, json.loads(there.read_text())["best"], flush=True)
+            there.write_text(json.dumps(searched(*case(), asked.without)))
+            found = json.loads(there.read_text())
+            print(f"{name}: {found['best']}, {found['score']:.1f}, {found['seconds']:.1f} s", flush=True)
     print(table(asked.out))
 
 

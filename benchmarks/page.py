@@ -40,10 +40,13 @@ COMMANDS = {
     "vsmc_learn": "vsmc.py learn",
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
+    "diagnose_in_space": "diagnose_in_space.py --robot arm --seconds 4",
     "diagnose_logs": "diagnose_logs.py",
+    "ablation": "ablation.py",
     "check": "check.py --seed 41000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
+    "sysid": "sysid.py --results build/sysid.jsonl --ours build/write_back.jsonl",
     "diagnose_arms": "diagnose_logs.py nothing heavy stated delay seven long",
 }
 """Script and arguments of each table."""

@@ -121,6 +121,8 @@ def log(robot: Robot, true: str, body: Body, rng: np.random.Generator, name: str
     """Encoders of the true robot, and commands as its file has them, in the body's angles: θ = zero − q."""
     nominal, model = (mujoco.MjModel.from_xml_string(text) for text in (robot.text, true))
     model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_RK4
+    # dry friction that holds, as in the blind check: by default MuJoCo's lets a joint creep
+    model.dof_solref[:], model.dof_solimp[:] = [2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
     data = mujoco.MjData(model)
     rows, per = round(SECONDS * RATE), round(1 / RATE / STEP)
     time = np.arange(rows) / RATE
@@ -145,32 +147,55 @@ def log(robot: Robot, true: str, body: Body, rng: np.random.Generator, name: str
     return Recording(time, np.empty((rows, 0, 2)), (), None, angles, given, JOINTS, name)
 
 
+@dataclass(frozen=True)
+class Played:
+    """A robot's file and the true one, its body, and two logs of the true one."""
+
+    file: Path
+    true: Path
+    body: Body
+    first: Recording
+    second: Recording
+
+    def left(self, copy: Path) -> float:
+        """The share of the file's excess error that a corrected copy leaves on the second log."""
+        given = commands(mujoco.MjModel.from_xml_path(str(self.file)), self.body, self.second)
+        floor, nominal, corrected = (
+            rollout(str(path), self.body, self.second.time, np.asarray(self.second.angles), given).total ** 2
+            for path in (self.true, self.file, copy)
+        )
+        return max(corrected - floor, 0.0) / max(nominal - floor, 1e-12)
+
+
+def played(rng: np.random.Generator, robot: Robot, effect: str, folder: Path) -> Played:
+    """Both files in a folder, and logs."""
+    file, true = folder / "robot.xml", folder / "true.xml"
+    root = ET.fromstring(robot.text)
+    robot.effects[effect](root)
+    file.write_text(robot.text)
+    true.write_text(ET.tostring(root, "unicode"))
+    body = Body.load(file)
+    first, second = (log(robot, true.read_text(), body, rng, name) for name in ("log", "held_out"))
+    return Played(file, true, body, first, second)
+
+
 def case(rng: np.random.Generator, robot: Robot, effect: str, workers: int = 1, told: bool = False) -> dict:
     """The effect; the answer; the share of the excess error that is left, with the corrected file; and seconds."""
     with tempfile.TemporaryDirectory() as folder:
-        file, true, copy = (Path(folder) / name for name in ("robot.xml", "true.xml", "corrected.xml"))
-        root = ET.fromstring(robot.text)
-        robot.effects[effect](root)
-        file.write_text(robot.text)
-        true.write_text(ET.tostring(root, "unicode"))
-        body = Body.load(file)
-        first, second = (log(robot, true.read_text(), body, rng, name) for name in ("log", "held_out"))
+        copy = Path(folder) / "corrected.xml"
+        made = played(rng, robot, effect, Path(folder))
+        file, body, first, second = made.file, made.body, made.first, made.second
         begun = clock.process_time()
         struck = [name for name in EFFECTS if name != effect.partition(".")[0]] if told else []
         found = diagnose(first, body, workers=workers, without=struck, most=1 if told else 4)
         seconds = clock.process_time() - begun
         cause = best(found)
         answer = sorted(f.key for f in cause.effects) if cause else []
-        told_of = {"effect": effect, "answer": answer, "cpu_s": seconds}
+        told_of = {"effect": effect, "answer": answer, "cpu_s": seconds, "changes": []}
         written = write_back(found, file, body, copy, second, True)
         if written.written is None or written.written.nothing:
             return told_of | {"left": 1.0}
-        given = commands(mujoco.MjModel.from_xml_path(str(file)), body, second)
-        floor, nominal, corrected = (
-            rollout(str(path), body, second.time, np.asarray(second.angles), given).total ** 2
-            for path in (true, file, copy)
-        )
-    return told_of | {"left": max(corrected - floor, 0.0) / max(nominal - floor, 1e-12)}
+        return told_of | {"left": made.left(copy), "changes": list(written.written.changes)}
 
 
 def summary(results: Sequence[dict]) -> str:

@@ -1,15 +1,23 @@
 """Cases of the blind check: a recording of a reality, the body file that the diagnosis gets, and the answer.
 
-Kinds: `commanded` (one effect), `passive`, `none` (a fifth each of them passive and with unknown torque), `weak` (a
-quarter of the usual size), `two` at once, `unknown_torque` (the command is not told), `outside` (an effect that the
-catalogue lacks), `leave_one_out` (the true effect is to be struck from the catalogue, and with it any other that can
-make the very same recording: no method could say that one is missing). A case follows from (seed, kind, effect) to the
-byte, on one machine. Seeds below 10,000 are for development, 1,000,000 and above for blind runs and looked at by
-nobody before.
+Kinds:
+
+    commanded         one effect, under known commands
+    passive           one effect, no torque
+    none              no effect; a fifth passive, a fifth with unknown torque
+    weak              one effect of a quarter of the usual size
+    two               two effects at once
+    unknown_torque    one effect, and the command is not told
+    outside           an effect that the catalogue lacks
+    leave_one_out     one effect, to be struck from the catalogue with all that can make the very same recording: of
+                      these no method could say that one is missing
+
+A case follows from (seed, kind, effect) to the byte, on one machine. Seeds below 10,000 are for development. Those from
+1,000,000 on are for blind runs, and nobody has looked at them before.
 
 An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
-body, motion and sizes drawn again, at most `TRIES` times, and from the fourth on that effect is larger by half for each
-draw that hardly met it, five times at most: a gear's play seldom shows, and what stands beside it has its usual size.
+body, motion and sizes drawn again, at most `TRIES` times. From the third draw on, each that hardly met an effect makes
+it larger by half in the next, five times at most. A gear's play seldom shows; what stands beside it keeps its size.
 The answer has d′ of every effect.
 """
 

@@ -21,7 +21,7 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
-from invdyn.diagnosis.assessment.result import Diagnosis
+from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.decision import RULE
@@ -33,10 +33,11 @@ from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
+from invdyn.diagnosis.problem.thinned import left_out
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, joined, write_text
@@ -47,7 +48,7 @@ Progress = Callable[[int, int, str], None]
 
 def diagnose(
     recording: Recording | Sequence[Recording],
-    body: Body,
+    body: ArticulatedBody,
     *,
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
@@ -168,7 +169,10 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
+    given = [recording] if isinstance(recording, Recording) else recording
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows, tolerance)
+    if (untold := left_out(given)) is not None:
+        result = replace(result, method=result.method | {LEFT_OUT: untold})
     report(5, "done")
     return result
 

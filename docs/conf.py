@@ -26,6 +26,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["pictures.py", "reference_pages.py"]
 html_theme = "furo"
 html_title = "invdyn"
+highlight_language = "text"  # blocks without a language are commands
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
@@ -45,6 +46,7 @@ suppress_warnings = ["ref.python"]  # a short name that several classes have, as
 
 
 _COLUMNS = re.compile(r"\S {3,}\S")
+_ROLE, _NAME = re.compile(r":\w+:`~?\.*([^`]*)`"), r"\1"  # markup that a literal block would show
 _BARS = re.compile(r"(?<!`)\|(?![^`]*``)")  # not within ``code``
 
 
@@ -79,7 +81,7 @@ def _as_written(app: Sphinx, what: str, name: str, thing: object, options: objec
     for paragraph in "\n".join(lines).split("\n\n"):
         rows = paragraph.split("\n")
         if what == "module" and (_COLUMNS.search(paragraph) or rows[0].startswith("    ")):
-            shown += ["::", "", *(f"    {row}" for row in rows), ""]
+            shown += ["::", "", *(f"    {_ROLE.sub(_NAME, row)}" for row in rows), ""]
         else:
             shown += [*(_BARS.sub(r"\\|", row) for row in rows), ""]
     lines[:] = shown

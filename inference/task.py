@@ -36,14 +36,17 @@ DROP, LITTLE = "emission.confidence_drop", 0.02
 def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
     """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
 
-    Not the dynamics' own noise ε: white noise on a velocity is a white torque by another name, and where it is
-    free it takes torque away from τ (on the DFKI arm the evidence likes that, and the error doubles).
+    The dynamics' own noise ε is not among them. White noise on a velocity is a white torque by another name, and takes
+    torque away from τ. On the DFKI arm the evidence likes that, and the torque's error doubles.
     """
     body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
     wanted = [
         Free("torque.scale"),
         Free("torque.decay", sd=1.0),
         Free("torque.lengthscale", sd=1.0),
+        # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
+        Free("torque.rough_scale", tied=True),
+        Free("torque.rough_decay", tied=True, sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]

@@ -1,6 +1,11 @@
 """invdyn: joint torques, with their uncertainty, from the keypoints that a camera tracks."""
 
+import os
 from pathlib import Path
+
+# Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
+# OpenMP reads this when torch is loaded, so it has no effect where torch came first.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 ROOMS = ("recordings", "models", "inference", "diagnosis", "blindcheck")
 

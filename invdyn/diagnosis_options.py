@@ -105,9 +105,9 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from dataclasses import replace
 
-        from .inputs import is_log, load_log, load_logs, load_planar
+        from .inputs import is_log, load_body, load_log, load_logs
 
-        body = freed(load_planar(self.body, "a diagnosis"), self.free)
+        body = freed(load_body(self.body), self.free)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):

@@ -34,8 +34,8 @@ class Inference(Recorded):
     torque: Annotated[
         str,
         typer.Option(
-            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent; or auto: of the "
-            "first and the matern ones that with the most evidence, for three fits instead of one."
+            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, smooth_and_rough; "
+            "or auto: of the first and the last that with more evidence, for two fits instead of one."
         ),
     ] = "ornstein_uhlenbeck"
     noise: Annotated[

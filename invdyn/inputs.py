@@ -138,7 +138,7 @@ def load_recording(
 
 
 def load_logs(
-    name: str, body: Body, mapping: str | None = None, episodes: Sequence[int] | None = None, frames: str = ":"
+    name: str, body: Body | Tree, mapping: str | None = None, episodes: Sequence[int] | None = None, frames: str = ":"
 ) -> list[Recording]:
     """A robot's own log, an episode each, as recordings of ``body``: angles and commands as its file counts them.
 
@@ -155,7 +155,7 @@ def load_logs(
     ]
 
 
-def _in_the_bodys_terms(logged: Logged, body: Body) -> Recording:
+def _in_the_bodys_terms(logged: Logged, body: Body | Tree) -> Recording:
     recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
     parts = [own or NOTHING for own in body.joint_parts]
     sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])
@@ -183,7 +183,7 @@ def is_log(name: str) -> bool:
 
 def load_log(
     name: str,
-    body: Body,
+    body: Body | Tree,
     units: str | None = None,
     frames: str = ":",
     mapping: str | None = None,
@@ -197,7 +197,8 @@ def load_log(
         return load_logs(name, body, mapping, [episode or 0], frames)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
-    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=FLAT)
+    plane = FLAT if body.space == 2 else None
+    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=plane)
     start, stop = frame_range(frames)
     return recording.select(start, stop)
 

@@ -1,9 +1,9 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands, and the filters' health.
 
-One row a joint: its angle (rad) and its torque (N·m); beside them one row a keypoint that was tracked, or, where none
-was, a point of the body (observed and predicted, in the recording's length unit); below, the effective sample size of
-the filters over time, resampling marked. Rows that tell nothing of a coordinate are hatched: what is drawn there is the
-prior.
+Each joint has a row with its angle (rad) and its torque (N·m). Beside them each tracked keypoint has a row, or a point
+of the body where none was tracked: observed and predicted, in the recording's length unit. Below stands the effective
+sample size of the filters over time, with resampling marked. Rows that tell nothing of a coordinate are hatched: what
+is drawn there is the prior.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 

@@ -35,10 +35,10 @@ def check(
     from invdyn.recordings import write_text
 
     from .check_text import check_text
-    from .inputs import load_log, load_planar
+    from .inputs import load_body, load_log
 
     check_outputs([out], [Path(robot), Path(log)])
-    body = load_planar(robot, "a check")
+    body = load_body(robot)
     recording = load_log(log, body, units, frames, mapping, episode)
     found = run(recording, body, passive=passive, effects=effects)
     typer.echo(check_text(found))

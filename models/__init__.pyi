@@ -36,4 +36,5 @@ from .torques import Matern52 as Matern52
 from .torques import OrnsteinUhlenbeck as OrnsteinUhlenbeck
 from .torques import RandomWalk as RandomWalk
 from .torques import Recurrent as Recurrent
+from .torques import SmoothAndRough as SmoothAndRough
 from .torques import TorqueProcess as TorqueProcess

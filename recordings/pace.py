@@ -1,7 +1,7 @@
 """Whether a body can have moved at the pace that a recording's times say, and gaps in them.
 
-One body's own clock tells seconds from frame numbers, and radians from degrees: the swing of a pendulum as long as it,
-T = 2π √(L/g). On it
+A body has a clock of its own, the swing of a pendulum as long as it: T = 2π √(L/g). That tells seconds from frame
+numbers, and radians from degrees. On this clock
 
     rows      come at least four times a swing (a quarter of it is the fall from level to hanging), or there is no
               motion to be seen between them; and no faster than `QUICKEST`
@@ -9,8 +9,9 @@ T = 2π √(L/g). On it
               69, 1989), of the order of 1: the robots and passive pendulums that come with this package lie between 0
               and 4.3; minutes taken for seconds raise it 3,600-fold, degrees taken for radians 3,283-fold
 
-v is over a hundredth and a half of a swing, which noise does not reach, and exceeded in a quarter of the rows, so that
-neither rest nor a few lost points count. g = 9.81 m/s², whatever gravity does in the body's own plane.
+v is taken over a hundredth and over a half of a swing, where noise does not reach. It must be exceeded in a quarter of
+the rows, so that neither rest nor a few lost points count. g = 9.81 m/s², whatever gravity does in the
+body's own plane.
 """
 
 import warnings

@@ -1,7 +1,7 @@
 """Paths as a user gives them: what cannot be one is an error with the path in it, before anything is opened.
 
-A link that leads back to itself, a NUL in a name, a device without end, a pipe that nobody fills: the first two are no
-OSError to every Python, the last two would be read for ever.
+A link that leads back to itself and a NUL in a name are no OSError to every Python. A device without end and a pipe
+that nobody fills would be read for ever.
 """
 
 import errno

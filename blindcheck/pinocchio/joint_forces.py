@@ -125,17 +125,28 @@ def _drift(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
     if rng.random() < 0.5:
         return p
     constant, whole = float(rng.uniform(0.7, 2.0) * s.plan.duration), p.pop("slope") * s.plan.duration
-    return p | {"rise": whole / -float(np.expm1(-s.plan.duration / constant)), "time_constant": constant}
+    # a straight line through it begins elsewhere, so its beginning is no parameter of the catalogue's
+    return {
+        "first": p["damping"],
+        "rise": whole / -float(np.expm1(-s.plan.duration / constant)),
+        "time_constant": constant,
+    }
 
 
 @form(_drift)
 def drifting_friction(
-    world: World, joint: int, damping: float, slope: float = 0.0, rise: float = 0.0, time_constant: float = 1.0
+    world: World,
+    joint: int,
+    damping: float = 0.0,
+    slope: float = 0.0,
+    first: float = 0.0,
+    rise: float = 0.0,
+    time_constant: float = 1.0,
 ) -> None:
-    """Viscous, and more of it with time."""
+    """Viscous, and more of it with time: from `damping` along a `slope`, or from `first` by a `rise`."""
 
     def coefficient(t: float) -> float:
-        return max(damping + slope * t - rise * float(np.expm1(-t / time_constant)), 0.0)
+        return max(damping + first + slope * t - rise * float(np.expm1(-t / time_constant)), 0.0)
 
     world.torque(joint, lambda t, q, v: -coefficient(t) * v)
 

@@ -15,6 +15,7 @@ from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
 from invdyn.diagnosis.assessment.matters import matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed, too_small
+from invdyn.diagnosis.assessment.posture import base_of, lengths_of, posture, typical_row
 from invdyn.diagnosis.assessment.result import (
     Cause,
     Diagnosis,
@@ -36,7 +37,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.models import ArmModel, Body
+from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
@@ -65,6 +66,7 @@ def assembled(
     none, best = found.pool[""], weighed.best
     after, after_sd, path = residual(bound, best)
     _, q, qd = best.model.split(path)
+    angle = q.numpy()
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
     parts: list[Callable[[], Any]] = [  # what takes longest first
         partial(replay, best.model, path, bound.starts),
@@ -149,14 +151,14 @@ def assembled(
         ),
         joint_names=joints,
         link_names=body.link_names,
-        lengths=tuple(model.body_parameters().length.tolist()),
+        lengths=lengths_of(body),
         tracks=Tracks(
             time=model.time.numpy(),
-            observed=model.observation.points(bound.observations).numpy(),
+            observed=_observed(bound),
             keypoint_names=model.observation.tracked_names,
-            base=np.array(body.base if isinstance(body, Body) else (0.0, 0.0)),
+            base=base_of(body),
             command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
-            angle=q.numpy(),
+            angle=angle,
             velocity=qd.numpy(),
             nominal_replay=replays["nominal"],
             corrected_replay=replays["corrected"],
@@ -173,7 +175,15 @@ def assembled(
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
         posterior=_posterior(bound, best, weighed, seed),
+        planar_only=_planar_only(body),
+        posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
     )
+
+
+def _observed(bound: DiagnosisProblem) -> np.ndarray:
+    """(T, P, d) m, of no keypoints too."""
+    points, body = bound.model.observation.points(bound.observations).numpy(), bound.model.body
+    return points.reshape(*points.shape[:2], body.space)
 
 
 def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
@@ -227,6 +237,7 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
 
 
 def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, held_out: str) -> dict[str, str]:
+    flat = _planar_only(bound.model.body)
     model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
@@ -240,11 +251,17 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
         "looked at",
         "held out": held_out,
+        **({"not looked for": f"{', '.join(flat)}: known for a chain in the plane alone"} if flat else {}),
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
 
 
-def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, reason: str) -> Diagnosis:
+def _planar_only(body: ArticulatedBody) -> tuple[str, ...]:
+    """Which effects of the catalogue are not known for a body of this kind."""
+    return tuple(name for name, kind in EFFECTS.items() if not kind.fits(body))
+
+
+def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passive: bool, reason: str) -> Diagnosis:
     """The answer "not enough data"."""
     joints = body.joint_names
     nan = float("nan")
@@ -271,7 +288,8 @@ def nothing_to_say(recording: Recording, body: Body, seed: int, passive: bool, r
         shrinkage=Shrinkage(None, None, False, empty),
         joint_names=joints,
         link_names=body.link_names,
-        lengths=tuple(link.nominal("length") for link in body.links),
+        lengths=lengths_of(body),
+        posture=posture(body),
         tracks=None,
         screened=(),
         visibility=(),

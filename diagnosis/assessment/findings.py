@@ -15,8 +15,6 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched, log_spread
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
-from invdyn.models.bodies.joint_parts import PARTS
-from invdyn.models.bodies.scalars import UNITS
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.joint_limit import JointLimit
 
@@ -74,12 +72,11 @@ def finding(
 
 def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float = 1.0) -> tuple[Learned, ...]:
     """The body's uncertain numbers as a cause has them."""
-    body, found = problem.model.body, []
+    found = []
     values = drawn(problem, cause, seed, temper) if problem.uncertain else {}
     for number in problem.uncertain:
-        place = (body.joint_names if number.quantity in PARTS else body.link_names)[number.link]
-        after = _estimate(values[number.name], (UNITS | PARTS)[number.quantity])
-        found.append(Learned(place, number.quantity, Change(number.mean, after)))
+        after = _estimate(values[number.name], number.unit)
+        found.append(Learned(number.place, number.what, Change(number.mean, after)))
     return tuple(found)
 
 

@@ -142,8 +142,9 @@ def _apart(
 
 
 def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: DiagnosisProblem) -> FittedHypothesis:
-    """``cause`` as the first rows know it, along the path that all rows have; with the parameters that all rows give
-    it, and no more to learn of them, where the first ones do not know it.
+    """``cause`` with the parameters that the first rows give it, along the path that all rows have.
+
+    Where the first rows do not know it, it keeps the parameters that all rows give it, and these are not learned again.
     """
     values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
     settled = replace(cause, covariance=np.zeros_like(cause.covariance))

@@ -6,7 +6,7 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.result import Interval, Where
 from invdyn.diagnosis.problem.cause import FittedHypothesis
-from invdyn.models import ArmModel
+from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.effects.base import Effect
 
 MOST_OF = 0.8
@@ -17,10 +17,12 @@ SMOOTH = 0.1
 """s over which the gap is averaged."""
 
 
-def joints_of(effect: Effect) -> list[int]:
-    """Joints that an effect of the dynamics acts at; none where it acts on the whole arm."""
+def joints_of(effect: Effect, body: ArticulatedBody) -> list[int]:
+    """Joints of the body that an effect of the dynamics acts at; none where it acts on the whole arm."""
     if effect.side != "dynamics" or effect.site == "arm" or not effect.place:
         return []
+    if effect.site == "link":
+        return list(body.moved_by(effect.place[0]))
     return list(effect.place) if effect.site == "pair" else [effect.place[0]]
 
 
@@ -63,7 +65,7 @@ def where(
             share = probability / len(cause.effects)
             if effect.side == "dynamics":
                 dynamics += share
-                mine = joints_of(effect)
+                mine = joints_of(effect, body)
                 joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
             else:
                 observation += share

@@ -1,7 +1,8 @@
 """What a diagnosis says, and `diagnosis.json`.
 
 Everything that the report draws is here too, as arrays beside the numbers, so that no figure is drawn from anything
-else than the run. T rows, K joints, P tracked keypoints; SI units and radians.
+else than the run. T rows, K joints, S sites (in the plane the K tips), P tracked keypoints, d dimensions; SI units and
+radians.
 """
 
 import math
@@ -12,7 +13,11 @@ from typing import Any
 import arviz as az
 import numpy as np
 
+from invdyn.diagnosis.assessment.posture import Posture
+
 SCHEMA = 1
+LEFT_OUT = "left out"
+"""Key of `Diagnosis.method`: what was not looked at of a long recording."""
 
 
 @dataclass(frozen=True)
@@ -182,13 +187,13 @@ class Tracks:
 
     Attributes:
         time: (T,) s.
-        observed: (T, P, 2) m, NaN where missing; `keypoint_names` P names.
-        base: (2,) m.
+        observed: (T, P, d) m, NaN where missing; `keypoint_names` P names.
+        base: (d,) m.
         command: (T, K) N·m, or None.
         angle, velocity: (T, K) smoothed under the corrected simulation.
-        nominal_replay, corrected_replay: (T, K, 2) m, tips of open-loop replays, set back to the smoothed state every
+        nominal_replay, corrected_replay: (T, S, d) m, sites in open-loop replays, set back to the smoothed state every
             `replay_window` s.
-        smoothed: (T, K, 2) m, tips under the corrected simulation.
+        smoothed: (T, S, d) m, sites under the corrected simulation.
         residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its spread.
         frame_gap: (T,) nats, what the corrected simulation predicts each frame better by; NaN where nothing was seen.
     """
@@ -230,8 +235,10 @@ class Diagnosis:
     recording could not have shown. `not_looked_at` counts the candidates that the search had not tried when its budget
     was spent, 0 where it was not. `screened` has every candidate's key and log evidence against "no gap", best first;
     `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
-    change from run to run). In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue"
-    and an interval's `stop` its "end".
+    change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
+    looked for in space. `lengths` are those of a chain in the plane, whose picture they draw; of another body `posture`
+    does. In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's
+    `stop` its "end".
     """
 
     recording: str
@@ -258,6 +265,8 @@ class Diagnosis:
     not_looked_at: int = 0
     posterior: az.InferenceData | None = None
     written: Written | None = None
+    posture: Posture | None = None
+    planar_only: tuple[str, ...] = ()
 
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""
@@ -306,7 +315,11 @@ class Diagnosis:
                 "gain_per_frame": self.outside.gain_per_frame,
             },
             "not_identifiable": list(self.not_identifiable),
-            "search": {"stopped_at_the_budget": self.not_looked_at > 0, "not_looked_at": self.not_looked_at},
+            "search": {
+                "stopped_at_the_budget": self.not_looked_at > 0,
+                "not_looked_at": self.not_looked_at,
+                "planar_only": list(self.planar_only),
+            },
             "shrinkage": {
                 **_closed(self.shrinkage),
                 "held_out": self.shrinkage.held_out,

@@ -1,8 +1,8 @@
 """`invdyn check`: whether a log is what it says it is, what its motion excites, and which effects it could show.
 
-In this order, as each needs the one before: units by their size (:mod:`invdyn.recordings.plausible`); signs, zeros,
-columns, gears and offsets by torques against motion (:mod:`..problem.mistakes`), each put right before the next is
-looked for; base parameters (:mod:`.excitation`); effects (:mod:`.visible`).
+Each step needs the one before. First come units, by their size (:mod:`invdyn.recordings.plausible`). Then come signs,
+zeros, columns, gears and offsets, by torques against motion (:mod:`..problem.mistakes`); each is put right before the
+next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from invdyn.diagnosis.check.visible import Visible, visible
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain, smoothings
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody, Body
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording, check_plausible
 from invdyn.recordings.plausible import check_magnitudes
@@ -95,7 +95,7 @@ class Check:
         }
 
 
-def check(recording: Recording, body: Body, *, passive: bool = False, effects: bool = True) -> Check:
+def check(recording: Recording, body: ArticulatedBody, *, passive: bool = False, effects: bool = True) -> Check:
     """Check a log against a body; ``effects`` False leaves out which ones it could show, which takes seconds.
 
     Raises InputError where log and body have nothing to do with each other: other joints, or nothing observed.
@@ -129,7 +129,7 @@ def check(recording: Recording, body: Body, *, passive: bool = False, effects: b
     )
 
 
-def _unit_mistakes(recording: Recording, body: Body) -> tuple[list[Wrong], Recording]:
+def _unit_mistakes(recording: Recording, body: ArticulatedBody) -> tuple[list[Wrong], Recording]:
     """What the size of numbers says of their units, and the recording in the right ones."""
     if (told := _implausible(recording, body)) is None:
         return [], recording
@@ -150,7 +150,7 @@ def _with_units(recording: Recording, mistake: Mistake) -> Recording:
     return replace(recording, angles=None if recording.angles is None else recording.angles * mistake.value)
 
 
-def _implausible(recording: Recording, body: Body) -> str | None:
+def _implausible(recording: Recording, body: ArticulatedBody) -> str | None:
     """What :mod:`invdyn.recordings.plausible` says against it; None for nothing."""
     try:
         check_magnitudes(recording, Units())
@@ -161,7 +161,7 @@ def _implausible(recording: Recording, body: Body) -> str | None:
     return None
 
 
-def _motion(recording: Recording, body: Body, wrong: Sequence[Wrong]) -> Motion | None:
+def _motion(recording: Recording, body: ArticulatedBody, wrong: Sequence[Wrong]) -> Motion | None:
     """Motion and torques under the window in which they explain most, whatever is wrong with them; None of neither."""
     if recording.torques is None or not np.isfinite(recording.torques).all() or not recording.torques.any():
         return None

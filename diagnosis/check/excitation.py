@@ -19,6 +19,8 @@ from invdyn.diagnosis.problem.torque_regression import (
     link_regressors,
     nominal_link_numbers,
 )
+from invdyn.models.bodies.inertia import NAMES
+from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
 
 NOTHING = 1e-6
@@ -80,9 +82,15 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
 def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
     """Names, units and nominal values (P,) of the columns."""
     own = nominal_link_numbers(body)
-    kinds = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
-    links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names] if len(own) else []
-    kinds = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
-    joints = [(f"{kind} at {joint}", unit) for kind, unit in kinds for joint in body.joint_names]
+    words = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
+    axes = [(), AXES, NAMES] if body.space == 3 else [(), (), ()]
+    kinds = [
+        (f"{kind} {axis}".strip(), unit)
+        for (kind, unit), each, _ in zip(words, axes, own, strict=False)
+        for axis in each or ("",)
+    ]
+    links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names]
+    besides = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
+    joints = [(f"{kind} at {joint}", unit) for kind, unit in besides for joint in body.joint_names]
     names, units = zip(*links, *joints, strict=True)
-    return list(names), list(units), np.concatenate([own, np.zeros(len(joints))])
+    return list(names), list(units), np.concatenate([*(each.ravel() for each in own), np.zeros(len(joints))])

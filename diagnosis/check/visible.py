@@ -12,7 +12,7 @@ from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import added, screen
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
@@ -34,7 +34,7 @@ class Visible:
         return tuple(name for name, value in self.dprime.items() if value < RULE.faint)
 
 
-def visible(recording: Recording, body: Body, passive: bool = False) -> Visible:
+def visible(recording: Recording, body: ArticulatedBody, passive: bool = False) -> Visible:
     """Look at the first ``ROWS`` rows of a recording; raises InputError as a diagnosis does where it does not fit."""
     bound = diagnosis_problem(recording.select(0, min(ROWS, recording.num_frames)), body, passive=passive)
     try:

@@ -101,13 +101,23 @@ def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, fl
     tips = seen_tips(cause.model, cause.path)
     errors = cause.model.observation.points(errors)
     velocity = np.gradient(tips, cause.model.time.numpy(), axis=0)
-    speed = np.hypot(*np.moveaxis(velocity, -1, 0))
+    speed = np.linalg.norm(velocity, axis=-1)
     seen = np.isfinite(errors).all(-1)
     fast = seen & (speed > np.median(speed[seen])) if seen.any() else seen
     if not fast.any():
         return 0.5, 0.5
-    (x, y), (u, v) = errors[fast].T, velocity[fast].T
-    return float(np.mean(np.abs(x * u + y * v) > np.abs(x * v - y * u))), 0.5 * int(fast.sum()) ** -0.5
+    errors, velocity = errors[fast], velocity[fast]
+    along, across = (np.abs((errors * way).sum(-1)) for way in (velocity, _aside(velocity)))
+    return float(np.mean(along > across)), 0.5 * int(fast.sum()) ** -0.5
+
+
+def _aside(vectors: np.ndarray) -> np.ndarray:
+    """Vectors as long as ``vectors`` (N, d) and at right angles to them; in space any one of these."""
+    if vectors.shape[-1] == 2:
+        return vectors[:, ::-1] * [-1.0, 1.0]
+    aside = np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(-1)])
+    lengths = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (vectors, aside)]
+    return aside * lengths[0] / np.maximum(lengths[1], 1e-300)
 
 
 def in_concert(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[float, float]:

@@ -16,13 +16,13 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
+from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.screen import added, screen
-from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.neighbours import Neighbour, neighbours
@@ -195,7 +195,7 @@ def refine_instead(
     """
     effects = (*(e for e in cause.effects if e is not mine), other)
     kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
-    size = float(sizes(problem.regime)[int(cause.by_size.argmax())]) if size is None else size
+    size = best_size(problem, cause) if size is None else size
     for path, start in product(paths, starts):
         values = kept | {f"{other.key}.{name}": value for name, value in start.items()}
         refined = attempt(refine, problem, effects, values, path, size, **cause.searched)

@@ -132,7 +132,7 @@ def residual(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[np.nda
 
 @torch.no_grad()
 def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarray:
-    """Tips (T, K, 2) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D).
+    """Sites (T, S, d) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D).
 
     Rows ``anew`` are set to their states too.
     """
@@ -156,7 +156,7 @@ def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarra
 
 
 def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
-    """Where the camera would see the tips along ``path``, (T, P, 2) m, P tracked."""
+    """Where the camera would see the sites along ``path``, (T, P, d) m, P tracked."""
     rows = torch.arange(len(path))
     with torch.no_grad():
         emission = model.emission(path, rows)
@@ -165,6 +165,6 @@ def seen_tips(model: ArmModel, path: Tensor) -> np.ndarray:
 
 
 def replay_rms(replayed: np.ndarray, smooth: np.ndarray) -> float:
-    """Root mean square, m, over rows and tips between a replay and the smoothed tips, (T, K, 2) each."""
+    """Root mean square, m, over rows and sites between a replay and the smoothed ones, (T, S, d) each; NaN of none."""
     distance = ((replayed - smooth) ** 2).sum(-1)
-    return float(np.sqrt(np.nanmean(distance)))
+    return float(np.sqrt(np.nanmean(distance))) if np.isfinite(distance).any() else float("nan")

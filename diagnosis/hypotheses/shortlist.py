@@ -24,12 +24,12 @@ import numpy as np
 from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
+from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added
-from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import NotTogether
@@ -107,9 +107,7 @@ def refine_clearing(
     least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
     known = {effect.key for cause in found.pool.values() for effect in cause.effects}
     clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
-    clear = sorted(clear, key=lambda s: -s.by_size[0])[:PAIR]
-    limits = {"enough": found.top - TOO_FAR_BEHIND}
-    found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in clear])
+    _refine_beside(problem, found, base, sorted(clear, key=lambda s: -s.by_size[0])[:PAIR])
 
 
 def refine_every(
@@ -122,10 +120,17 @@ def refine_every(
     seen = [s for s in added(screened) if s.effect.side == "observation"]
     left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
     for first in range(0, len(left), PAIR):
-        limits = {"enough": found.top - TOO_FAR_BEHIND}
-        found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in left[first : first + PAIR]])
+        _refine_beside(problem, found, base, left[first : first + PAIR])
         if found.explained:
             return
+
+
+def _refine_beside(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, some: Sequence[Added]
+) -> None:
+    """Refine some of the screened effects, added to ``base``, side by side."""
+    limits = {"enough": found.top - TOO_FAR_BEHIND}
+    found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in some])
 
 
 def refine_barred(
@@ -186,8 +191,8 @@ def _from_base(
         p.name: p.absent for p in each.effect.parameters(problem.model.scale) if p.absent not in (None, np.inf)
     }
     values = {f"{each.effect.key}.{name}": value for name, value in (each.values | none_of_it).items()} | base.values
-    size = float(sizes(problem.regime)[int(base.by_size.argmax())])
-    return refine(problem, (*base.effects, each.effect), values, base.path, size, **base.searched, **limits)
+    effects = (*base.effects, each.effect)
+    return refine(problem, effects, values, base.path, best_size(problem, base), **base.searched, **limits)
 
 
 def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:
@@ -198,7 +203,7 @@ def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **l
     effects = (*(e for e in cause.effects if e.key != mine.key), form)
     ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
     values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
-    size = max(float(sizes(problem.regime)[int(cause.by_size.argmax())]), SOFTENED)
+    size = max(best_size(problem, cause), SOFTENED)
     return attempt(refine, problem, effects, values, cause.path, size, **cause.searched, **limits)
 
 

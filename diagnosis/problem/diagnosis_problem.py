@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.diagnosis.budget import Budget
@@ -23,12 +22,11 @@ from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.diagnosis.problem.thinned import thinned
+from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
 from invdyn.inference.posterior.jitter import jitter
-from invdyn.models import ArmModel, Body
+from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.articulated.as_filed import answered
-from invdyn.models.bodies.joint_parts import NOTHING, PARTS
-from invdyn.models.bodies.scalars import QUANTITIES
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
@@ -67,31 +65,13 @@ class NotEnoughData(InputError):
 
 
 @dataclass(frozen=True)
-class Uncertain:
-    """A number of the body that is not known exactly: ``quantity`` ("mass", "damping") of link or joint ``link``.
-
-    N(mean, sd²).
-    """
-
-    quantity: str
-    link: int
-    mean: float
-    sd: float
-
-    @property
-    def name(self) -> str:
-        """Such as "body.mass.0"."""
-        return f"body.{self.quantity}.{self.link}"
-
-
-@dataclass(frozen=True)
 class DiagnosisProblem:
     """A recording bound to the simulation of it.
 
     Attributes:
         problem: model with the residual torque at size one typical torque, and observations.
         regime: one of ``REGIMES``.
-        uncertain: :func:`uncertain_numbers`; where the torque is unknown, lengths alone.
+        uncertain: :func:`.uncertain_numbers`; where the torque is unknown, those of the geometry alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
         budget: what is left of it; all problems of one diagnosis share it.
@@ -99,7 +79,7 @@ class DiagnosisProblem:
 
     problem: Problem
     regime: str
-    uncertain: tuple["Uncertain", ...] = ()
+    uncertain: tuple[Uncertain, ...] = ()
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
     budget: Budget = field(default_factory=Budget, compare=False)
@@ -168,39 +148,8 @@ class DiagnosisProblem:
         return {"torque.initial_scale": BEGINNING * typical} if self.regime == "commanded" else {}
 
 
-def uncertain_numbers(body: Body) -> tuple[Uncertain, ...]:
-    """The body's numbers that it states an uncertainty or a prior of, and what is as uncertain because they are.
-
-    A moment of inertia that is left out follows the mass. One that is written as a number would stay as it is however
-    heavy the link: it is taken to be known as well as the mass is, relatively, and no better.
-    """
-    found = []
-    for k, link in enumerate(body.with_uncertainty().links):
-        given = {quantity: getattr(link, quantity) for quantity in QUANTITIES}
-        priors = {quantity: prior for quantity, prior in given.items() if isinstance(prior, Distribution)}
-        own = [Uncertain(quantity, k, p.mean.item(), p.stddev.item()) for quantity, p in priors.items()]
-        moment = link.nominal("inertia")
-        if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
-            own.append(Uncertain("inertia", k, moment, moment * float(priors["mass"].stddev / priors["mass"].mean)))
-        found += own
-    return tuple(found + _joint_numbers(body))
-
-
-def _joint_numbers(body: Body) -> list[Uncertain]:
-    """What the file gives joints and calls uncertain, relatively, of all joints or of one."""
-    found = []
-    stated = getattr(body, "uncertainty", {})  # a tree has none
-    for k, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
-        for part in PARTS:
-            value = getattr(parts or NOTHING, part)
-            sd = value * stated.get(f"{part}.{joint}", stated.get(part, 0.0))
-            if sd > 0:
-                found.append(Uncertain(part, k, value, sd))
-    return found
-
-
 def diagnosis_problem(
-    recording: Recording | Sequence[Recording], body: Body, *, passive: bool = False
+    recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False
 ) -> DiagnosisProblem:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     given = [recording] if isinstance(recording, Recording) else recording
@@ -210,7 +159,7 @@ def diagnosis_problem(
     uncertain = uncertain_numbers(body)
     if regime == "unknown_torque":
         # There only its rough prior would tell of masses: it pulls them down as far as they may go.
-        uncertain = tuple(u for u in uncertain if u.quantity == "length")
+        uncertain = tuple(u for u in uncertain if u.quantity in GEOMETRY)
     whole = arm_problem(recording, body, passive=passive, substeps=1)
     rows = (~torch.isnan(whole.observations)).any(-1).numpy()
     seen = int(rows.sum())

@@ -5,6 +5,7 @@ well; what drives the arm in between is known, and a row carries it as it came. 
 beside encoders, keeps up to half of the rows.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,12 +20,8 @@ ROWS = 2000
 def thinned(recording: Recording, most: int = ROWS) -> Recording:
     """``recording`` with no more than ``most`` rows of observations; itself where it has no more. NaN elsewhere."""
     streams: dict[str, Any] = {"keypoints": recording.keypoints, "angles": recording.angles}
-    seen = {
-        name: np.flatnonzero(np.isfinite(values).reshape(len(values), -1).any(1))
-        for name, values in streams.items()
-        if values is not None and values.size
-    }
-    if len(np.unique(np.concatenate(list(seen.values())))) <= most:
+    seen = _seen(recording)
+    if _rows(seen) <= most:
         return recording
     changed: dict[str, Any] = {}
     room = most
@@ -37,3 +34,25 @@ def thinned(recording: Recording, most: int = ROWS) -> Recording:
         values[kept] = streams[name][kept]
         changed[name] = values
     return replace(recording, **changed)
+
+
+def left_out(recordings: Sequence[Recording]) -> str | None:
+    """A sentence about what a diagnosis does not look at of recordings; None where it looks at all."""
+    total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, [*map(thinned, recordings)]))
+    if used == total:
+        return None
+    return f"Of {total} rows with an observation {used} were looked at, spread evenly, with all commands between them"
+
+
+def _seen(recording: Recording) -> dict[str, np.ndarray]:
+    """Rows at which each stream is seen."""
+    streams = {"keypoints": recording.keypoints, "angles": recording.angles}
+    return {
+        name: np.flatnonzero(np.isfinite(values).reshape(len(values), -1).any(1))
+        for name, values in streams.items()
+        if values is not None and values.size
+    }
+
+
+def _rows(seen: dict[str, np.ndarray]) -> int:
+    return len(np.unique(np.concatenate(list(seen.values())))) if seen else 0

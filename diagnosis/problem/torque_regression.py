@@ -16,18 +16,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import torch
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
-from invdyn.models import Body
 from invdyn.models.articulated.as_filed import answered
 from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 
 WINDOWS = (7, 13, 25, 49, 97)
 """Rows of a local cubic: few for a fast arm, many for noisy encoders."""
-MOST_ROWS = 1200
-"""Rows that count: neighbours say the same."""
+MOST_ROWS, PAIR = 1200, 2
+"""Rows that count, of so many joints; fewer of more: neighbours say the same."""
 LOOSE = 0.3
 """Of a link's number, by which its file may be off."""
 WEIGHT = 1e-3
@@ -118,26 +119,37 @@ def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: in
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
     given = (area[1] - area[0]) / width[:, None]
     inner = slice(window // 2, len(even) - window // 2)
-    stride = slice(None, None, max(1, len(even) // MOST_ROWS))
+    stride = slice(None, None, max(1, len(even) * max(angle.shape[1], PAIR) // (PAIR * MOST_ROWS)))
     q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
     return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride])
 
 
 def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
-    """Y of each link's m, m c and J, (3K, R, K), of a chain in the plane; none of another body."""
-    K = motion.q.shape[1]
+    """Y of each link's m, first moments m c and second moments J about its joint, (P, R, K).
+
+    In the plane P is 3 for each link, in space 10; quantity by quantity, each of all links. None of another body.
+    """
     numbers = body.parameters()
-    if not isinstance(body, Body):
+    if not has_inertias(body):
         return np.empty((0, *motion.q.shape))
-    unit = torch.eye(K, dtype=torch.float64)[:, None]
-    none = torch.zeros_like(unit)
+    n, r = (1, 1) if body.space == 2 else (3, 6)
+    links = len(body.link_names)
+    # columns in one batch: a kilogram at the joint, one at a metre along each axis, and each moment by itself
+    mass, com, moments = np.zeros((1 + n + r, 1)), np.zeros((1 + n + r, n)), np.zeros((1 + n + r, r))
+    mass[: 1 + n], com[1 : 1 + n], moments[1 + n :] = 1.0, np.eye(n), np.eye(r)
+    moments[1 : 1 + n] = -point_moments(torch.eye(n, dtype=torch.float64)).numpy()
 
-    def torque(mass: torch.Tensor, com: torch.Tensor, inertia: torch.Tensor) -> np.ndarray:
-        only = numbers._replace(mass=mass, com=com, inertia=inertia)
-        return inverse(dynamics, only, motion)
+    def of_each(values: np.ndarray) -> torch.Tensor:
+        """Values (C, m) given to one link after the other: (C L, 1, L, m)."""
+        return torch.as_tensor(np.einsum("cm,kl->cklm", values, np.eye(links))).flatten(0, 1).unsqueeze(1)
 
-    mass = torque(unit, none, none)
-    return np.concatenate([mass, torque(unit, unit, -unit) - mass, torque(none, none, unit)])
+    given = [of_each(each) for each in (mass, com, moments)]
+    masses, coms, inertias = (each[..., 0] if each.shape[-1] == 1 else each for each in given)
+    only = numbers._replace(mass=masses, com=coms, inertia=inertias)
+    found = inverse(dynamics, only, motion).reshape(1 + n + r, links, *motion.q.shape)
+    # at a distance of one metre a kilogram has moments, which are taken from it
+    found[1 : 1 + n] -= found[:1]
+    return found.reshape(-1, *motion.q.shape)
 
 
 def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
@@ -162,13 +174,14 @@ def joint_regressors(motion: Motion) -> np.ndarray:
     return np.concatenate([np.eye(K)[:, None] * values for values in each])
 
 
-def nominal_link_numbers(body: Any) -> np.ndarray:
-    """Each link's m, m c and J, (3K,), of a chain in the plane; none of another body."""
-    if not isinstance(body, Body):
-        return np.empty(0)
+def nominal_link_numbers(body: Any) -> list[np.ndarray]:
+    """Each link's m (1, L), m c (n, L) and J (r, L), of a chain in the plane n = r = 1, of a tree 3 and 6."""
+    if not has_inertias(body):
+        return []
     p = body.parameters()
-    moments = (p.mass, p.mass * p.com, p.inertia + p.mass * p.com**2)
-    return torch.cat(moments).numpy()
+    every = [inertia_of(p, k) for k in range(len(body.link_names))]
+    own = [(e.mass, e.mass * e.com, e.moments + e.mass * point_moments(e.com)) for e in every]
+    return [torch.stack(quantity, -1).numpy() for quantity in zip(*own, strict=True)]
 
 
 def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
@@ -176,12 +189,14 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
     size = np.sqrt((motion.torque**2).mean(0))
     unit = np.maximum(np.maximum(size, QUIET * size.max()), 1e-12)
-    own = nominal_link_numbers(body)
+    quantities = nominal_link_numbers(body)
+    own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
     joints = joint_regressors(motion)
     constant = np.eye(len(unit))[list(offsets)][:, None] * np.ones_like(motion.torque)
     X = np.concatenate([link_regressors(dynamics, body, motion), joints, constant]) / unit
     moved = np.maximum(np.sqrt((joints**2).mean(1)).sum(-1), 1e-12)
-    floor = np.repeat(np.maximum(np.abs(own).reshape(3, -1).max(1), 1e-12), len(own) // 3)
+    largest = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in quantities]
+    floor = np.concatenate([*largest, np.empty(0)])
     sd = np.concatenate(
         [LOOSE * np.maximum(np.abs(own), 0.01 * floor), np.tile(unit, 3) / moved, 100 * unit[list(offsets)]]
     )
@@ -191,7 +206,19 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     left = ((motion.torque - asked) / unit).ravel() / np.sqrt(motion.torque.size)
     q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(WEIGHT) * np.eye(len(sd))]))
     target = q.T @ np.concatenate([left, np.zeros(len(sd))])
-    scaled = lsq_linear(r, target, (lower, upper), method="bvls").x
+    scaled = _bounded(r, target, lower, upper, len(own))
     missed = ((left - rows @ scaled) ** 2).reshape(motion.torque.shape).sum(0)
     total = missed.sum() + WEIGHT * (scaled**2).sum()
     return Explained(float(np.sqrt(total)), np.sqrt(missed * len(unit)), scaled * sd)
+
+
+def _bounded(r: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray, first: int) -> np.ndarray:
+    """The x (P,) within bounds that is nearest to ``r x = target``, of a triangular ``r`` (P, P).
+
+    The ``first`` of them, links' numbers, seldom come to their bounds: the others are then found by themselves.
+    """
+    rest = lsq_linear(r[first:, first:], target[first:], (lower[first:], upper[first:]), method="bvls").x
+    links = scipy.linalg.solve_triangular(r[:first, :first], target[:first] - r[:first, first:] @ rest)
+    if ((lower[:first] <= links) & (links <= upper[:first])).all():
+        return np.concatenate([links, rest])
+    return np.asarray(lsq_linear(r, target, (lower, upper), method="bvls").x)

@@ -11,8 +11,9 @@ import numpy as np
 import torch
 from pyro.distributions import Distribution, LogNormal, Normal
 
-from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, Uncertain
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.uncertain import Uncertain
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
@@ -27,7 +28,7 @@ EDGE = 1e-3
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Names (p) of unknowns, "<effect key>.<parameter>" or "body.<quantity>.<link>", priors, Gaussians (p,)."""
+    """Names (p) of unknowns, "<effect key>.<parameter>" or "body.<quantity>.<entry>", priors, Gaussians (p,)."""
 
     names: tuple[str, ...]
     priors: tuple[Distribution, ...]
@@ -58,14 +59,17 @@ class Unknowns:
         given = torch.as_tensor(values)
         many = given.ndim == 2
         changed: dict[str, torch.Tensor] = {}
+        nominal = model.body.parameters()._asdict() if any(name.startswith("body.") for name in self.names) else {}
+        joints = torch.Size([model.body.num_joints])  # of what the file gives those
         for i, name in enumerate(self.names):
             column = given[..., i, None]
             column = column.unsqueeze(-2) if many else column
             if name.startswith("body."):
-                key, link = name.rsplit(".", 1)
+                key, entry = name.rsplit(".", 1)
+                own = nominal[key.removeprefix("body.")].shape if key.removeprefix("body.") in nominal else joints
                 whole = changed.get(key, model.parameters[key])
-                whole = whole.expand(*column.shape[:-1], whole.shape[-1]).clone()
-                whole[..., int(link)] = column[..., 0]
+                whole = whole.expand(*column.shape[:-1], *own).clone(memory_format=torch.contiguous_format)
+                whole.flatten(-len(own))[..., int(entry)] = column[..., 0]
                 changed[key] = whole
             else:
                 changed[f"effect.{name}"] = column
@@ -83,7 +87,7 @@ def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
 
 def _least(number: Uncertain) -> float:
     """Smallest value of a number of the body: lengths, masses and inertias stay above a tenth of what they are."""
-    edge = -np.inf if number.quantity == "com" else 0.1 * number.mean
+    edge = -np.inf if number.signed else 0.1 * number.mean
     return max(number.mean - FAR * number.sd, edge)
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from markupsafe import Markup
 
+from invdyn.diagnosis.assessment.posture import Posture, typical_row
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.numbers import known, percent
 from invdyn.diagnosis.report.sentences import best
@@ -35,24 +36,20 @@ class View:
         return self._centre + (np.asarray(points, float) - self._middle) * self.scale * np.array([1.0, -1.0])
 
 
-def chain(diagnosis: Diagnosis) -> tuple[np.ndarray, int | None]:
-    """(K+1, 2) m of base and tips at a typical posture, and its row: the one nearest to the median angles.
-
-    Without tracks the arm hangs, slightly bent, and there is no row.
-    """
+def chain(diagnosis: Diagnosis) -> Posture:
+    """Base and tips of a chain in the plane at a typical posture; without tracks it hangs, slightly bent."""
     tracks, lengths = diagnosis.tracks, np.array(diagnosis.lengths, float)
-    row, base = None, np.zeros(2)
+    base = np.zeros(2)
     angle = np.array([-np.pi / 2 + 0.35, *[0.5] * (len(lengths) - 1)])
     if tracks is not None:
         base = tracks.base
-        good = np.flatnonzero(np.isfinite(tracks.angle).all(-1))
-        if good.size:
-            off = np.abs(tracks.angle[good] - np.median(tracks.angle[good], 0)).sum(-1)
-            row = int(good[off.argmin()])
+        if (row := typical_row(tracks.angle)) is not None:
             angle = tracks.angle[row]
     direction = np.cumsum(angle)
     steps = lengths[:, None] * np.stack([np.cos(direction), np.sin(direction)], -1)
-    return np.concatenate([[base], base + np.cumsum(steps, 0)]), row
+    points = np.concatenate([[base], base + np.cumsum(steps, 0)])
+    links = range(len(lengths))
+    return Posture(points, tuple((k, k, k + 1) for k in links), tuple(links), nodes_of_keypoints(diagnosis))
 
 
 def nodes_of_keypoints(diagnosis: Diagnosis) -> dict[str, int]:
@@ -70,50 +67,61 @@ def nodes_of_keypoints(diagnosis: Diagnosis) -> dict[str, int]:
 
 
 def arm(diagnosis: Diagnosis) -> Markup:
-    """The drawing."""
-    points, _ = chain(diagnosis)
+    """The drawing; of a body in space one from the side and one from the front."""
+    body = diagnosis.posture or chain(diagnosis)
+    return Markup("").join(_seen(diagnosis, body, body.points @ view.T) for view in body.views)
+
+
+def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:
+    """One picture of points (N, 2)."""
     names = (*diagnosis.joint_names, *diagnosis.where.keypoints)
     side = 26 + 8 * min(max(map(len, names), default=0), LONGEST)
     span = np.ptp(points, 0)
     height = int(np.clip((WIDTH - 2 * side) * span[1] / max(span[0], 1e-9) + 2 * EDGE, LOWEST, HIGHEST))
     view = View(points, (WIDTH, height), (side, EDGE))
     spots = view(points)
-    where, count = diagnosis.where, len(diagnosis.lengths)
+    where = diagnosis.where
     cause = best(diagnosis)
     links = {f.where["link"]: cause.probability for f in cause.effects if "link" in f.where} if cause else {}
-    drawn = [_ground(spots[0], 1 if spots[1][1] < spots[0][1] else -1)]
-    for k in range(count):
-        share = links.get(diagnosis.link_names[k]) if diagnosis.gap.detected else None
-        (x0, y0), (x1, y1) = spots[k], spots[k + 1]
+    root = body.lines[0][1]
+    below = 1 if spots[body.lines[0][2]][1] < spots[root][1] else -1
+    drawn, named = [_ground(spots[root], below)], set()
+    for k, start, end in body.lines:
+        share = links.get(diagnosis.link_names[k]) if diagnosis.gap.detected and k >= 0 else None
+        (x0, y0), (x1, y1) = spots[start], spots[end]
         drawn.append(
             Markup('<path class="link s{}" d="M{:.1f} {:.1f}L{:.1f} {:.1f}"/>').format(level(share), x0, y0, x1, y1)
         )
-        if share is not None:
-            middle = (spots[k] + spots[k + 1]) / 2
+        if share is not None and k not in named:
+            middle = (spots[start] + spots[end]) / 2
             text = f"{_short(diagnosis.link_names[k])} {percent(share)}"
-            drawn.append(_words(middle, [text], [spot - middle for spot in spots], level_first=0.0))
-    attached = nodes_of_keypoints(diagnosis)
-    for k, spot in enumerate(spots):
+            drawn.append(_words(middle, [text], [spot - middle for spot in (spots[start], spots[end])], 0.0))
+            named.add(k)
+    for n, spot in enumerate(spots):
+        joints = [diagnosis.joint_names[k] for k, node in enumerate(body.joints) if node == n]
         lines: list[str] = []
-        if k < count:
-            name = diagnosis.joint_names[k]
+        for name in joints:
             share = where.joints.get(name)
             lines += [_short(name)] + ([percent(share)] if known(share) else [])
-            radius = 7 + 6 * (share if known(share) else 0)
+        if len(joints) > 1:
+            lines = [" ".join(lines[i : i + 2]) for i in range(0, len(lines), 2)] if len(lines) > len(joints) else lines
+        if joints:
+            share = max((where.joints.get(name) for name in joints), key=lambda s: s if known(s) else -1.0)
             mark = '<circle class="joint s{}" cx="{:.1f}" cy="{:.1f}" r="{:.1f}"/>'
-            drawn.append(Markup(mark).format(level(share), *spot, radius))
-        for name in [n for n, node in attached.items() if node == k]:
+            drawn.append(Markup(mark).format(level(share), *spot, 7 + 6 * (share if known(share) else 0)))
+        for name in [name for name, node in body.keypoints.items() if node == n and name in where.keypoints]:
             share = where.keypoints.get(name)
             r = f"{4 + 5 * (share if known(share) else 0):.1f}"
             mark = '<path class="keypoint s{}" d="M{:.1f} {:.1f}l{r} {r}l-{r} {r}l-{r} -{r}Z"/>'
             drawn.append(Markup(mark).format(level(share), spot[0], spot[1] - float(r), r=r))
-            if k < count and name == diagnosis.joint_names[k] and known(share):
+            if name in joints and known(share):
                 lines.append(f"seen {percent(share)}")
-            elif k == count or (known(share) and share >= 0.005):
+            elif not joints or (known(share) and share >= 0.005):
                 lines += [_short(name)] + ([percent(share)] if known(share) else [])
-        neighbours = [spots[n] - spot for n in (k - 1, k + 1) if 0 <= n < len(spots)]
-        if k == 0:
-            neighbours.append(np.array([0.0, 1.0 if spots[1][1] < spot[1] else -1.0]))
+        ends = [{start: end, end: start}[n] for _, start, end in body.lines if n in (start, end)]
+        neighbours = [spots[end] - spot for end in ends]
+        if n == root:
+            neighbours.append(np.array([0.0, float(below)]))
         drawn.append(_words(spot, lines, neighbours))
     shares = [f"{name} {percent(share)}" for name, share in (*where.joints.items(), *where.keypoints.items())]
     return Markup('<svg class="arm" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(

@@ -22,13 +22,16 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     if tracks is None or not np.isfinite(tracks.nominal_replay).any():
         return None
     rows = np.arange(0, len(tracks.time), -(-len(tracks.time) // FRAMES))
-    time, observed = tracks.time[rows], tracks.observed[rows]
-    sides = {"nominal": tracks.nominal_replay[rows], "corrected": tracks.corrected_replay[rows]}
-    seen = _usual(np.concatenate([observed.reshape(-1, 2), tracks.smoothed[rows].reshape(-1, 2)]))
+    seen_from = np.eye(2) if diagnosis.posture is None else diagnosis.posture.views[0]
+    time = tracks.time[rows]
+    whole = {"nominal": tracks.nominal_replay[rows], "corrected": tracks.corrected_replay[rows]}
+    off = {name: 1e3 * np.linalg.norm(v[:, -1] - tracks.smoothed[rows, -1], axis=-1) for name, v in whole.items()}
+    observed, smoothed, base_at = (v @ seen_from.T for v in (tracks.observed[rows], tracks.smoothed[rows], tracks.base))
+    sides = {name: v @ seen_from.T for name, v in whole.items()}
+    seen = _usual(np.concatenate([observed.reshape(-1, 2), smoothed.reshape(-1, 2)]))
     drawn = _usual(np.concatenate([v.reshape(-1, 2) for v in sides.values()]))
-    view = View(_within(np.concatenate([seen, drawn, tracks.base[None]]), seen), (WIDTH, HEIGHT), (14, 14))
-    base = 10 * view(tracks.base)
-    off = {name: 1e3 * np.linalg.norm(v[:, -1] - tracks.smoothed[rows, -1], axis=-1) for name, v in sides.items()}
+    view = View(_within(np.concatenate([seen, drawn, base_at[None]]), seen), (WIDTH, HEIGHT), (14, 14))
+    base = 10 * view(base_at)
     worst = int(np.nanargmax(off["nominal"])) if np.isfinite(off["nominal"]).any() else 0
     data = {
         "time": [round(float(t), 4) for t in time - time[0]],

@@ -223,9 +223,9 @@ def screen(
 ) -> list[Screened]:
     """Evidence of each effect added to ``model``, and of none, best first.
 
-    ``common`` are unknowns that stay free in all of them, now at ``point`` in ``model``; ``quiet`` says that ``model``
-    leaves little, so that the smaller sizes do; ``times`` are stretches in which to look for what acts for a while,
-    those where it would explain most if none are given.
+    ``common`` are unknowns that stay free in all of them; ``point`` is where they stand in ``model``. ``quiet`` says
+    that ``model`` leaves little, so that the smaller sizes do. ``times`` are stretches in which to look for what acts
+    for a while; by default those in which it would explain most.
     """
     problem.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
     levels = sizes(problem.regime)

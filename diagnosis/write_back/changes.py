@@ -6,9 +6,12 @@ An effect adds to what the file has: from b to b + Δb. Of the whole cause, mean
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
+
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
+from invdyn.models.effects.inertias import inertia_of
 
 SEEN = "how the motion is seen is no part of a simulation's file"
 UNCERTAIN = "it was learned because the file calls it uncertain, and stays as the file has it"
@@ -48,7 +51,7 @@ class Correction:
     unsaid: dict[str, str]
 
 
-def correction(cause: Cause, body: Body) -> Correction:
+def correction(cause: Cause, body: ArticulatedBody) -> Correction:
     """The changes that a cause asks for."""
     changes: list[FileChange] = []
     unsaid: dict[str, str] = {}
@@ -71,8 +74,8 @@ def correction(cause: Cause, body: Body) -> Correction:
     return Correction(tuple(changes), unsaid)
 
 
-def _joint(body: Body, name: str) -> JointParts:
-    return body.links[body.joint_names.index(name)].parts or NOTHING
+def _joint(body: ArticulatedBody, name: str) -> JointParts:
+    return body.joint_parts[body.joint_names.index(name)] or NOTHING
 
 
 def _raised(finding: Finding, place: str, quantity: str, name: str, before: float) -> FileChange:
@@ -89,15 +92,15 @@ def _moved(e: Estimate, before: float, factor: float = 1.0) -> tuple[float, floa
     return low, high
 
 
-def _part(quantity: str, parameter: str) -> Callable[[Finding, Body], list[FileChange]]:
-    def made(finding: Finding, body: Body) -> list[FileChange]:
+def _part(quantity: str, parameter: str) -> Callable[[Finding, ArticulatedBody], list[FileChange]]:
+    def made(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
         joint = finding.where["joint"]
         return [_raised(finding, joint, quantity, parameter, getattr(_joint(body, joint), quantity))]
 
     return made
 
 
-def _spring(finding: Finding, body: Body) -> list[FileChange]:
+def _spring(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     """Two springs are one: k = k₀ + Δk, which rests where their torques balance."""
     joint = finding.where["joint"]
     own, k, rest = _joint(body, joint), finding.parameters["stiffness"], finding.parameters["rest_angle"]
@@ -109,37 +112,39 @@ def _spring(finding: Finding, body: Body) -> list[FileChange]:
     return [stiffer, turned]
 
 
-def _gain(finding: Finding, body: Body) -> list[FileChange]:
+def _gain(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     e = finding.parameters["gain"]
     joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
     return [FileChange(j, "motor gain", 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j in joints]
 
 
-def _limit(finding: Finding, body: Body) -> list[FileChange]:
+def _limit(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     joint, e = finding.where["joint"], finding.parameters["limit"]
     motor = _joint(body, joint).motor
     before = float("inf") if motor is None else motor.high
     return [FileChange(joint, "motor limit", before, e.mean, e.interval_90, e.unit, finding.key)]
 
 
-def _payload(finding: Finding, body: Body) -> list[FileChange]:
+def _payload(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     e = finding.parameters["mass"]
-    return [FileChange(body.links[-1].name, "payload", 0.0, e.mean, e.interval_90, e.unit, finding.key)]
+    assert body.hand is not None  # as a payload was found there
+    return [FileChange(body.link_names[body.hand[0]], "payload", 0.0, e.mean, e.interval_90, e.unit, finding.key)]
 
 
-def _inertial(finding: Finding, body: Body) -> list[FileChange]:
+def _inertial(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     name = finding.where["link"]
-    link = body.links[body.link_names.index(name)]
-    return [_raised(finding, name, key, key, link.nominal(key)) for key in ("mass", "com", "inertia")]
+    own = inertia_of(body.parameters(), body.link_names.index(name))
+    before = torch.cat([own.mass, own.com, own.mean]).tolist()
+    return [_raised(finding, name, key, key, value) for key, value in zip(finding.parameters, before, strict=True)]
 
 
-def _delay(finding: Finding, body: Body) -> list[FileChange]:
+def _delay(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     e = finding.parameters["delay"]
     joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
     return [FileChange(j, "motor delay", 0.0, e.mean, e.interval_90, e.unit, finding.key) for j in joints]
 
 
-SAID: dict[str, Callable[[Finding, Body], list[FileChange]]] = {
+SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
     "viscous_friction": _part("damping", "damping"),
     "coulomb_friction": _part("friction", "torque"),
     "armature": _part("armature", "inertia"),

@@ -17,9 +17,10 @@ import numpy as np
 
 from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
+from invdyn.models.effects.inertias import point_of
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
@@ -29,7 +30,9 @@ POINT = "1e-9 1e-9 1e-9"
 """kg·m² of a payload, which is a point: MuJoCo wants some."""
 
 
-def rewritten(content: bytes, path: str, body: Body, changes: Sequence[FileChange]) -> tuple[bytes, dict[str, str]]:
+def rewritten(
+    content: bytes, path: str, body: ArticulatedBody, changes: Sequence[FileChange]
+) -> tuple[bytes, dict[str, str]]:
     """The content with the changes; and what could not be written: words → why.
 
     ``path`` is the file that the content is of, which MuJoCo reads. Raises ValueError where it cannot.
@@ -42,7 +45,7 @@ def rewritten(content: bytes, path: str, body: Body, changes: Sequence[FileChang
     unsaid: dict[str, str] = {}
     inertial: dict[str, list[FileChange]] = {}
     for change in changes:
-        if change.quantity in ("mass", "com", "inertia"):
+        if change.quantity in ("mass", "inertia") or change.quantity.startswith("com"):
             inertial.setdefault(change.place, []).append(change)
         elif (why := writer.write(change)) is not None:
             unsaid[f"{change.quantity} of {change.place}"] = why
@@ -55,7 +58,7 @@ def rewritten(content: bytes, path: str, body: Body, changes: Sequence[FileChang
 class Writer:
     """Puts changes into a text of the compiled ``model``, whose ``data`` is in the reference pose."""
 
-    def __init__(self, text: XmlText, model: Any, data: Any, body: Body):
+    def __init__(self, text: XmlText, model: Any, data: Any, body: ArticulatedBody):
         self.text, self.model, self.data, self.body = text, model, data, body
         self.joints = [e for e in text.found("joint", "worldbody") if not e.inside("default")]
         self.bodies = text.found("body", "worldbody")
@@ -82,7 +85,7 @@ class Writer:
         return self._motor(number, change)
 
     def _parts(self, joint: str) -> JointParts:
-        return self.body.links[self.body.joint_names.index(joint)].parts or NOTHING
+        return self.body.joint_parts[self.body.joint_names.index(joint)] or NOTHING
 
     def _joint(self, number: int) -> Element | None:
         named = [e for e in self.joints if e.attributes.get("name") == self.model.joint(number).name]
@@ -113,11 +116,13 @@ class Writer:
         return [e for e in self.text.elements if e.parent is parent]
 
     def _payload(self, change: FileChange) -> str | None:
-        number = self._moved_by(self.body.joint_names[-1])
+        assert self.body.hand is not None  # as a payload was found there
+        link, site = self.body.hand
+        number = self._moved_by(link)
         element = self._body(number)
         if element is None:
             return INCLUDED
-        place = self._in_body(number, len(self.body.links) - 1, self.body.links[-1].nominal("length"))
+        place = self._in_body(number, link, point_of(self.body.parameters(), link, site).numpy())
         self.text.insert(
             element,
             f'<body name="payload" pos="{_row(place)}">'
@@ -129,7 +134,7 @@ class Writer:
     def write_inertial(self, link: str, changes: Sequence[FileChange]) -> str | None:
         """A link's inertial element with other numbers; None where that could be done, else why not."""
         k = self.body.link_names.index(link)
-        number = self._moved_by(self.body.joint_names[k])
+        number = self._moved_by(k)
         element = self._body(number)
         if element is None:
             return INCLUDED
@@ -139,7 +144,9 @@ class Writer:
         if any(c.attributes.get("inertiafromgeom") == "true" for c in self.text.found("compiler")):
             return 'its compiler takes all inertias from geoms (inertiafromgeom="true")'
         to = {change.quantity: change for change in changes}
-        along = self._in_body(number, k, 1.0) - self._in_body(number, k, 0.0)
+        coms = [change for change in changes if change.quantity.startswith("com")]
+        before, after = (np.array([getattr(change, end) for change in coms]) for end in ("before", "after"))
+        shift = self._in_body(number, k, after) - self._in_body(number, k, before)
         flat = np.zeros(9)
         mujoco.mju_quat2Mat(flat, self.model.body_iquat[number])
         turn = flat.reshape(3, 3)
@@ -147,7 +154,7 @@ class Writer:
         factor = to["inertia"].after / to["inertia"].before if to["inertia"].before else 1.0
         # all moments by one factor: what was a possible body stays one
         tensor = tensor * factor
-        place = self.model.body_ipos[number] + along * (to["com"].after - to["com"].before)
+        place = self.model.body_ipos[number] + shift
         full = " ".join(_said(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
         given = {"pos": _row(place), "mass": _said(to["mass"].after), "fullinertia": full}
         said = "; ".join(change.comment.removeprefix("invdyn: ") for change in changes)
@@ -167,8 +174,11 @@ class Writer:
             child = int(self.model.body_parentid[child])
         return child == to
 
-    def _moved_by(self, joint: str) -> int:
-        return int(self.model.jnt_bodyid[joint_names(self.model).index(joint)])
+    def _joint_of(self, link: int) -> int:
+        return joint_names(self.model).index(self.body.joint_names[self.body.moved_by(link)[-1]])
+
+    def _moved_by(self, link: int) -> int:
+        return int(self.model.jnt_bodyid[self._joint_of(link)])
 
     def _body(self, number: int) -> Element | None:
         named = [e for e in self.bodies if e.attributes.get("name") == self.model.body(number).name]
@@ -176,10 +186,13 @@ class Writer:
             return named[0]
         return self.bodies[number - 1] if self.whole and len(self.bodies) == self.model.nbody - 1 else None
 
-    def _in_body(self, number: int, link: int, far: float) -> np.ndarray:
-        """A point on a link's line, ``far`` m from its joint, in the frame of a body of it."""
-        heading = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1])
-        joint = joint_names(self.model).index(self.body.joint_names[link])
+    def _in_body(self, number: int, link: int, point: np.ndarray) -> np.ndarray:
+        """A ``point`` of a link (n,) m, on a line in the plane or in its frame, in the frame of a body of it."""
+        joint = self._joint_of(link)
+        if len(point) == 3:  # a link's frame is that of its first body, at its last hinge
+            hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+            return point + self.model.jnt_pos[joint] * hinge
+        heading, far = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1]), point.item()
         axis = int(np.abs(self.data.xaxis[joint]).argmax())
         u, v = ((1, 2), (0, 2), (0, 1))[axis]
         point = self.data.xanchor[joint].copy()

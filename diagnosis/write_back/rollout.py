@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.signal import savgol_filter
 
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.recordings import InputError, Recording
@@ -45,12 +45,12 @@ class Commands:
     applied: np.ndarray
 
 
-def commands(model: Any, body: Body, recording: Recording) -> Commands:
+def commands(model: Any, body: ArticulatedBody, recording: Recording) -> Commands:
     """A recording's commands in the terms of a ``mujoco.MjModel``; without a motor, a joint's torque is applied."""
     rows = recording.num_frames
     control, applied = np.zeros((rows, model.nu)), np.zeros((rows, model.nv))
-    for joint, link in zip(body.joint_names, body.links, strict=True):
-        parts, column = link.parts or NOTHING, recording.joint_names.index(joint)
+    for joint, given in zip(body.joint_names, body.joint_parts, strict=True):
+        parts, column = given or NOTHING, recording.joint_names.index(joint)
         number = joint_names(model).index(joint)
         own = actuators_of(mujoco, model, number)
         motor = parts.motor
@@ -71,7 +71,7 @@ def commands(model: Any, body: Body, recording: Recording) -> Commands:
     return Commands(control, applied)
 
 
-def rollout(path: str, body: Body, time: np.ndarray, angle: np.ndarray, given: Commands) -> Rollout:
+def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarray, given: Commands) -> Rollout:
     """Replay commands in the simulation of a file, against angles (T, K) rad at times (T,), NaN where missing.
 
     Raises InputError where MuJoCo cannot read the file, or too few rows have angles.
@@ -81,8 +81,8 @@ def rollout(path: str, body: Body, time: np.ndarray, angle: np.ndarray, given: C
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
     data = mujoco.MjData(model)
-    signs = np.array([(link.parts or NOTHING).sign for link in body.links])
-    zeros = np.array([(link.parts or NOTHING).zero for link in body.links])
+    own = [parts or NOTHING for parts in body.joint_parts]
+    signs, zeros = np.array([parts.sign for parts in own]), np.array([parts.zero for parts in own])
     hinges = [joint_names(model).index(joint) for joint in body.joint_names]
     at, of = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     q, qd = states(time, signs * (angle - zeros))

@@ -1,10 +1,11 @@
 """Changes written into a copy of a body's TOML: keys of the link's table, with a comment behind each."""
 
 import re
+import tomllib
 from collections.abc import Sequence
 
 from invdyn.diagnosis.write_back.changes import FileChange
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 
 JOINT = ("damping", "friction", "armature", "stiffness", "rest")
 LINK = ("mass", "com", "inertia")
@@ -12,20 +13,24 @@ HEADER = re.compile(r"^\s*\[\[\s*links\s*\]\]")
 TABLE = re.compile(r"^\s*\[")
 
 
-def rewritten(content: bytes, body: Body, changes: Sequence[FileChange]) -> tuple[bytes, dict[str, str]]:
+def rewritten(content: bytes, body: ArticulatedBody, changes: Sequence[FileChange]) -> tuple[bytes, dict[str, str]]:
     """The content with the changes; and what could not be written: words → why."""
     lines = content.decode("utf-8").splitlines()
+    names = [link["name"] for link in tomllib.loads(content.decode("utf-8"))["links"]]
     unsaid: dict[str, str] = {}
     for change in changes:
         if change.quantity in JOINT:
-            link = body.joint_names.index(change.place)
-        elif change.quantity in LINK:
+            joint = body.joint_names.index(change.place)
+            link = next(k for k in range(len(body.link_names)) if joint in body.moved_by(k))
+        elif change.quantity in LINK and not (body.space == 3 and change.quantity == "inertia"):
             link = body.link_names.index(change.place)
         else:
-            unsaid[f"{change.quantity} of {change.place}"] = "a body's TOML has no word for it"
+            by_hand = change.quantity == "inertia" or change.quantity.startswith("com")
+            why = "change it among the link's numbers" if by_hand else "a body's TOML has no word for it"
+            unsaid[f"{change.quantity} of {change.place}"] = why
             continue
         starts = [n for n, line in enumerate(lines) if HEADER.match(line)]
-        begin = starts[link] + 1
+        begin = starts[names.index(body.link_names[link])] + 1
         stop = next((n for n in range(begin, len(lines)) if TABLE.match(lines[n])), len(lines))
         told = f"{change.quantity} = {change.after!r}  # {change.comment}"
         at = [n for n in range(begin, stop) if re.match(rf"^\s*{change.quantity}\s*=", lines[n])]

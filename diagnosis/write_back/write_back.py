@@ -13,7 +13,7 @@ from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.write_back import toml, urdf
 from invdyn.diagnosis.write_back.changes import correction
-from invdyn.models import Body
+from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.bodies.whole_file import read_whole
@@ -33,7 +33,12 @@ def check_write_back(source: str | Path, out: str | Path) -> None:
 
 
 def write_back(
-    diagnosis: Diagnosis, source: str | Path, body: Body, out: str | Path, recording: Recording, held_out: bool
+    diagnosis: Diagnosis,
+    source: str | Path,
+    body: ArticulatedBody,
+    out: str | Path,
+    recording: Recording,
+    held_out: bool,
 ) -> Diagnosis:
     """The diagnosis with what was written: a corrected copy of ``source``, the file of ``body``, as ``out``.
 
@@ -89,16 +94,20 @@ def best(diagnosis: Diagnosis) -> Cause | None:
     return cause
 
 
-def _tried(source: str, out: str, body: Body, recording: Recording, held_out: bool) -> dict:
-    """Rollout errors of both files, as the JSON has them."""
+def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, held_out: bool) -> dict | None:
+    """Rollout errors of both files, as the JSON has them; None of joints that MuJoCo counts otherwise (a ball)."""
     import mujoco
 
     from invdyn.diagnosis.write_back.rollout import WINDOW, commands, rollout
+    from invdyn.models.bodies.joint_parts_mjcf import joint_names
 
+    model = mujoco.MjModel.from_xml_path(source)
+    if set(body.joint_names) - set(joint_names(model)):
+        return None
     order = [recording.joint_names.index(name) for name in body.joint_names] if recording.joint_names else []
     angle = recorded_angles(recording, body) if recording.angles is None else recording.angles[:, order]
     # the same commands for both: a gear that was changed must change what they do
-    given = commands(mujoco.MjModel.from_xml_path(source), body, recording)
+    given = commands(model, body, recording)
     before, after = (rollout(path, body, recording.time, np.asarray(angle), given) for path in (source, out))
     return {
         "engine": f"MuJoCo {mujoco.__version__}",

@@ -1,9 +1,9 @@
 """A recorded row rewritten column by column: each entry of a state in a stretch of memory of its own.
 
-A model writes a state as one tensor (M, N, D), whose particles lie D numbers apart: a compiler turns that into loops
-that take one particle at a time, and puts every ``cat`` and ``stack`` of entries into memory. Here the record of a
-row (:mod:`.compiled`) is run once more with each tensor (batch, event) as an array of event shape of tensors (batch),
-so that taking entries apart and putting them together costs nothing and what is left is arithmetic on (M, N):
+A model writes a state as one tensor (M, N, D), whose particles lie D numbers apart. A compiler turns that into loops
+over single particles, and puts every ``cat`` and ``stack`` of entries into memory. Here the record of a row
+(:mod:`.compiled`) runs once more, with each tensor (batch, event) as an array of event shape of tensors (batch). So
+entries are taken apart and put together at no cost, and arithmetic on (M, N) is left:
 
     cat, stack, split, unbind, select, slice, view of the event      an array's
     entries moved before the batch, and back                         noted, and nothing done

@@ -1,10 +1,10 @@
 """A filter's row as one compiled graph, by ``torch.compile``'s own compiler, inductor.
 
 The row runs once under a tracer that records its tensor operations, whatever Python they came from (the model's
-classes, cached files, Pyro's distributions); the record is rewritten column by column (:mod:`.column_layout`), and the
-compiler gets that. So nothing of Python is left that ``torch.compile`` would have to read, or to guard in each row (a
-tenth of a row's time at a thousand particles); and the number of the row must come in as a tensor: as an int it would
-be frozen into the graph.
+classes, cached files, Pyro's distributions). The record is rewritten column by column (:mod:`.column_layout`), and the
+compiler gets that. No Python is left for ``torch.compile`` to read, or to guard in each row, which would take a tenth
+of a row's time at a thousand particles. The number of the row comes in as a tensor: an int would be frozen into the
+graph.
 
 Random numbers are drawn by torch's own generator, in the order of the plain row: same seed, same particles, but
 for the rounding of operations that were joined.

@@ -48,9 +48,9 @@ def stratified(weights: Tensor) -> Tensor:
 def systematic(weights: Tensor) -> Tensor:
     """One draw in all, shifted.
 
-    The points (j + u)/N are evenly spaced, so that cumulative weight C lies above ⌈N C − u⌉ of them, and point j's
-    ancestor is the number of particles that lie above no more than j: a histogram and its running sum, N
-    additions where a search would go N log N steps through memory.
+    The points (j + u)/N are evenly spaced, so a cumulative weight C lies above ⌈N C − u⌉ of them. Point j's ancestor is
+    the number of particles that lie above no more than j points. That is a histogram and its running sum: N additions,
+    where a search would take N log N steps through memory.
     """
     size = weights.shape[-1]
     cumulative = weights.cumsum(-1)

@@ -3,8 +3,8 @@
 * first-frame angles at maximum likelihood (inverse kinematics), with a weak Gaussian around them;
 * link lengths from the median distance between joints, when they are to be learned (:mod:`.lengths`);
 * the keypoints' noise from what a smooth motion cannot explain (:mod:`.jitter`);
-* integrator sub-steps from the integrator's own error, which must stay far below the noise, or it
-  would be taken for physics.
+* integrator sub-steps from the integrator's own error. An error that is not far below the noise would be taken for
+  physics.
 
 All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
 """

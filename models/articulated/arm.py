@@ -253,16 +253,16 @@ class ArmModel(StateSpaceModel):
     def with_effects(self, *effects: Effect) -> "ArmModel":
         """The model of a body that has these effects too: ``model.with_effects(ViscousFriction("elbow"))``.
 
-        Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,), with priors, so that
-        :meth:`sequence` draws them; until then they stand where the effect is absent (or, for those that are
-        never absent, in the middle of their grid or prior).
+        Their parameters are "effect.<effect>.<place>.<parameter>", of shape (1,). They have priors, so :meth:`sequence`
+        draws them. Until then each stands at the value where the effect is absent; one that has no such value stands
+        in the middle of its grid or prior.
 
-        Hidden states (:mod:`.effects.hidden`) stand in the state before the angles, those of a hinge as
-        (z, ψ, ψ̇, θ, θ̇), what moves the body before what follows it, with the parameters "initial.hidden.<effect>" and
-        "noise.hidden.<effect>", standard deviations (H,) of ψ, rad, and ψ̇, rad/s.
+        Hidden states (:mod:`.effects.hidden`) come before the angles, those of a hinge as (z, ψ, ψ̇, θ, θ̇). States that
+        move the body come before states that follow it. They add the parameters "initial.hidden.<effect>" and
+        "noise.hidden.<effect>": standard deviations (H,) of ψ, rad, and ψ̇, rad/s.
 
-        Raises ValueError for places that the body does not have or nobody tracks, for an effect twice at one place, for
-        one of the plane on a body in space, and for a second one with hidden states that move the body.
+        Raises ValueError for a place that the body lacks or nobody tracks, for one effect twice at a place, for an
+        effect of the plane on a body in space, and for a second effect whose hidden states move the body.
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
         check_tracked(bound, self.observation.tracked_names)

@@ -25,20 +25,17 @@ from torch.distributions import constraints
 
 from invdyn.models.bodies import body_chain, body_toml, body_xml, joint_parts_toml, robot_file
 from invdyn.models.bodies.from_files import FromFiles
-from invdyn.models.bodies.joint_parts import PARTS, JointParts
+from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
-    KNOWN,
     QUANTITIES,
-    UNKNOWN,
     BodyError,
     Learned,
     Scalar,
     check_keys,
     check_name,
     nominal,
-    number,
     prior,
     vector,
 )
@@ -103,18 +100,7 @@ class Body(FromFiles, BodyBase):
             # a keypoint is called after the joint that it shows, so one name cannot mean two places
             if tip in self.joint_names and self.joint_names.index(tip) != place + 1:
                 raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
-        for key in self.uncertainty:
-            part, dot, joint = key.partition(".")
-            check_keys([part if part in PARTS else key], [*QUANTITIES, *PARTS], f"{where}: uncertainty")
-            if dot and joint not in self.joint_names:
-                raise BodyError(f"{where}: uncertainty of {key}: expected a joint among {', '.join(self.joint_names)}")
-        sds = {k: number(v, f"{where}: uncertainty of {k}") for k, v in self.uncertainty.items()}
-        if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
-            raise BodyError(
-                f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
-                f"as uncertainty, got {sds}"
-            )
-        object.__setattr__(self, "uncertainty", sds)
+        object.__setattr__(self, "uncertainty", relative(self.uncertainty, QUANTITIES, self.joint_names, where))
 
     @property
     def num_joints(self) -> int:
@@ -150,6 +136,11 @@ class Body(FromFiles, BodyBase):
     def base_keypoint(self) -> str:
         """Name of the keypoint at the base: the first joint's."""
         return self.links[0].joint
+
+    @property
+    def hand(self) -> tuple[int, int]:
+        """The last link and its tip."""
+        return self.num_joints - 1, self.num_joints - 1
 
     @property
     def learned(self) -> dict[str, tuple[int, ...]]:

@@ -73,7 +73,7 @@ def _tables(robot: Robot, where: str) -> dict:
         if parts_here != NOTHING:
             links[-1]["parts"] = parts_here
         before = heading
-    if found := [*notes, *robot.unplayed]:
+    if found := [*notes, *robot.left_out]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
     if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:
         warnings.warn(

@@ -53,10 +53,9 @@ def of(root: Element, where: str) -> Robot:
     names = joint_parts_mjcf.joint_names(model)
     joint_parts, motors = joint_parts_mjcf.read(mujoco, model, names)
     beyond = [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
-    left_out = body_mjcf_left_out.named(mujoco, model, names) + beyond
-    unplayed = body_mjcf_left_out.named(mujoco, model, names, motors) + beyond
+    left_out = body_mjcf_left_out.named(mujoco, model, names, motors) + beyond
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts, unplayed)
+    return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts)
 
 
 def _engine(where: str) -> Any:

@@ -26,11 +26,10 @@ AT_JOINTS = {
 OF_PARTS = ("damping", "dry friction", "armature", "a spring", "limits of the actuators' torque")
 
 
-def named(mujoco: Any, model: Any, joints: Sequence[str], motors: Collection[int] | None = None) -> list[str]:
+def named(mujoco: Any, model: Any, joints: Sequence[str], motors: Collection[int]) -> list[str]:
     """Entries such as "damping (elbow)" for a ``mujoco.MjModel`` and the names of its joints.
 
-    Where hinges and slides have their parts (:mod:`.joint_parts_mjcf`), ``motors`` are the actuators among them; None
-    where joints are bare.
+    Hinges and slides have their parts (:mod:`.joint_parts_mjcf`), and ``motors`` are the actuators among those.
     """
     found = []
     one_way = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
@@ -41,12 +40,12 @@ def named(mujoco: Any, model: Any, joints: Sequence[str], motors: Collection[int
             if values.size:
                 rows = np.flatnonzero(values.reshape(len(values), -1).any(1))
                 having |= set((model.dof_jntid[rows] if attribute.startswith("dof") else rows).tolist())
-        if motors is not None and words in OF_PARTS:
+        if words in OF_PARTS:
             having -= set(np.flatnonzero(one_way).tolist())
         found += listed(words, [name for j, name in enumerate(joints) if j in having])
     found += listed("gravity compensation", _of(model.body, np.flatnonzero(model.body_gravcomp)))
     found += _fluid(model.opt)
-    found += _actuators(mujoco, model, motors or ())
+    found += _actuators(mujoco, model, motors)
     found += listed("tendons", _of(model.tendon, range(model.ntendon)))
     found += listed("equality constraints", [_equality(mujoco, model, e) for e in range(model.neq)])
     return found + listed("contacts", _touching(mujoco, model))

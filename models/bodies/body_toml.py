@@ -23,6 +23,7 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
 import difflib
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import pyro.distributions as dist
@@ -70,19 +71,29 @@ def of(tables: dict, path: str) -> dict:
         raise BodyError(f"{path}: not a body: expected [[links]] tables, one for each link, got none{hint}")
     if not isinstance(links, list) or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
-    if not isinstance(tables.get("uncertainty", {}), dict):
-        raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
-    if "uncertainty" in tables:
-        tables["uncertainty"] = _flat(tables["uncertainty"])
+    tables = with_uncertainty(tables, path)
     check_keys(tables, BODY_KEYS, str(path))
     tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
     return {"name": Path(path).stem, **tables}
 
 
-def _flat(stated: dict) -> dict:
-    """Keys such as damping.elbow as one word each, which TOML takes for a table in a table."""
+def with_uncertainty(tables: dict, path: str | Path) -> dict:
+    """A file's tables, with keys such as damping.elbow as one word each, which TOML takes for a table in a table.
+
+    Raises `BodyError` for an [uncertainty] that is no table.
+    """
+    if "uncertainty" not in tables:
+        return tables
+    stated = tables["uncertainty"]
+    if not isinstance(stated, dict):
+        raise BodyError(f"{path}: expected [uncertainty] as a table of relative standard deviations")
     inner = {f"{key}.{joint}": sd for key, of in stated.items() if isinstance(of, dict) for joint, sd in of.items()}
-    return {key: sd for key, sd in stated.items() if not isinstance(sd, dict)} | inner
+    return tables | {"uncertainty": {key: sd for key, sd in stated.items() if not isinstance(sd, dict)} | inner}
+
+
+def uncertainty_lines(stated: Mapping[str, float]) -> list[str]:
+    """Lines that say the same; none of nothing."""
+    return ["", "[uncertainty]", *(f"{_key(k)} = {literal(v)}" for k, v in stated.items())] if stated else []
 
 
 def write(path: str | Path, tables: dict) -> None:
@@ -91,8 +102,7 @@ def write(path: str | Path, tables: dict) -> None:
     for link in tables["links"]:
         values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
-    if tables["uncertainty"]:
-        lines += ["", "[uncertainty]", *(f"{_key(k)} = {literal(v)}" for k, v in tables["uncertainty"].items())]
+    lines += uncertainty_lines(tables["uncertainty"])
     write_whole(path, "\n".join(lines) + "\n")
 
 

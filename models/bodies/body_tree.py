@@ -57,11 +57,17 @@ def _links(robot: Robot, where: str) -> list[dict]:
             is_last = joint is first.joints[-1]
             own = first.turn, first.origin if joint.type == "slide" else joint.anchor
             link = {"name": first.name if is_last else f"{first.name} after {joint.name}", "parent": hangs_on}
-            links.append(link | _placed(joint, own, above))
+            links.append(link | _placed(joint, own, above) | _besides(robot, joint))
             hangs_on, above = link["name"], own
         links[-1] |= _inertial(group, above, f"{where}: link '{first.name}'") | {"sites": _sites(group, above, named)}
         frames.append(above)
     return links
+
+
+def _besides(robot: Robot, joint: PartJoint) -> dict:
+    """A joint's parts, in the file's own coordinate, which is the tree's."""
+    parts = robot.joint_parts.get(joint.name)
+    return {} if parts is None else {"parts": parts}
 
 
 def _placed(joint: PartJoint, own: Frame, above: Frame) -> dict:

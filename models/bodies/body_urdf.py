@@ -20,8 +20,6 @@ from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError, number
 from invdyn.models.bodies.whole_file import read_whole
 
-OF_PARTS = ("damping", "dry friction", "limits of torque")
-"""Of what is left out, what a joint's parts are."""
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 TENSOR = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
@@ -55,9 +53,8 @@ def of(robot: Element, where: str) -> Robot:
             own = _moved(frame, joint, where)
             todo.append((child, len(parts) - 1, _moves(joint, own, where), own))
     moving = [joint for joint in joints.values() if joint.get("type") != "fixed"]
-    left_out = _left_out(robot, moving)
-    unplayed = [entry for entry in left_out if not entry.startswith(OF_PARTS)]
-    return Robot(parts, GRAVITY, left_out, _joint_parts(moving, where), unplayed)
+    one_way = [joint for joint in moving if joint.get("type") != "floating"]
+    return Robot(parts, GRAVITY, _left_out(robot, moving, one_way), _joint_parts(one_way, where))
 
 
 def _named(robot: Element, tag: str, where: str) -> dict[str, Element]:
@@ -206,12 +203,13 @@ def _is_said(text: str) -> bool:
         return True
 
 
-def _left_out(robot: Element, moving: list[Element]) -> list[str]:
-    """What the file says and a rigid body lacks."""
+def _left_out(robot: Element, moving: list[Element], one_way: list[Element]) -> list[str]:
+    """What the file says and links lack, whose ``one_way`` joints have their parts (:func:`_joint_parts`)."""
+    floating = [joint for joint in moving if joint not in one_way]
 
-    def having(tag: str, *keys: str) -> list[str]:
+    def having(tag: str, *keys: str, among: list[Element] = moving) -> list[str]:
         found = []
-        for joint in moving:
+        for joint in among:
             element = joint.find(tag)
             if element is not None and (not keys or any(_is_said(element.get(key, "0")) for key in keys)):
                 found.append(joint.get("name", ""))
@@ -224,10 +222,10 @@ def _left_out(robot: Element, moving: list[Element]) -> list[str]:
     ]
     strange = sorted({each.tag for each in robot if each.tag not in KNOWN})
     return [
-        *listed("damping", having("dynamics", "damping")),
-        *listed("dry friction", having("dynamics", "friction")),
+        *listed("damping", having("dynamics", "damping", among=floating)),
+        *listed("dry friction", having("dynamics", "friction", among=floating)),
         *listed("limits", having("limit", "lower", "upper")),
-        *listed("limits of torque", having("limit", "effort")),
+        *listed("limits of torque", having("limit", "effort", among=floating)),
         *listed("limits of speed", having("limit", "velocity")),
         *listed("mimic, a joint that follows another", followers),
         *listed("safety controllers", having("safety_controller")),

@@ -47,6 +47,7 @@ def tree_of(body: Body) -> Tree:
                 inertia=None if link.inertia is None else (0.0, 0.0, link.inertia, 0.0, 0.0, 0.0),
                 length=link.length,
                 tip=link.tip,
+                parts=link.parts,
             )
         )
     return Tree(body.name, links, (*body.gravity, 0.0))

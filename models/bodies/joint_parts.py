@@ -9,9 +9,10 @@ gain · ctrl + bias₀ + bias₁ · length + bias₂ · velocity, with length = 
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from invdyn.models.bodies.scalars import BodyError, number
+from invdyn.models.bodies.scalars import KNOWN, UNKNOWN, BodyError, check_keys, number
 
 KINDS = ("torque", "position", "velocity")
 
@@ -95,3 +96,24 @@ NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
 PARTS = {"damping": "N·m·s/rad", "friction": "N·m", "armature": "kg·m²", "stiffness": "N·m/rad"}
 """Parts that may be uncertain, with their units: their sds are relative, and a joint without one keeps none."""
 NOTHING = JointParts()
+
+
+def relative(
+    given: Mapping[str, float], quantities: Sequence[str], joints: Sequence[str], where: str
+) -> dict[str, float]:
+    """Relative standard deviations of ``quantities`` of links, and of parts, of all joints or of one ("damping.elbow").
+
+    Raises `BodyError`, which begins with ``where``, for other words, unknown joints, and what is no such number.
+    """
+    for key in given:
+        part, dot, joint = key.partition(".")
+        check_keys([part if part in PARTS else key], [*quantities, *PARTS], f"{where}: uncertainty")
+        if dot and joint not in joints:
+            raise BodyError(f"{where}: uncertainty of {key}: expected a joint among {', '.join(joints)}")
+    sds = {key: number(value, f"{where}: uncertainty of {key}") for key, value in given.items()}
+    if not all(sd == 0 or KNOWN <= sd <= UNKNOWN for sd in sds.values()):
+        raise BodyError(
+            f"{where}: expected relative standard deviations of 0, or from {KNOWN:.0e} to {UNKNOWN:g}, "
+            f"as uncertainty, got {sds}"
+        )
+    return sds

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.in_space import tree_of
 from invdyn.models.bodies.inertia import tensor
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree
 from invdyn.models.bodies.whole_file import write_whole
@@ -44,12 +45,16 @@ WORLD_POSE = _Pose(np.eye(3), np.zeros(3))
 
 
 class _Moves(NamedTuple):
-    """A coordinate: name, whether it turns, its axis (3,) and a point on that (3,) in the world, at coordinates 0."""
+    """A coordinate: name, whether it turns, its axis (3,) and a point on that (3,) in the world, at coordinates 0.
+
+    And what else its joint has.
+    """
 
     name: str
     turns: bool
     axis: np.ndarray
     point: np.ndarray
+    parts: JointParts | None
 
 
 def write_mjcf(body: Body | Tree, path: str | Path) -> None:
@@ -63,6 +68,7 @@ def write_mjcf(body: Body | Tree, path: str | Path) -> None:
     lost = [
         ("priors (written: their means)", body.has_priors or bool(getattr(body, "uncertainty", None))),
         ("learned scalars (written: where they start)", bool(body.learned)),
+        ("limits and servos of motors", any(own is not None and _is_more(own.motor) for own in tree.joint_parts)),
         (f"that joints are driven ({', '.join(tree.driven_names)})", bool(tree.driven_names)),
     ]
     if told := [words for words, there in lost if there]:
@@ -90,7 +96,8 @@ class _Writer:
         link, own = self.tree.links[place], self._pose(place)
         joint_axes = own.axes @ np.array(link.joint.reference).T
         moves = waiting + [
-            _Moves(motion.name, motion.turns, joint_axes @ motion.axis, own.origin) for motion in link.joint.motions()
+            _Moves(motion.name, motion.turns, joint_axes @ motion.axis, own.origin, link.parts)
+            for motion in link.joint.motions()
         ]
         children = [child for child, inner in enumerate(self.tree.parents) if inner == place]
         massless = moves and not self.p.mass[place] and not self.p.inertia[place].any()
@@ -105,7 +112,8 @@ class _Writer:
         body = SubElement(element, "body", {"name": link.name, **_placed(own, outer)})
         for move in moves:
             given = {"axis": _text(own.axes.T @ move.axis), "pos": _text(own.axes.T @ (move.point - own.origin))}
-            SubElement(body, "joint", {"name": move.name, "type": "hinge" if move.turns else "slide", **given})
+            kind = {"name": move.name, "type": "hinge" if move.turns else "slide"}
+            SubElement(body, "joint", kind | given | _besides(move.parts))
         if self.p.mass[place] or self.p.inertia[place].any():
             SubElement(body, "inertial", self._inertial(place, bool(moves)))
         sites = {name: self.p.sites[self.tree.keypoint_names.index(name)].numpy() for name in link.points}
@@ -159,6 +167,24 @@ class _Writer:
                 "sum of the two others, not even by rounding"
             )
         return float(turning[0] @ matrix @ turning[0] / (turning[0] @ turning[0]))
+
+
+def _besides(parts: JointParts | None) -> dict[str, str]:
+    """A joint's friction, rotor and spring as attributes of MuJoCo's."""
+    own = parts or NOTHING
+    values = {
+        "damping": own.damping,
+        "frictionloss": own.friction,
+        "armature": own.armature,
+        "stiffness": own.stiffness,
+        "springref": own.rest if own.stiffness else 0.0,
+    }
+    return {name: repr(value) for name, value in values.items() if value}
+
+
+def _is_more(motor: Motor | None) -> bool:
+    """Whether a motor is anything but one that gives the torque it is told."""
+    return motor is not None and (motor.kind != "torque" or motor.limited)
 
 
 def _placed(own: _Pose, outer: _Pose) -> dict[str, str]:

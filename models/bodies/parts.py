@@ -54,15 +54,14 @@ class Part:
 class Robot:
     """A file's parts, and gravity (3,) m/s².
 
-    `left_out` are words for what it has and rigid links lack. `joint_parts` is what its joints have besides, in the
-    file's own angles, by name; `unplayed` is what is left out where a body has those.
+    `joint_parts` is what its joints have besides, in the file's own angles, by name; `left_out` are words for what it
+    has and links with such joints lack.
     """
 
     parts: Sequence[Part]
     gravity: np.ndarray
     left_out: Sequence[str] = ()
     joint_parts: Mapping[str, JointParts] = field(default_factory=dict)
-    unplayed: Sequence[str] = ()
 
 
 def groups(parts: Sequence[Part]) -> tuple[list[list[Part]], list[int]]:

@@ -76,6 +76,17 @@ class ArticulatedBody(Protocol):
         """Name of a point that stands still at the first joint; None where there is none."""
 
     @property
+    def joint_parts(self) -> Sequence[JointParts | None]:
+        """What each of the K joints has besides: friction, a rotor, a spring, a motor; None for nothing."""
+
+    @property
+    def hand(self) -> tuple[int, int] | None:
+        """Numbers of the link and of its site that carry a load; None where no one place does."""
+
+    def moved_by(self, link: int) -> tuple[int, ...]:
+        """Numbers of the joints that move a link against the next one inwards which moves by itself."""
+
+    @property
     def has_priors(self) -> bool:
         """Whether any number is a prior."""
 
@@ -122,6 +133,15 @@ class BodyBase:
     def joint_parts(self: ArticulatedBody) -> tuple[JointParts | None, ...]:
         """No joint has any."""
         return (None,) * self.num_joints
+
+    @property
+    def hand(self) -> tuple[int, int] | None:
+        """Nowhere."""
+        return None
+
+    def moved_by(self, link: int) -> tuple[int, ...]:
+        """The joint of the same number."""
+        return (link,)
 
     @property
     def has_priors(self) -> bool:

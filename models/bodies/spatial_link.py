@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.rotations import UNTURNED, from_rows
 from invdyn.models.bodies.scalars import SMALLEST, BodyError, Scalar, check_name, checked_scalar, checked_scalars
@@ -14,8 +15,9 @@ Vector = Sequence[Scalar]
 class SpatialLink:
     """One rigid link and its joint. Its scalars are numbers, scalar Pyro distributions (priors) or `Learned`.
 
-    `rotation` has the rows of a matrix. Raises `BodyError` for scalars that are not finite, a mass, length or moment
-    that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
+    `rotation` has the rows of a matrix. `parts` are what a hinge or a slide has besides: friction, a spring, a motor;
+    None for nothing. Raises `BodyError` for parts of another joint, scalars that are not finite, a mass, length or
+    moment that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
     """
 
     name: str
@@ -29,6 +31,7 @@ class SpatialLink:
     length: Scalar | None = None
     tip: str | None = None
     sites: Mapping[str, Vector] = field(default_factory=dict)
+    parts: JointParts | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name, "name of a link")
@@ -36,6 +39,10 @@ class SpatialLink:
         check_name(self.parent, f"{where}: parent")
         if self.name == WORLD or not isinstance(self.joint, Joint):
             raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
+        if self.parts is not None and self.joint.type not in ("hinge", "slide"):
+            raise BodyError(
+                f"{where}: expected friction, springs and motors at hinges and slides, got {self.joint.type}"
+            )
         keep = object.__setattr__
         keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", smallest=SMALLEST["mass"]))
         for key, unit in (("origin", "m"), ("com", "m")):

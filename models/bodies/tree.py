@@ -12,8 +12,8 @@ free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `bod
 Hartenberg: `dh.py`.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -25,9 +25,10 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_tree, tree_toml
+from invdyn.models.bodies import body_tree, joint_parts_toml, tree_toml
 from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
+from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
@@ -40,6 +41,8 @@ from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, mome
 class Tree(FromFiles, BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
+    `uncertainty` has relative sds of joints' parts, by quantity or of one joint: "damping", "damping.elbow".
+
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
     not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, and
     inertia tensors that break the triangle inequality where that plays a part.
@@ -48,6 +51,7 @@ class Tree(FromFiles, BodyBase):
     name: str
     links: Sequence[SpatialLink]
     gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
     space: ClassVar[int] = 3
     signed: ClassVar[frozenset[str]] = frozenset({"com", "inertia", "position", "rotation", "sites", "gravity"})
 
@@ -68,6 +72,7 @@ class Tree(FromFiles, BodyBase):
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
         object.__setattr__(self, "links", ordered(self.links, where))
+        object.__setattr__(self, "uncertainty", relative(self.uncertainty, (), self.joint_names, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self.turning(), strict=True):
@@ -88,6 +93,11 @@ class Tree(FromFiles, BodyBase):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the K coordinates: the joint's, with _yaw, _pitch, _roll, _x, _y or _z where it has several."""
         return tuple(motion.name for link, motion in self.motions() if not link.joint.driven)
+
+    @cached_property
+    def joint_parts(self) -> tuple[JointParts | None, ...]:
+        """What each of the K coordinates has besides."""
+        return tuple(link.parts for link, _ in self.motions() if not link.joint.driven)
 
     @cached_property
     def driven_names(self) -> tuple[str, ...]:
@@ -141,9 +151,36 @@ class Tree(FromFiles, BodyBase):
         return assembled(self.links, self.parents, self.gravity, draw)
 
     @property
+    def hand(self) -> tuple[int, int] | None:
+        """The last link, or of several that end the tree what they hang on, and the site farthest from its joint.
+
+        None where that is the world, or has no site.
+        """
+        ends = [k for k in range(len(self.links)) if k not in self.parents]
+        inwards = [[end] for end in ends]
+        for way in inwards:
+            while self.parents[way[-1]] >= 0:
+                way.append(self.parents[way[-1]])
+        common = [k for k in inwards[0] if all(k in way for way in inwards)]
+        own = [self.keypoint_names.index(name) for name in self.links[common[0]].points] if common else []
+        if not own:
+            return None
+        far = self.parameters().sites[own].norm(dim=-1)
+        return common[0], own[int(far.argmax())]
+
+    def moved_by(self, link: int) -> tuple[int, ...]:
+        """Coordinates of its joint, or, where that is fixed or driven, of the next one inwards."""
+        owners = [self.links.index(each) for each, _ in self.motions() if not each.joint.driven]
+        while link >= 0:
+            if found := tuple(k for k, owner in enumerate(owners) if owner == link):
+                return found
+            link = self.parents[link]
+        return ()
+
+    @property
     def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
-        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self._scalars())
+        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self.scalars())
 
     @property
     def learned(self) -> dict[str, tuple[int, ...]]:
@@ -222,8 +259,8 @@ class Tree(FromFiles, BodyBase):
             edges += [(hub, names.index(name)) for name in link.points if hub is not None]
         return edges
 
-    def _scalars(self) -> Iterator[tuple[str, int, Scalar]]:
-        """What links say, each with its number and its flat index there; a length is its tip's x among the sites."""
+    def scalars(self) -> Iterator[tuple[str, int, Scalar]]:
+        """What links say: its number, its flat index there, and itself; a length is its tip's x among the sites."""
         for place, link in enumerate(self.links):
             yield "mass", place, link.mass
             for key, given in (("position", link.origin), ("com", link.com), ("inertia", link.inertia)):
@@ -236,7 +273,7 @@ class Tree(FromFiles, BodyBase):
     def _entries(self, kind: Any) -> dict[str, tuple[int, ...]]:
         """Flat indices of the scalars of a kind, by number."""
         found: dict[str, list[int]] = {}
-        for key, index, scalar in self._scalars():
+        for key, index, scalar in self.scalars():
             if isinstance(scalar, kind):
                 found.setdefault(key, []).append(index)
         return {key: tuple(indices) for key, indices in found.items()}
@@ -311,8 +348,9 @@ class Tree(FromFiles, BodyBase):
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
         links = [
-            {key.name: getattr(link, key.name) for key in fields(link)}
+            {key.name: getattr(link, key.name) for key in fields(link) if key.name != "parts"}
+            | joint_parts_toml.told(link.parts)
             | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
             for link in self.links
         ]
-        tree_toml.write(path, self.name, self.gravity, links)
+        tree_toml.write(path, self.name, self.gravity, links, self.uncertainty)

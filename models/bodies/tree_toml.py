@@ -26,22 +26,31 @@
     com = [0.12, 0.0, 0.0]      # m, in the link's frame
     inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
     sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}   # m, named points
+    damping = 0.1               # of a hinge or slide: this and what else `joint_parts_toml.py` says
 
 `reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be
 a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from invdyn.models.bodies.body_toml import literal, parse, scalar_from_table, scalar_to_table
+from invdyn.models.bodies import joint_parts_toml
+from invdyn.models.bodies.body_toml import (
+    literal,
+    parse,
+    scalar_from_table,
+    scalar_to_table,
+    uncertainty_lines,
+    with_uncertainty,
+)
 from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.joints import WORLD
 from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
 from invdyn.models.bodies.scalars import BodyError, check_keys
 from invdyn.models.bodies.whole_file import read_whole, write_whole
 
-TREE_KEYS = ("name", "dimensions", "gravity", "links")
+TREE_KEYS = ("name", "dimensions", "gravity", "links", "uncertainty")
 ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
 JOINT_KEYS = ("type", "axis", "chart", "driven", "reference")
 SCALARS = ("mass", "length")
@@ -73,6 +82,7 @@ def of(tables: dict, path: str | Path) -> dict:
     links = tables.get("links")
     if not isinstance(links, list) or not links or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
+    tables = with_uncertainty(tables, path)
     check_keys(tables, TREE_KEYS, str(path))
     found = []
     for place, link in enumerate(links, 1):
@@ -81,11 +91,14 @@ def of(tables: dict, path: str | Path) -> dict:
     return {key: value for key, value in tables.items() if key != "dimensions"} | {"links": found}
 
 
-def write(path: str | Path, name: str, gravity: Sequence[float], links: list[dict]) -> None:
+def write(
+    path: str | Path, name: str, gravity: Sequence[float], links: list[dict], uncertainty: Mapping[str, float]
+) -> None:
     """Write links, dicts as `of` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
     lines = [f"name = {literal(name)}", "dimensions = 3", f"gravity = {literal(gravity)}"]
     for link in links:
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in _written(link).items())]
+    lines += uncertainty_lines(uncertainty)
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -103,12 +116,15 @@ def _written(link: dict) -> dict:
             values[key] = [scalar_to_table(each, key) for each in value]
         elif value is not None:
             values[key] = value if key == "tip" else scalar_to_table(value, key)
+    values |= {key: link[key] for key in joint_parts_toml.KEYS if key in link}
     own = {name: [scalar_to_table(x, name) for x in at] for name, at in link["sites"].items()}
     return values | ({"sites": own} if own else {})
 
 
 def _link(link: dict, where: str) -> dict:
-    check_keys(link, LINK_KEYS, where)
+    link = dict(link)
+    parts = joint_parts_toml.taken(link, where)
+    check_keys(link, (*LINK_KEYS, *joint_parts_toml.KEYS), where)
     missing = [key for key in ("name", "joint") if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys name and joint; missing: {', '.join(missing)}")
@@ -123,6 +139,8 @@ def _link(link: dict, where: str) -> dict:
         made["rotation"] = _rows(link[key], key, f"{where}: {key}")
     made |= {key: scalar_from_table(link[key], f"{where}: {key}") for key in SCALARS if key in link}
     made |= {key: _vector(link[key], f"{where}: {key}") for key in VECTORS if key in link}
+    if parts is not None:
+        made["parts"] = parts
     if "sites" in link:
         if not isinstance(link["sites"], dict):
             raise BodyError(f"{where}: expected sites as a table, {{name = [x, y, z]}}, got {link['sites']!r:.60}")

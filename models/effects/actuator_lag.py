@@ -5,8 +5,8 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.actuator import Actuator
-from invdyn.models.effects.base import Parameter, Values, quantiles
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 
 

@@ -26,13 +26,11 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import torch
-from pyro.distributions import Distribution
 from torch import Tensor
 from torch.nn.functional import one_hot
 
@@ -40,6 +38,7 @@ from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.parameter import Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 from invdyn.models.observation.view import View
@@ -51,35 +50,6 @@ ABRUPT = 0.006
 
 MARGIN = 4.0
 """Standard deviations by which a parameter may be off where it is asked whether values are credible."""
-
-Values = Mapping[str, Tensor]
-"""An effect's own parameters by their own names, (..., 1) each."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One unknown of an effect.
-
-    Attributes:
-        name: a plain word.
-        unit: such as "N·m·s/rad"; "1" for a pure number.
-        prior: scalar Pyro distribution; its spread follows from the body's scales.
-        absent: value at which the effect vanishes, whatever the others are; None for a parameter that has none, such
-            as a frequency.
-        grid: values at which a screen evaluates a parameter that the effect does not follow in a straight line from
-            ``absent`` on, spread as the prior is.
-        least: no smaller value is plausible, whatever tail the prior has on the other side.
-
-    A parameter without ``absent`` and ``grid`` is one of the effect's :attr:`Effect.located`.
-    """
-
-    name: str
-    unit: str
-    prior: Distribution
-    absent: float | None = 0.0
-    grid: tuple[float, ...] = ()
-    least: float = -math.inf
-
 
 DYNAMICS = ("body", "command", "force", "friction", "inertia", "interval")
 """Hooks that have a part in the dynamics."""
@@ -201,10 +171,10 @@ class Effect(ABC):
     def bound(self, body: ArticulatedBody) -> Self:
         """Return the effect with its places looked up in ``body``.
 
-        Raises ValueError for names that it lacks, and for an effect of the plane on a body in space.
+        Raises ValueError for names that it lacks, and for a body of a kind that it does not fit.
         """
-        if self.planar and not isinstance(body, Body):
-            raise ValueError(f"{self.name}: expected a chain in the plane, got '{body.name}'; leave the effect out")
+        if not self.fits(body):
+            raise ValueError(f"{self.name}: expected {self.of_body}, got '{body.name}'; leave the effect out")
         return self._bound(body, self.where if self.form is None else self.where[:-1])
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
@@ -226,11 +196,21 @@ class Effect(ABC):
         return other
 
     @classmethod
+    def fits(cls, body: ArticulatedBody) -> bool:
+        """Whether it can act on a body of this kind, wherever."""
+        return not cls.planar or isinstance(body, Body)
+
+    @property
+    def of_body(self) -> str:
+        """What kind of body it fits, in words."""
+        return "a chain in the plane" if self.planar else "a chain in the plane or a tree in space"
+
+    @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One instance for every place of ``body`` at which the effect can act, in every form; ``keypoints`` are those
         tracked.
         """
-        if cls.planar and not isinstance(body, Body):
+        if not cls.fits(body):
             return []
         places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
@@ -312,8 +292,10 @@ class Effect(ABC):
         return None
 
     def settling(self, p: Values) -> tuple[Tensor, Tensor] | None:
-        """Time constant with which dry friction brings its joint to rest, and times what pushes it, the speed that it
-        creeps with, (..., 1) s each; None for at once, and for good.
+        """Times T and ρ of soft dry friction, (..., 1) s each; None for a joint that stops at once and does not creep.
+
+        Friction brings its joint to rest with time constant T. There the joint creeps with ρ times the acceleration
+        that pushes it.
         """
         return None
 
@@ -346,11 +328,6 @@ class Effect(ABC):
 def effect_name(kind: type) -> str:
     """Canonical name of an effect's class: its name in snake case."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
-
-
-def quantiles(prior: Distribution, count: int) -> tuple[float, ...]:
-    """Values as a prior spreads them: the middles of ``count`` parts of equal probability."""
-    return tuple(prior.icdf((torch.arange(count) + 0.5) / count).tolist())
 
 
 def with_entry(vector: Tensor, place: int, value: Tensor) -> Tensor:

@@ -12,8 +12,9 @@ from typing import ClassVar
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.view import View
 

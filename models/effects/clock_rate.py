@@ -6,8 +6,9 @@ from typing import ClassVar
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import Effect
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 
 

@@ -45,11 +45,12 @@ def dry_friction(
     settling: Mapping[int, tuple[Tensor, Tensor]] | None = None,
     held: bool = False,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Friction's mean over a sub-step (..., K), N·m; by how much q, rad, is off at its end under the mean; θ̈ under it.
+    """Friction's mean over a sub-step (..., K), N·m; what q, rad, is off by at its end under it; θ̈ under it.
 
-    ``levels`` maps joints to L (..., 1), ``levels_at`` does so at other angles and velocities (..., K) where they
-    change; ``torque`` and ``own`` (..., K) are all other torques and the joints' own inertias (or None); ``settling``
-    maps joints to T and ρ (..., 1), s, where friction is soft; ``held``: over the sub-step, not at its beginning alone.
+    ``levels`` maps joints to L (..., 1). ``levels_at`` does so at other angles and velocities (..., K), where levels
+    change with them. ``torque`` (..., K) holds all other torques, ``own`` (..., K) the joints' own inertias, or None.
+    ``settling`` maps joints with soft friction to T and ρ (..., 1), s. ``held``: the friction is that of the whole
+    sub-step, and not of its beginning alone.
     """
     q, still = now.q, torch.zeros_like(now.q)
     free = now.dynamics.forward(q, now.qd, torque, now.body, own)

@@ -1,21 +1,23 @@
 """Gravity from another direction: the frame is not level."""
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
+import torch
 from pyro.distributions import Normal
+from torch import Tensor
 
-from invdyn.models.bodies.body import Body, BodyParameters
-from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.bodies.protocol import AXES, ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Values, rotated
 from invdyn.models.effects.scale import Scale
 
 
 class GravityTilt(Effect):
-    """Gravity turned counter-clockwise by an angle, in the frame of the body and of the camera.
+    """Gravity turned by an angle, in the frame of the body and of the camera.
 
-    Cannot be told from a rolled camera, unless the picture shows how the base lies or encoders count from it. A plumb
-    line does not help: both turn it alike.
+    In the plane it turns counter-clockwise, and cannot be told from a rolled camera, unless the picture shows how the
+    base lies or encoders count from it. A plumb line does not help: both turn it alike. In space the base leans about
+    the two axes of the frame that are nearest to level: a rotation vector of these two coordinates.
     """
 
     phrase = "tilted gravity"
@@ -23,18 +25,45 @@ class GravityTilt(Effect):
     shown_by = "the joints' encoders, or the base's own edges in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
-    planar = True
     site = "arm"
+    about: tuple[int, ...] = ()
+    """Axes of the frame that it may turn about, by number; none in the plane."""
 
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One, where there is gravity."""
-        return [cls()] if isinstance(body, Body) and any(body.gravity) else []
+        return [cls()] if any(body.gravity) else []
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        if body.space == 3:
+            upright = max(range(3), key=lambda axis: abs(body.gravity[axis]))
+            other.about = tuple(axis for axis in range(3) if axis != upright)
+        return other
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(f"about_{AXES[axis]}" for axis in self.about) or ("angle",)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle, rad."""
-        return (Parameter("angle", "rad", Normal(0.0, 0.15)),)
+        """Angle, rad; in space two."""
+        return tuple(Parameter(name, "rad", Normal(0.0, 0.15)) for name in self._names)
 
-    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
-        """R(angle) g."""
-        return body._replace(gravity=rotated(body.gravity, p["angle"]))
+    def body(self, p: Values, body: Any) -> Any:
+        """R g."""
+        if not self.about:
+            return body._replace(gravity=rotated(body.gravity, p["angle"]))
+        angles = [p[name][..., 0] for name in self._names]
+        vector = [torch.zeros_like(angles[0])] * 3
+        for axis, angle in zip(self.about, angles, strict=True):
+            vector[axis] = angle
+        return body._replace(gravity=turned(body.gravity, torch.stack(vector, -1)))
+
+
+def turned(vector: Tensor, by: Tensor) -> Tensor:
+    """Vectors (..., 3) turned by rotation vectors (..., 3), rad (Rodrigues): smooth where these are 0."""
+    vector, by = torch.broadcast_tensors(vector, by)
+    angle = (by.square().sum(-1, keepdim=True) + 1e-30).sqrt()
+    once = torch.linalg.cross(by, vector)
+    twice = torch.linalg.cross(by, once)
+    return vector + torch.sinc(angle / torch.pi) * once + 0.5 * torch.sinc(angle / (2 * torch.pi)) ** 2 * twice

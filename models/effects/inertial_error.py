@@ -1,13 +1,17 @@
 """A link whose mass, centre of mass and inertia are not those of the body file."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
+import torch
 from pyro.distributions import Normal, StudentT
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
+from invdyn.models.bodies.protocol import AXES, ArticulatedBody
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, point_of, size_of, with_inertia
 from invdyn.models.effects.payload import Payload
 from invdyn.models.effects.scale import Scale
+from invdyn.models.shapes import join
 
 LEAST = 0.02
 """Of the file's mass and inertia that is always left."""
@@ -16,50 +20,72 @@ LOST = 0.8
 
 
 class InertialError(Effect):
-    """Differences Δm, Δcom (along the link) and ΔI (about the centre of mass) of one link from its file.
+    """Differences Δm, Δcom and ΔI (about the centre of mass) of one link from its file.
 
-    Known but for a common factor when no torque and no weight is.
+    In the plane the centre of mass moves along the link. In space it moves along the three axes of the link's frame,
+    and all moments change by one factor, their mean by ΔI: what was a possible body stays one. Known but for a common
+    factor when no torque and no weight is.
     """
 
     phrase = "an inertial error"
     meaning = "a link whose mass, centre of mass or inertia is not as stated"
     shown_by = "two postures held still, then fast motion"
 
-    planar = True
     site = "link"
+    coms: tuple[str, ...] = ("com",)
+    """Names of the centre of mass's coordinates."""
+
+    @classmethod
+    def fits(cls, body: ArticulatedBody) -> bool:
+        """Whether its links' numbers are known."""
+        return has_inertias(body)
+
+    @classmethod
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
+        """At every link that has a mass."""
+        found = super().everywhere(body, keypoints)
+        return [each for each in found if body.parameters().mass[each._bound(body, each.where).place[0]] > 0]
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        other.coms = ("com",) if body.space == 2 else tuple(f"com_{axis}" for axis in AXES)
+        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Differences of mass, kg, centre of mass, m, and inertia, kg·m²."""
-        mass, length, inertia = (
-            value[self.place[0]].item() for value in (scale.body.mass, scale.body.length, scale.body.inertia)
-        )
+        own, length = inertia_of(scale.body, self.place[0]), size_of(scale.body, self.place[0])
+        mass, inertia = own.mass.item(), own.mean.item()
         turning = max(inertia, mass * length**2 / 12)
         return (
             Parameter("mass", "kg", StudentT(3.0, 0.0, 0.15 * mass), least=-LOST * mass),
-            Parameter("com", "m", Normal(0.0, 0.1 * length)),
+            *(Parameter(name, "m", Normal(0.0, 0.1 * length)) for name in self.coms),
             Parameter("inertia", "kg·m²", StudentT(3.0, 0.0, 0.15 * turning), least=-LOST * turning),
         )
 
-    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
+    def body(self, p: Values, body: Any) -> Any:
         """The link with other numbers; mass and inertia stay positive."""
-        k = self.place[0]
-        mass, com, inertia = (value[..., k : k + 1] for value in (body.mass, body.com, body.inertia))
-        return body._replace(
-            mass=with_entry(body.mass, k, (mass + p["mass"]).maximum(LEAST * mass)),
-            com=with_entry(body.com, k, com + p["com"]),
-            inertia=with_entry(body.inertia, k, (inertia + p["inertia"]).maximum(LEAST * inertia)),
+        own = inertia_of(body, self.place[0])
+        change = torch.maximum(p["inertia"], (LEAST - 1) * own.mean)
+        other = Inertia(
+            (own.mass + p["mass"]).maximum(LEAST * own.mass),
+            own.com + join(*(p[name] for name in self.coms)),
+            own.moments + change * own.shape,
         )
+        return with_inertia(body, self.place[0], other)
 
     def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
-        """Of a payload, where the link is the last: a mass m at the tip, a length l from the joint, adds
+        """Of a payload on this link: a mass m at the tip, at t from the joint, adds
 
-        m l to the moment of its weight about the joint, and m l² to its inertia; either may be known alone.
+        m t to the moment of its weight about the joint, and m t² to its inertia; either may be known alone.
         """
-        k = self.place[0]
-        if not isinstance(other, Payload) or k != len(scale.body.mass) - 1:
+        if not isinstance(other, Payload) or self.place != other.place[:1]:
             return ()
-        mass, com, length = (float(numbers[k]) for numbers in (scale.body.mass, scale.body.com, scale.body.length))
-        heavier, further = mass + values["mass"], com + values["com"]
-        by_weight = (heavier * further - mass * com) / length
-        by_inertia = (values["inertia"] + heavier * further**2 - mass * com**2) / length**2
-        return [{"mass": load} for load in (by_weight, by_inertia) if load > 0]
+        own, at = inertia_of(scale.body, self.place[0]), point_of(scale.body, *other.place).double()
+        com = own.com + torch.tensor([values[name] for name in self.coms], dtype=torch.float64)
+        heavier, square = own.mass + values["mass"], at.square().sum()
+        by_weight = (heavier * com - own.mass * own.com) @ at / square
+        # the mean moment of a point in space is two thirds of m t²
+        share = 1.0 if len(self.coms) == 1 else 2 / 3
+        by_inertia = values["inertia"] / share + heavier * com.square().sum() - own.mass * own.com.square().sum()
+        loads = (by_weight.item(), (by_inertia / square).item())
+        return [{"mass": load} for load in loads if load > 0]

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import MARGIN, Effect
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.joint_stiffness import TURNS
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 
 LEAST = 0.1

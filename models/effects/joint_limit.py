@@ -10,8 +10,9 @@ from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import ABRUPT, MARGIN, Effect, Parameter, Values, quantiles
+from invdyn.models.effects.base import ABRUPT, MARGIN, Effect
 from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 
 SIDES = {"upper": 1.0, "lower": -1.0}

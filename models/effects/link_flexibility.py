@@ -1,8 +1,8 @@
 """A link that bends: a hidden hinge with a spring and a damper at half its length.
 
-The parts, shares π and 1 − π of length and mass, have their centres s apart, and inertias that leave the whole as it
-was when straight: those of a uniform rod, s = length/2 and I − π (1 − π) m s² as π³ to (1 − π)³; s is less for a link
-that has not so much inertia. π = ½, but in the softer form, which bends wherever it does.
+The parts have shares π and 1 − π of length and mass. Their centres lie s apart, and a straight link has the inertia
+that it had as one piece. For a uniform rod s = length/2, and the parts share I − π (1 − π) m s² as π³ to (1 − π)³. For
+a link with less inertia s is smaller. π = ½; only the softer form learns where it bends.
 
     torque on the hinge = −k ψ − d ψ̇
 

@@ -57,7 +57,12 @@ def neighbours(
     By the parameters' own names; ``passive`` if no motor acts.
     """
     one, body = len(scale.torque) == 1, scale.body
-    twins = {other: {its: values[own] for own, its in same.items()} for other, same in mine.twins.items()}
+    # in space an effect may have other parameters, and then no twin
+    twins = {
+        other: {its: values[own] for own, its in same.items()}
+        for other, same in mine.twins.items()
+        if same.keys() <= values.keys()
+    }
     swings = one and passive and isinstance(body, BodyParameters) and bool(body.gravity.any())
     if swings and mine.name in period.NAMES:
         twins |= period.equivalents(period.factor(mine, values, body), body)

@@ -1,36 +1,51 @@
-"""A point mass at the last link's tip, of which the body file says nothing."""
+"""A point mass at the tip, of which the body file says nothing."""
+
+from collections.abc import Sequence
+from typing import Any, Self
 
 from pyro.distributions import HalfNormal
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.inertias import has_inertias, inertia_of, point_of, with_inertia
 from invdyn.models.effects.scale import Scale
+
+SHARE, LEAST = 0.5, 0.05
+"""Spread of its mass: of the link that carries it, and of the whole body at least."""
 
 
 class Payload(Effect):
-    """A mass m carried at the last tip: the last link's mass, centre of mass and inertia change together.
+    """A mass m carried at the tip: that link's mass, centre of mass and inertia change together.
 
-    Told apart from an error of the last link's inertial parameters by two postures and two speeds.
+    The tip is the body's own (`hand`): the last link's, or of a gripper's fingers what they hang on. Told apart from an
+    error of the link's inertial parameters by two postures and two speeds.
     """
 
     phrase = "a payload"
     meaning = "a mass at the tip that the simulation does not carry"
     shown_by = "two postures and two speeds"
 
-    planar = True
     site = "arm"
+
+    @classmethod
+    def fits(cls, body: ArticulatedBody) -> bool:
+        """Whether the body has one tip."""
+        return has_inertias(body) and body.hand is not None
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        assert body.hand is not None  # it fits
+        other.place = body.hand
+        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Mass m, kg."""
-        return (Parameter("mass", "kg", HalfNormal(0.5 * scale.body.mass[-1].item())),)
+        mass = scale.body.mass
+        spread = max(SHARE * mass[self.place[0]].item(), LEAST * mass.sum().item())
+        return (Parameter("mass", "kg", HalfNormal(spread)),)
 
-    def body(self, p: Values, body: BodyParameters) -> BodyParameters:
-        """The last link with the load: masses add, inertias by the parallel-axis theorem."""
-        mass, com, length = (value[..., -1:] for value in (body.mass, body.com, body.length))
-        total = mass + p["mass"]
-        reduced = mass * p["mass"] / total
-        return body._replace(
-            mass=with_entry(body.mass, -1, total),
-            com=with_entry(body.com, -1, (mass * com + p["mass"] * length) / total),
-            inertia=with_entry(body.inertia, -1, body.inertia[..., -1:] + reduced * (length - com) ** 2),
-        )
+    def body(self, p: Values, body: Any) -> Any:
+        """The link with the load."""
+        link, site = self.place
+        own = inertia_of(body, link).loaded(p["mass"], point_of(body, link, site))
+        return with_inertia(body, link, own)

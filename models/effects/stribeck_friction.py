@@ -7,8 +7,9 @@ import torch
 from pyro.distributions import HalfNormal, LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import MARGIN, Parameter, Values, quantiles
+from invdyn.models.effects.base import MARGIN
 from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.effects.scale import Scale
 

@@ -1,10 +1,10 @@
-"""A tracker's confidence c as a covariate of its noise, and no probability: noise grows as
+"""A tracker's confidence c is a covariate of its noise, and no probability. Noise grows as
 
     s(c) = exp(γ (1 − rank(c)) + δ (c⁺ − c) / (c⁺ − c⁻)),   γ, δ ≥ 0
 
-rank(c) in (0, 1] is c's place among that keypoint's own confidences, which most of the differences between good rows
-follow. c⁻ and c⁺ are the least and the greatest of them, so that a few rows with a c far below all others can be as
-good as lost (e^δ), while the rows just above them in order stay sure. c may be of any scale.
+rank(c) in (0, 1] is c's place among that keypoint's own confidences; most differences between good rows follow it. c⁻
+and c⁺ are the least and the greatest of them. By δ, a few rows whose c lies far below all others can be as good as
+lost (e^δ), while the rows just above them in order stay sure. c may be of any scale.
 
 Shapes: T rows, P keypoints.
 """

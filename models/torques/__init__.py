@@ -4,6 +4,7 @@ from invdyn.models.torques.base import TorqueProcess
 from invdyn.models.torques.matern import Matern32, Matern52
 from invdyn.models.torques.ornstein_uhlenbeck import OrnsteinUhlenbeck, RandomWalk
 from invdyn.models.torques.recurrent import Recurrent
+from invdyn.models.torques.smooth_and_rough import SmoothAndRough
 
 TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "ornstein_uhlenbeck": OrnsteinUhlenbeck,
@@ -11,10 +12,14 @@ TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "matern32": Matern32,
     "matern52": Matern52,
     "recurrent": Recurrent,
+    "smooth_and_rough": SmoothAndRough,
 }
 
-SMOOTHNESS = ("ornstein_uhlenbeck", "matern32", "matern52")
-"""From rough to smooth: stationary processes with a size and a correlation time each, among which evidence chooses."""
+SMOOTHNESS = ("ornstein_uhlenbeck", "smooth_and_rough")
+"""A rough torque, or a smooth one with a little that is rough: among these evidence chooses.
+
+Not those that are smooth alone: evidence likes them, for it hardly sees a small disturbance, and their bands miss it.
+"""
 
 __all__ = [
     "SMOOTHNESS",
@@ -24,5 +29,6 @@ __all__ = [
     "OrnsteinUhlenbeck",
     "RandomWalk",
     "Recurrent",
+    "SmoothAndRough",
     "TorqueProcess",
 ]

@@ -74,6 +74,14 @@ class Matern(TorqueProcess):
 
     def noise(self, dt: Tensor, parameters: Parameters) -> Tensor:
         """Lower-triangular square root of Q(δ), (..., nK, nK)."""
+        return interleaved(self.noise_blocks(dt, parameters))
+
+    def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
+        """Lower-triangular square root of the stationary covariance, (..., nK, nK)."""
+        return interleaved(self.stationary_blocks(parameters))
+
+    def noise_blocks(self, dt: Tensor, parameters: Parameters) -> Tensor:
+        """Lower-triangular square root of each joint's Q(δ), (..., K, n, n)."""
         rate = self._rate(parameters)
         spectral = self._spectral_density(rate, parameters["torque.scale"])
         rate, dt, spectral = torch.broadcast_tensors(rate, dt, spectral)
@@ -82,16 +90,11 @@ class Matern(TorqueProcess):
         weights = torch.as_tensor(_WEIGHTS / 2, dtype=rate.dtype, device=rate.device)
         columns = self._propagator(rate.unsqueeze(-1), dt.unsqueeze(-1) * nodes)[..., -1]  # A(s) b
         factors = columns * torch.sqrt(spectral * dt)[..., None, None] * weights.sqrt()[:, None]
-        # Reduced, as torch cannot differentiate mode="r".
-        upper = torch.linalg.qr(factors, mode="reduced").R  # (..., K, n, n), UᵀU = Σ fᵀf
-        lower = upper.mT * torch.sign(upper.diagonal(dim1=-2, dim2=-1)).unsqueeze(-2)
-        return self._interleave(lower)
+        return triangular(factors.mT)
 
-    def _interleave(self, blocks: Tensor) -> Tensor:
-        """(..., K, n, n) per joint → (..., nK, nK), derivative-major."""
-        eye = torch.eye(blocks.shape[-3], dtype=blocks.dtype, device=blocks.device)
-        full = torch.einsum("...kab,kl->...akbl", blocks, eye)
-        return full.flatten(-4, -3).flatten(-2, -1)
+    def stationary_blocks(self, parameters: Parameters) -> Tensor:
+        """Lower-triangular square root of each joint's stationary covariance, (..., K, n, n)."""
+        raise NotImplementedError
 
     def path(self, torque: Tensor, time: Tensor) -> Tensor:
         """Torques and their finite-difference derivatives, (T, nK)."""
@@ -104,6 +107,20 @@ class Matern(TorqueProcess):
         raise NotImplementedError
 
 
+def triangular(root: Tensor) -> Tensor:
+    """Lower-triangular L (..., n, n) with L Lᵀ = R Rᵀ, of a root R (..., n, m ≥ n)."""
+    # Reduced, as torch cannot differentiate mode="r".
+    upper = torch.linalg.qr(root.mT, mode="reduced").R
+    return upper.mT * torch.sign(upper.diagonal(dim1=-2, dim2=-1)).unsqueeze(-2)
+
+
+def interleaved(blocks: Tensor) -> Tensor:
+    """(..., K, n, n) per joint → (..., nK, nK), all joints' first entries, then all second ones."""
+    eye = torch.eye(blocks.shape[-3], dtype=blocks.dtype, device=blocks.device)
+    full = torch.einsum("...kab,kl->...akbl", blocks, eye)
+    return full.flatten(-4, -3).flatten(-2, -1)
+
+
 class Matern32(Matern):
     """Once differentiable torque."""
 
@@ -112,10 +129,10 @@ class Matern32(Matern):
     def _spectral_density(self, rate: Tensor, scale: Tensor) -> Tensor:
         return 4 * rate**3 * scale**2
 
-    def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
+    def stationary_blocks(self, parameters: Parameters) -> Tensor:
         """Square root of the stationary covariance diag(σ², κ²σ²)."""
         rate, scale = torch.broadcast_tensors(self._rate(parameters), parameters["torque.scale"])
-        return self._interleave(torch.diag_embed(torch.stack([scale, rate * scale], -1)))
+        return torch.diag_embed(torch.stack([scale, rate * scale], -1))
 
 
 class Matern52(Matern):
@@ -126,10 +143,10 @@ class Matern52(Matern):
     def _spectral_density(self, rate: Tensor, scale: Tensor) -> Tensor:
         return 16 / 3 * rate**5 * scale**2
 
-    def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
+    def stationary_blocks(self, parameters: Parameters) -> Tensor:
         """Square root of the stationary covariance: σ², κ²σ²/3, κ⁴σ² and cov(τ, τ̈) = −κ²σ²/3."""
         rate, scale = torch.broadcast_tensors(self._rate(parameters), parameters["torque.scale"])
         sds = torch.stack([scale, rate * scale / math.sqrt(3), rate**2 * scale * math.sqrt(8) / 3], -1)
         lower = torch.diag_embed(sds)
         lower[..., 2, 0] = -(rate**2) * scale / 3
-        return self._interleave(lower)
+        return lower

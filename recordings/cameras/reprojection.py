@@ -1,8 +1,8 @@
 """How well points in space explain the pixels: a row for each camera and keypoint.
 
-Of the distances |y − π(X)|, px: median and 90 % quantile; of the differences y − π(X) the median across (u) and down
-(v) the picture, a tracker's lasting offset in that view; and the share of strays, whose weight fell below a third of
-the average pixel's.
+A row has the median and the 90 % quantile of the distances |y − π(X)|, px. It has the median of the differences
+y − π(X) across (u) and down (v) the picture: a tracker's lasting offset in that view. It also has the share of strays,
+whose weight fell below a third of the average pixel's.
 """
 
 import csv

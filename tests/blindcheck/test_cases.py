@@ -2,6 +2,7 @@
 
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ import invdyn.blindcheck.cases as cases
 import invdyn.blindcheck.initial_state_fit as starts
 from invdyn.blindcheck.cases import CATALOGUE, KINDS, effects_of, make_case, planned
 from invdyn.blindcheck.commitment import canonical
+from invdyn.blindcheck.engine import MUJOCO
 from invdyn.blindcheck.unlisted_effects import OUTSIDE
 from invdyn.models import Body
 from invdyn.recordings import read_keypoint_csv
@@ -127,11 +129,11 @@ def test_commands_may_run_faster_than_the_camera():
 def test_a_recording_is_what_was_filmed_and_commanded(monkeypatch, hasty):
     filmed = []
 
-    def spy(real, time, effects, noise, seed, film=cases.film):
+    def spy(real, time, effects, noise, seed):
         filmed.append((real, time))
-        return film(real, time, effects, noise, seed)
+        return MUJOCO.film(real, time, effects, noise, seed)
 
-    monkeypatch.setattr(cases, "film", spy)
+    monkeypatch.setitem(cases.ENGINES, "mujoco", replace(MUJOCO, film=spy))
     case = make_case(3, "commanded", "viscous_friction")
     real, time = filmed[-1]
     seen = case.recording.keypoints[np.isin(case.recording.time, time)]
@@ -213,7 +215,7 @@ def test_only_what_is_hardly_met_is_made_larger(monkeypatch, draws, strengths):
     """What stands beside it has its usual size in all draws."""
     asked = []
 
-    def attempted(_, kind, names, strength):
+    def attempted(_, kind, names, strength, engine):
         asked.append(tuple(strength))
         met = draws[len(asked) - 1] if len(asked) <= len(draws) else (100, 100)
         return met and SimpleNamespace(answer={"effects": [{"dprime": float(each)} for each in met]})

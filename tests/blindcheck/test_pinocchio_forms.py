@@ -63,7 +63,7 @@ LAWS = {
     "stribeck_friction": ({"coulomb": 0.1, "static": 0.25, "half_speed": 0.7, "creep": 0.3}, stribeck),
     "joint_limit": ({"angle": 0.6, "stiffness": 30.0, "side": 1.0, "loss": 0.1}, stop),
     "drifting_friction": (
-        {"damping": 0.1, "rise": 0.2, "time_constant": 0.7},
+        {"first": 0.1, "rise": 0.2, "time_constant": 0.7},
         lambda q, v, t: -(0.1 - 0.2 * np.expm1(-t / 0.7)) * v,
     ),
 }

@@ -8,41 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
-from stand_in import deeplabcut
+from pages import PAGES, ROOT, blocks, commands
 
 from invdyn.cli import app
 from invdyn.inputs import load_body, load_recording
 
-ROOT = Path(__file__).parents[2]
-WRITTEN = ("reference/cli.md", "reference/effects.md", "reference/api")
-"""Pages that the site's build writes from the code."""
-PAGES = [
-    page
-    for page in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
-    if not str(page.relative_to(ROOT)).startswith(tuple(f"docs/{name}" for name in WRITTEN))
-]
-GUIDES = sorted((ROOT / "docs" / "how-to").glob("*.md"))
 FILES = ROOT / "docs" / "files.md"
+PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]*)\)")
 
 
-def blocks(page: Path, language: str) -> list[str]:
-    """Contents of the fenced blocks of a language ("" for none)."""
-    found = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
-    return [block for said, block in found if said == language]
-
-
-def commands() -> list[tuple[str, str]]:
-    """(page, command line), continued lines joined."""
-    lines = [
-        (page.name, line)
-        for page in PAGES
-        for block in blocks(page, "")
-        for line in block.replace("\\\n", " ").splitlines()
-    ]
-    return [(name, line) for name, line in lines if line.startswith("invdyn ")]
-
-
-@pytest.mark.parametrize(("page", "line"), commands())
+@pytest.mark.parametrize(("page", "line"), [(page.name, line) for page in PAGES for line in commands(page)])
 def test_a_command_can_be_pasted_into_a_shell(page, line):
     """Nothing for the shell in it, no stray words, and every option is one of that command's."""
     words = shlex.split(line, comments=True)
@@ -53,7 +28,7 @@ def test_a_command_can_be_pasted_into_a_shell(page, line):
 
 
 def test_pages_have_commands():
-    assert len(commands()) > 12
+    assert sum(len(commands(page)) for page in PAGES) > 12
 
 
 def test_the_recording_and_the_body_shown_fit_one_another(tmp_path):
@@ -86,40 +61,6 @@ def test_relative_links_lead_to_files(page):
         assert place.exists(), f"{page.name} links to {target}"
 
 
-@pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarning")  # what a file has besides is told
-@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
-def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch):
-    """Python blocks in their order, in one session; every TOML block is a body file."""
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
-    for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec"), names)
-    for number, block in enumerate(blocks(page, "toml")):
-        (tmp_path / f"{number}.toml").write_text(block)
-        assert load_body(str(tmp_path / f"{number}.toml")).num_joints > 0
-
-
-@pytest.mark.parametrize("name", ["deeplabcut", "robot_log", "cluster"])
-def test_a_guides_commands_run(name, folder, run, quick_inference):
-    """On files as the guide describes them, without the inference itself and with too few rows for a search."""
-    page = ROOT / "docs" / "how-to" / f"{name}.md"
-    for block in blocks(page, "toml"):
-        (folder / "arm.toml").write_text(block)
-    deeplabcut(folder / "tracks.csv", links=(0.30 / 0.0021, 0.26 / 0.0021), frames=30)
-    if name == "robot_log":
-        rows = [f"{0.02 * t:.2f},{-1.5 + 0.01 * t:.2f},1.0\n" for t in range(12)]
-        for file in ("rec.csv", "other.csv"):
-            (folder / file).write_text("time,shoulder_angle,shoulder_torque\n" + "".join(rows))
-    lines = [line for said, line in commands() if said == page.name]
-    assert lines
-    for line in lines:
-        outcome = run(*shlex.split(line, comments=True)[1:])
-        assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
-    assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
-    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["diagnosis/report.html"], "cluster": ["posterior.nc"]}
-    assert all((folder / file).exists() for file in made[name])
-
-
 def _body(folder: Path) -> Path:
     (folder / "arm.toml").write_text(blocks(FILES, "toml")[0])
     return folder / "arm.toml"
@@ -128,6 +69,15 @@ def _body(folder: Path) -> Path:
 def test_the_picture_of_the_rooms_is_that_of_the_code():
     script = _script(ROOT / "docs" / "architecture_picture.py")
     assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+
+
+def test_each_picture_of_a_page_is_made_by_a_script():
+    shown = {Path(link).name for page in PAGES for link in PICTURE.findall(page.read_text("utf-8"))}
+    scripts = [*(ROOT / "docs").glob("*.py"), *(ROOT / "benchmarks").glob("*.py")]
+    text = "".join(script.read_text("utf-8") for script in scripts)
+    kept = {path.name for ending in ("png", "gif", "svg") for path in (ROOT / "docs").glob(f"*.{ending}")}
+    assert shown == kept
+    assert {name for name in kept if f'"{name}"' not in text} == set()
 
 
 def _script(path: Path):

@@ -2,26 +2,16 @@
 
 import re
 import shlex
-from pathlib import Path
+import tomllib
 
 import numpy as np
 import pandas as pd
 import pytest
+from pages import ROOT, blocks, commands
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 LONGEST = 900
 """Words: whoever reads on finds the rest in docs/."""
-
-
-def blocks(language):
-    """Contents of the fenced blocks of a language ("" for none)."""
-    found = re.findall(r"^```(\w*)\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.MULTILINE)
-    return [block for said, block in found if said == language]
-
-
-def commands():
-    lines = [line for block in blocks("") for line in block.replace("\\\n", " ").splitlines()]
-    return [line for line in lines if line.startswith("invdyn ")]
 
 
 @pytest.fixture(scope="module")
@@ -45,16 +35,25 @@ def folder(tmp_path_factory):
 
 def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
     monkeypatch.chdir(folder)
-    for line in commands():
+    for line in commands(README):
         found = run(*shlex.split(line)[1:])
         assert found.exit_code == 0, f"{line}: {found.stderr}"
-    for snippet in blocks("python"):
+    for snippet in blocks(README, "python"):
         exec(compile(snippet, str(README), "exec"), {})
     assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {
         p.name for p in folder.iterdir()
     }
     assert (folder / "diagnosis" / "report.html").exists()
     assert "nan" not in capsys.readouterr().out.lower()
+
+
+def test_its_extras_are_those_that_can_be_installed():
+    text = README.read_text("utf-8")
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    (asked,) = re.findall(r'^python -m pip install -c constraints.txt -e "\.\[(.*)\]"$', text, re.MULTILINE)
+    assert set(asked.split(",")) <= set(known)
+    told = re.findall(r"`(\w+)`", text.split("Extras: ")[1].split("\n\n")[0])
+    assert set(told) == set(known) - {"dev", "docs"}
 
 
 def test_it_is_short():

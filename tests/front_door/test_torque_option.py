@@ -15,7 +15,7 @@ def test_the_likeliest_is_taken_and_told(folder, run):
     assert outcome.exit_code == 0, outcome.output
     settings = json.loads(load_posterior("p.nc").attrs["settings"])
     evidence = settings["torque_evidence"]
-    assert set(evidence) == {"OrnsteinUhlenbeck", "Matern32", "Matern52"}
+    assert set(evidence) == {"OrnsteinUhlenbeck", "SmoothAndRough"}
     best = settings["torque_process"]
     assert evidence[best] == max(evidence.values())
     (line,) = (line for line in outcome.stdout.splitlines() if line.startswith("torque process"))
@@ -31,4 +31,4 @@ def test_an_unknown_one_is_refused(folder, run, name):
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", name)
     assert outcome.exit_code == 2
     assert f"unknown torque process '{name}': known are ornstein_uhlenbeck" in outcome.stderr
-    assert "matern52, recurrent, auto" in outcome.stderr
+    assert "matern52, recurrent, smooth_and_rough, auto" in outcome.stderr

@@ -29,6 +29,7 @@ from invdyn.models import (
     OrnsteinUhlenbeck,
     RandomWalk,
     Recurrent,
+    SmoothAndRough,
     planar_dynamics,
 )
 from invdyn.recordings import InputError, Recording
@@ -154,6 +155,7 @@ MODELS = {
     "matern32": (Matern32(), "rk4", "gaussian", 2),
     "matern52": (Matern52(), "euler", "student_t", 1),
     "recurrent": (Recurrent(), "semi_implicit", "student_t", 1),
+    "smooth_and_rough": (SmoothAndRough(), "rk4", "gaussian", 1),
 }
 """Torque process, integrator, family of the noise, joints: each occurs."""
 SHORTEST = {

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.special import gamma, kv
 
-from invdyn.models import TORQUE_PROCESSES, Matern32, Matern52, OrnsteinUhlenbeck, RandomWalk, Recurrent
+from invdyn.models import TORQUE_PROCESSES, Matern32, Matern52, OrnsteinUhlenbeck, RandomWalk, Recurrent, SmoothAndRough
 
 F64 = torch.float64
 SCALE = torch.tensor([3.0, 0.4], dtype=F64)
@@ -51,7 +51,7 @@ def test_ornstein_uhlenbeck_moments(scaling, factor, variance, dt):
     assert matrix @ stationary @ matrix.T + cov == pytest.approx(stationary, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["exact", "matern32", "matern52"])
+@pytest.mark.parametrize("name", ["exact", "matern32", "matern52", "smooth_and_rough"])
 def test_two_half_steps_are_one_step(name):
     process = OrnsteinUhlenbeck("exact") if name == "exact" else TORQUE_PROCESSES[name](0.1)
     parameters = process.defaults(SCALE)
@@ -122,12 +122,8 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("grid", GRIDS)
-@pytest.mark.parametrize(("kind", "nu"), [(Matern32, 1.5), (Matern52, 2.5)])
-def test_matern_torques_have_the_kernels_joint_covariance(kind, nu, grid):
-    time, lengths = GRIDS[grid], torch.tensor([0.15, 0.6], dtype=F64)
-    process = kind()
-    parameters = {"torque.scale": SCALE, "torque.lengthscale": lengths}
+def joint_covariance(process, parameters, time):
+    """Of two joints' torques at all times, (T, 2, T, 2), by the process's own steps."""
     cov = covariance(process, process.stationary(torch.tensor([0.1], dtype=F64), parameters))
     found = np.zeros((len(time), 2, len(time), 2))
     for s in range(len(time)):
@@ -141,9 +137,45 @@ def test_matern_torques_have_the_kernels_joint_covariance(kind, nu, grid):
         if s + 1 < len(time):
             matrix, noise = step(process, time[s + 1] - time[s], parameters)
             cov = matrix @ cov @ matrix.T + noise
+    return found
+
+
+LENGTHS = torch.tensor([0.15, 0.6], dtype=F64)
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_a_smooth_and_a_rough_torque_have_the_sum_of_their_kernels(grid):
+    time = GRIDS[grid]
+    rough, decay = torch.tensor([0.3, 0.01], dtype=F64), torch.tensor([20.0, 3.0], dtype=F64)
+    parameters = {"torque.scale": SCALE, "torque.lengthscale": LENGTHS}
+    parameters |= {"torque.rough_scale": rough, "torque.rough_decay": decay}
+    found = joint_covariance(SmoothAndRough(), parameters, time)
     lag = time[:, None] - time[None, :]
     for i in range(2):
-        scale, length = SCALE[i].item(), lengths[i].item()
+        expected = matern_kernel(lag, SCALE[i].item(), LENGTHS[i].item(), 2.5)
+        expected += rough[i].item() ** 2 * np.exp(-decay[i].item() * np.abs(lag))
+        assert found[:, i, :, i] == pytest.approx(expected, abs=1e-10 * SCALE[i].item() ** 2)
+    assert found[:, 0, :, 1] == pytest.approx(0, abs=1e-14)
+
+
+def test_a_rough_part_that_is_next_to_nothing_keeps_its_size():
+    """The root has it to full precision: of τ given s, ṡ and s̈ nothing is left but the rough part."""
+    parameters = SmoothAndRough(share=1e-6).defaults(SCALE)
+    root = SmoothAndRough().noise(torch.tensor([0.01], dtype=F64), parameters)
+    assert torch.equal(root, root.tril())
+    precision = torch.linalg.inv(root).square().sum(0)  # diagonal of (L Lᵀ)⁻¹
+    left = 1e-6 * SCALE * math.sqrt(1 - math.exp(-2 * 20 * 0.01))
+    assert (1 / precision[:2]).sqrt().tolist() == pytest.approx(left.tolist(), rel=1e-6)
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize(("kind", "nu"), [(Matern32, 1.5), (Matern52, 2.5)])
+def test_matern_torques_have_the_kernels_joint_covariance(kind, nu, grid):
+    time = GRIDS[grid]
+    found = joint_covariance(kind(), {"torque.scale": SCALE, "torque.lengthscale": LENGTHS}, time)
+    lag = time[:, None] - time[None, :]
+    for i in range(2):
+        scale, length = SCALE[i].item(), LENGTHS[i].item()
         expected = matern_kernel(lag, scale, length, nu)
         assert found[:, i, :, i] / scale**2 == pytest.approx(expected / scale**2, abs=1e-10)
     assert found[:, 0, :, 1] == pytest.approx(0, abs=1e-14)

@@ -48,7 +48,7 @@ def test_intervals_of_rows_that_were_not_all_seen():
 
 def test_joints_of_effects():
     joints = {
-        e.key: joints_of(e.bound(ARM)) for e in considered(diagnosis_problem(recording_of(body=ARM, rows=30), ARM))
+        e.key: joints_of(e.bound(ARM), ARM) for e in considered(diagnosis_problem(recording_of(body=ARM, rows=30), ARM))
     }
     assert joints["viscous_friction.elbow"] == [1]
     assert joints["joint_coupling.shoulder.elbow"] == [0, 1]

@@ -33,7 +33,8 @@ from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, LOOSE, diagnosis_problem, uncertain_numbers
+from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, sizes, whiten

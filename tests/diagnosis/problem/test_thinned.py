@@ -1,9 +1,11 @@
 """Long recordings in fewer rows."""
 
+from dataclasses import replace
+
 import numpy as np
 from robot_log import robot_log
 
-from invdyn.diagnosis.problem.thinned import thinned
+from invdyn.diagnosis.problem.thinned import ROWS, left_out, thinned
 
 
 def test_a_short_recording_is_itself():
@@ -28,3 +30,17 @@ def test_a_camera_alone_is_thinned_too():
     alone = thinned(log, 30)
     rows = np.isfinite(alone.keypoints).all((1, 2)) | np.isfinite(alone.angles).all(1)
     assert 20 < rows.sum() <= 30
+
+
+def test_what_is_left_out_is_told():
+    short, long = robot_log(0.5), robot_log(2.0)
+    angles, torques = (np.tile(values, (3, 1)) for values in (long.angles, long.torques))
+    keypoints, time = np.tile(long.keypoints, (3, 1, 1)), np.arange(3000) / 500
+    long = replace(long, time=time, keypoints=keypoints, angles=angles, torques=torques)
+    assert left_out([short]) is None
+    assert left_out([short, long]).startswith(f"Of 3250 rows with an observation {250 + rows(thinned(long))} were")
+    assert rows(thinned(long)) <= ROWS
+
+
+def rows(log):
+    return int((np.isfinite(log.keypoints).any((1, 2)) | np.isfinite(log.angles).any(1)).sum())

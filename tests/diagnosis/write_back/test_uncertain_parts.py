@@ -7,7 +7,7 @@ import torch
 from robot_xml import robot
 
 from invdyn.diagnosis.diagnose import diagnose
-from invdyn.diagnosis.problem.diagnosis_problem import uncertain_numbers
+from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.write_back.write_back import write_back
 from invdyn.models import Body

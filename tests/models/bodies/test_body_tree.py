@@ -114,12 +114,9 @@ def test_a_file_with_classes_and_all_that_a_rigid_tree_lacks(tmp_path):
         tree = in_space.load_body(tmp_path / "arm.xml")
     (line,) = [str(each.message) for each in told]
     for words in (
-        "damping (pan, lift, left_slide, right_slide)",
         "limits (pan, lift, left_slide, right_slide)",
         "gravity compensation (turret)",
         "a fluid",
-        "position servos (servo)",
-        "force limits (servo)",
         "tendons (split)",
         "equality constraints (left_slide follows right_slide)",
     ):
@@ -128,6 +125,11 @@ def test_a_file_with_classes_and_all_that_a_rigid_tree_lacks(tmp_path):
     assert tree.link_names == ("turret", "boom", "left", "right")
     assert tree.keypoint_names == ("tool",)
     assert [link.joint.type for link in tree.links] == ["hinge", "hinge", "slide", "slide"]
+    assert [parts.damping for parts in tree.joint_parts] == [1.0] * 4  # played, as a servo is
+    assert (tree.joint_parts[1].servo.gain, tree.joint_parts[1].servo.high) == (4500.0, 87.0)
+    assert tree.hand == (1, 0)  # what the fingers hang on
+    tree.to_toml(tmp_path / "arm.toml")
+    assert in_space.load_body(tmp_path / "arm.toml").joint_parts == tree.joint_parts
     boom = tree.links[1]
     assert boom.mass == pytest.approx(1.3)  # with the hand that is fixed to it
     assert boom.rotation == ((1, 0, 0), (0, 0, -1), (0, 1, 0))  # exact: structural zeros make the dynamics short

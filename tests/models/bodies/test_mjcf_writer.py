@@ -11,6 +11,7 @@ import torch
 from trees import MuJoCo, mobile_arm, panda, paper_arm, random_state, random_tree
 
 from invdyn.models import Body, BodyError, Joint, Learned, SpatialLink, Tree, load_body, write_mjcf
+from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 mujoco = pytest.importorskip("mujoco")
@@ -94,6 +95,16 @@ def test_what_mjcf_cannot_say_is_said(tmp_path):
         write_mjcf(Tree("arm", [learned, *panda().links[1:]]), tmp_path / "arm.xml")
     with pytest.warns(UserWarning, match=r"that joints are driven \(forward\)"):
         write_mjcf(mobile_arm(driven=True), tmp_path / "arm.xml")
+
+
+def test_what_a_joint_has_besides_comes_back(tmp_path):
+    parts = JointParts(damping=0.3, friction=0.1, armature=0.02, stiffness=2.0, rest=0.4)
+    links = panda().links
+    write_mjcf(Tree("arm", [*links[:3], replace(links[3], parts=parts), *links[4:]]), tmp_path / "arm.xml")
+    assert Tree.from_mjcf(tmp_path / "arm.xml").joint_parts == (None, None, None, parts, None, None, None)
+    servo = replace(links[3], parts=JointParts(motor=Motor("position", 40.0, 40.0)))
+    with pytest.warns(UserWarning, match="cannot say limits and servos of motors"):
+        write_mjcf(Tree("arm", [*links[:3], servo, *links[4:]]), tmp_path / "arm.xml")
 
 
 def test_moments_that_no_rigid_body_has(tmp_path):

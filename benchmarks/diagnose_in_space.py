@@ -1,0 +1,119 @@
+"""Diagnoses of robots in space: is the effect named at the right joint, with how much work, and what the copy is worth.
+
+MuJoCo plays the Franka Emika Panda of `tests/trees.py`, seven hinges (which says where its numbers are from), or the
+turret arm of `tests/in_space.py`, three, under torques that are held for 10 ms. One thing is otherwise than in the
+file: friction or a rotor at some joint, a payload, late motors, or nothing. Encoders have noise of .2 mrad. The whole
+catalogue is looked at with the default budget. For each case: the verdict's effect, its probability, the parameter
+over the true one, how many candidates there were and how many the budget had no time for, and seconds of CPU.
+
+    python benchmarks/diagnose_in_space.py [--robot panda] [--seconds 10] [--only 0 3] [--out results.jsonl]
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from invdyn.diagnosis.diagnose import diagnose
+from invdyn.models import load_body, write_mjcf
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from in_space import ARM, play
+from trees import panda
+
+MIDDLE = {"panda": (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8), "arm": (0.0, -0.5, 0.9)}
+"""rad: a pose in the middle of the joints' ranges."""
+TIP = {"panda": ("link7", "flange"), "arm": ("fore", "tip")}
+CASES: dict[str, list[tuple[str, str, float, dict[str, Any]]]] = {
+    "panda": [
+        ("viscous_friction.joint4", "damping", 1.0, {"damping": {"joint4": 1.0}}),
+        ("coulomb_friction.joint2", "torque", 1.5, {"friction": {"joint2": 1.5}}),
+        ("armature.joint6", "inertia", 0.05, {"armature": {"joint6": 0.05}}),
+        ("actuator_delay", "delay", 0.02, {"late": 0.02}),
+        ("payload", "mass", 0.5, {"payload": 0.5}),
+        ("", "", 0.0, {}),
+    ],
+    "arm": [
+        ("viscous_friction.lift", "damping", 0.3, {"damping": {"lift": 0.3}}),
+        ("coulomb_friction.bend", "torque", 0.05, {"friction": {"bend": 0.05}}),
+        ("armature.lift", "inertia", 0.02, {"armature": {"lift": 0.02}}),
+        ("actuator_delay", "delay", 0.02, {"late": 0.02}),
+        ("payload", "mass", 0.2, {"payload": 0.2}),
+        ("", "", 0.0, {}),
+    ],
+}
+"""Effect, its parameter and size, and how MuJoCo is told."""
+
+
+def run(robot: str, number: int, seconds: float, folder: Path, workers: int) -> dict[str, Any]:
+    """One case."""
+    effect, parameter, size, change = CASES[robot][number]
+    path = folder / f"{robot}.xml"
+    if robot == "panda":
+        write_mjcf(panda(), path)
+    else:
+        path.write_text(ARM, encoding="utf-8")
+    log = play(path.read_text(encoding="utf-8"), seconds, number, MIDDLE[robot], carried_by=TIP[robot], **change)
+    body = load_body(path)
+    began, clock = time.process_time(), time.monotonic()
+    found = diagnose(log, body, workers=workers)
+    took = time.process_time() - began
+    best = max(found.causes, key=lambda cause: cause.probability + cause.in_part)
+    said = "+".join(finding.key for finding in best.effects)
+    own = best.effects[0].parameters.get(parameter) if best.effects and said == effect else None
+    return {
+        "robot": robot,
+        "case": effect or "nothing",
+        "said": said or "nothing",
+        "right": said == effect,
+        "probability": best.probability + best.in_part,
+        "parameter over true": None if own is None else own.mean / size,
+        "gap closed": found.shrinkage.gap_closed,
+        "candidates": found.method["candidates"],
+        "not looked at": found.not_looked_at,
+        "CPU s": took,
+        "seconds": time.monotonic() - clock,
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Of the cases."""
+    lines = ["| the file lacks | the diagnosis says | parameter over true | candidates | not looked at | CPU s |"]
+    lines.append("|---|---|---|---|---|---|")
+    for row in rows:
+        share = "" if row["parameter over true"] is None else f"{row['parameter over true']:.3f}"
+        count = row["candidates"].split()[0]
+        cells = (row["case"], row["said"], share, count, row["not looked at"], f"{row['CPU s']:.0f}")
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robot", choices=sorted(CASES), default="panda")
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--only", type=int, nargs="*")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    warnings.filterwarnings("ignore", category=UserWarning)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in arguments.only or range(len(CASES[arguments.robot])):
+            row = run(arguments.robot, number, arguments.seconds, Path(folder), arguments.workers)
+            rows.append(row)
+            if arguments.out is not None:
+                with arguments.out.open("a", encoding="utf-8") as lines:
+                    lines.write(json.dumps(row) + "\n")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""Numbers of the body that are not known exactly, which every cause leaves free: by kind of body.
+
+A body states priors of its numbers, or relative standard deviations. Entries of a number are counted flat: link 2's com
+along y, of a number (L, 3), is entry 7.
+"""
+
+from dataclasses import dataclass
+from functools import singledispatch
+
+from pyro.distributions import Distribution
+
+from invdyn.models import ArticulatedBody, Body, Tree
+from invdyn.models.bodies.inertia import NAMES
+from invdyn.models.bodies.joint_parts import NOTHING, PARTS
+from invdyn.models.bodies.protocol import AXES
+from invdyn.models.bodies.scalars import QUANTITIES, UNITS
+
+GEOMETRY = frozenset({"length", "position", "sites"})
+"""Numbers that say where points are, whatever moves them."""
+IN_SPACE = {"position": "m", "sites": "m"}
+WORDS = {"position": "origin", "sites": "place"}
+"""What numbers are called where a user reads them, if otherwise."""
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A number of the body that is not known exactly: entry ``link`` of ``quantity`` ("mass", "damping"), N(mean, sd²).
+
+    In the plane an entry is a link or a joint. ``place`` is its name, ``what`` that of the number there, in ``unit``;
+    ``signed`` says whether it may be negative.
+    """
+
+    quantity: str
+    link: int
+    mean: float
+    sd: float
+    place: str
+    what: str
+    unit: str
+    signed: bool = False
+
+    @property
+    def name(self) -> str:
+        """Such as "body.mass.0"."""
+        return f"body.{self.quantity}.{self.link}"
+
+
+@singledispatch
+def uncertain_numbers(body: ArticulatedBody) -> tuple[Uncertain, ...]:
+    """The body's numbers that it states an uncertainty or a prior of, and what is as uncertain because they are.
+
+    None of a body of another kind.
+    """
+    return ()
+
+
+@uncertain_numbers.register
+def _(body: Body) -> tuple[Uncertain, ...]:
+    """A moment of inertia that is left out follows the mass.
+
+    One that is written as a number would stay as it is however heavy the link: it is taken to be known as well as the
+    mass is, relatively, and no better.
+    """
+    found: list[Uncertain] = []
+    for k, link in enumerate(body.with_uncertainty().links):
+        given = {quantity: getattr(link, quantity) for quantity in QUANTITIES}
+        priors = {quantity: prior for quantity, prior in given.items() if isinstance(prior, Distribution)}
+        known = {quantity: (p.mean.item(), p.stddev.item()) for quantity, p in priors.items()}
+        moment = link.nominal("inertia")
+        if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
+            known["inertia"] = moment, moment * float(priors["mass"].stddev / priors["mass"].mean)
+        found += [
+            Uncertain(name, k, mean, sd, link.name, name, UNITS[name], name == "com")
+            for name, (mean, sd) in known.items()
+        ]
+    return tuple(found + _of_joints(body))
+
+
+@uncertain_numbers.register
+def _(body: Tree) -> tuple[Uncertain, ...]:
+    """Priors of its scalars, and joints' own numbers; moments that are numbers stay as they are."""
+    found = []
+    for name, entry, prior in body.scalars():
+        if isinstance(prior, Distribution):
+            size = {"mass": 1, "inertia": 6}.get(name, 3)
+            place = (body.keypoint_names if name == "sites" else body.link_names)[entry // size]
+            axis = ("", *AXES, *NAMES)[0 if size == 1 else (1 if size == 3 else 4) + entry % size]
+            what = "_".join(filter(None, (WORDS.get(name, name), axis)))
+            known = prior.mean.item(), prior.stddev.item()
+            found.append(Uncertain(name, entry, *known, place, what, (UNITS | IN_SPACE)[name], name in body.signed))
+    return tuple(found + _of_joints(body))
+
+
+def _of_joints(body: Body | Tree) -> list[Uncertain]:
+    """What the file gives joints and calls uncertain, relatively, of all joints or of one."""
+    found = []
+    for k, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
+        for part, unit in PARTS.items():
+            value = getattr(parts or NOTHING, part)
+            sd = value * body.uncertainty.get(f"{part}.{joint}", body.uncertainty.get(part, 0.0))
+            if sd > 0:
+                found.append(Uncertain(part, k, value, sd, joint, part, unit))
+    return found

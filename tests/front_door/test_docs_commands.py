@@ -1,0 +1,154 @@
+"""Every block of every page is run, read or parsed: the guides' code and commands, on files as they describe them.
+
+What `run` calls is the command itself. Only the work within is made small: an inference at once, or a search among few
+effects. Films, cameras and labelling have tests of their own (test_films.py, test_cameras.py, test_labelling.py), with
+the same commands on made-up files; here their lines are parsed (test_docs.py).
+"""
+
+import json
+import re
+import shlex
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pages import GUIDES, PAGES, ROOT, blocks, commands, languages
+from reported import diagnosis
+from stand_in import deeplabcut
+
+import invdyn.inference
+from invdyn.inputs import load_body
+from invdyn.models.effects import EFFECTS
+from invdyn.recordings import write_keypoint_csv
+
+LEFT_OUT = pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarning")
+"""What a robot's file has besides is told."""
+RUN = {
+    "": None,  # commands
+    "python": {*GUIDES, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "files.md"},
+    "toml": {*GUIDES, ROOT / "docs" / "files.md"},
+    "csv": {ROOT / "docs" / "files.md"},
+    "json": {ROOT / "docs" / "blind_protocol.md"},
+    "sh": {ROOT / "docs" / "how-to" / "own_effect.md"},  # runs what test_conformance_effects.py is
+}
+"""Where blocks of a language may stand; elsewhere no test would run them. None: anywhere."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_block_stands_where_a_test_runs_it(page):
+    for language in languages(page):
+        if not language.startswith("{"):
+            assert language in RUN, f"{page.name}: no test runs a block of {language!r}"
+            assert RUN[language] is None or page in RUN[language], f"{page.name}: no test runs its {language}"
+
+
+def session(page: Path) -> dict[str, Any]:
+    """Names after a page's Python blocks have run, in their order."""
+    names: dict[str, Any] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), names)
+    return names
+
+
+@LEFT_OUT
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
+def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch):
+    """Python blocks in their order, in one session; every TOML block is a body file."""
+    monkeypatch.chdir(tmp_path)
+    session(page)
+    for number, block in enumerate(blocks(page, "toml")):
+        (tmp_path / f"{number}.toml").write_text(block)
+        assert load_body(str(tmp_path / f"{number}.toml")).num_joints > 0
+
+
+@pytest.mark.parametrize("name", ["deeplabcut", "robot_log", "cluster"])
+def test_a_guides_commands_run(name, folder, run, quick_inference):
+    """On files as the guide describes them, without the inference itself and with too few rows for a search."""
+    page = ROOT / "docs" / "how-to" / f"{name}.md"
+    for block in blocks(page, "toml"):
+        (folder / "arm.toml").write_text(block)
+    deeplabcut(folder / "tracks.csv", links=(0.30 / 0.0021, 0.26 / 0.0021), frames=30)
+    if name == "robot_log":
+        rows = [f"{0.02 * t:.2f},{-1.5 + 0.01 * t:.2f},1.0\n" for t in range(12)]
+        for file in ("rec.csv", "other.csv"):
+            (folder / file).write_text("time,shoulder_angle,shoulder_torque\n" + "".join(rows))
+    lines = commands(page)
+    assert lines
+    for line in lines:
+        outcome = run(*shlex.split(line, comments=True)[1:])
+        assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
+    assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
+    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["diagnosis/report.html"], "cluster": ["posterior.nc"]}
+    assert all((folder / file).exists() for file in made[name])
+
+
+def test_the_motion_guides_command_runs(tmp_path, monkeypatch, run):
+    """On the recording of its own Python, whose links are 1 m long."""
+    page = ROOT / "docs" / "how-to" / "motion_and_lengths.md"
+    monkeypatch.chdir(tmp_path)
+    (body,), (line,) = blocks(page, "toml"), commands(page)
+    Path("mouse.toml").write_text(body)
+    write_keypoint_csv(session(page)["recording"], Path("paw.csv"))
+    quick = invdyn.inference.infer_kinematics
+    monkeypatch.setattr(
+        invdyn.inference,
+        "infer_kinematics",
+        lambda *given, **options: quick(*given, **options | {"method": "laplace", "num_filters": 4}),
+    )
+    outcome = run(*shlex.split(line)[1:])
+    assert outcome.exit_code == 0, outcome.stderr
+    lengths = [float(found) for found in re.findall(r"length ([\d.]+) ±", outcome.stdout)]
+    assert lengths == pytest.approx([1.0, 1.0], abs=0.1)  # four of their sds
+    assert Path("angles.csv").exists()
+
+
+@pytest.mark.slow
+@LEFT_OUT
+def test_the_robot_guides_commands_run(tmp_path, monkeypatch, run):
+    """The check finds no mistake; the corrected file says .4, as the robot does, where the robot's file says .1."""
+    page = ROOT / "docs" / "how-to" / "my_robot.md"
+    monkeypatch.chdir(tmp_path)
+    session(page)
+    few = tuple(set(EFFECTS) - {"viscous_friction", "camera_roll"})
+    room = import_module("invdyn.diagnosis.diagnose")  # the package's attribute is the function
+    real = room.diagnose
+    monkeypatch.setattr(room, "diagnose", lambda **given: real(**given | {"without": few, "workers": 1}))
+    for line in commands(page):
+        outcome = run(*shlex.split(line)[1:])
+        assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
+    text = Path("corrected.xml").read_text()
+    changed = re.findall(r'name="elbow"[^>]*damping="([\d.]+)"', text)
+    assert [float(value) for value in changed] == pytest.approx([0.4], abs=0.02)
+    assert Path("found/report.html").exists()
+
+
+def test_contributings_effect_is_one():
+    """Its names are those that a file in models/effects/ imports."""
+    (block,) = blocks(ROOT / "CONTRIBUTING.md", "python")
+    lines = "from pyro.distributions import HalfNormal\nfrom invdyn.models.effects import Effect, Parameter\n"
+    names: dict[str, Any] = {}
+    exec(compile(lines + block, "CONTRIBUTING.md", "exec"), names)
+    body = load_body("paper_planar_arm")
+    (first, _) = names["QuadraticDrag"].everywhere(body, body.keypoint_names)
+    assert first.key == "quadratic_drag.shoulder"
+
+
+def test_the_protocols_answers_have_the_keys_of_a_diagnosis():
+    case, answer = (json.loads(block) for block in blocks(ROOT / "docs" / "blind_protocol.md", "json"))
+    assert set(case) == {"regime", "held_out", "without"}
+    _same_keys(answer, diagnosis().to_json(), "diagnosis.json")
+    for cause in answer["causes"]:
+        for finding in cause["effects"]:
+            assert finding["effect"] in EFFECTS
+
+
+def _same_keys(shown: Any, real: Any, where: str) -> None:
+    """Keys that are shown are there; those of joints and parameters are anybody's."""
+    if isinstance(shown, dict) and isinstance(real, dict):
+        named = where.split(".")[-1] in ("joints", "keypoints", "parameters")
+        assert named or set(shown) <= set(real), where
+        for key in set(shown) & set(real):
+            _same_keys(shown[key], real[key], f"{where}.{key}")
+    elif isinstance(shown, list) and isinstance(real, list) and shown and real:
+        _same_keys(shown[0], real[0], where)

@@ -1,0 +1,31 @@
+"""The pages of the repository, their fenced blocks, and the commands in them."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WRITTEN = ("docs/reference/cli.md", "docs/reference/effects.md", "docs/reference/api")
+"""Pages that the site's build writes from the code."""
+PAGES = [
+    page
+    for page in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
+    if not str(page.relative_to(ROOT)).startswith(WRITTEN)
+]
+GUIDES = sorted((ROOT / "docs" / "how-to").glob("*.md"))
+FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Contents of the fenced blocks of a language ("" for none)."""
+    return [block for said, block in FENCE.findall(page.read_text("utf-8")) if said == language]
+
+
+def languages(page: Path) -> set[str]:
+    """What the fences of a page say; directives of the site's generator are in braces."""
+    return {said for said, _ in FENCE.findall(page.read_text("utf-8"))}
+
+
+def commands(page: Path) -> list[str]:
+    """Its lines that call invdyn, continued lines joined."""
+    lines = [line for block in blocks(page, "") for line in block.replace("\\\n", " ").splitlines()]
+    return [line for line in lines if line.startswith("invdyn ")]
