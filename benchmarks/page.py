@@ -33,7 +33,7 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
-    "simulated_cameras": 'simulated_cameras.py --seeds 4 --cases two "two, points" four "four, points"',
+    "simulated_cameras": 'simulated_cameras.py --seeds 4 --cases two "two, points" four "four, points" clock',
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",
