@@ -112,7 +112,10 @@ BAD = {
     "no unit": ((*TRIANGULATE[:5], "unknown.toml", *TRIANGULATE[6:]), "--length"),
     "a length in words": ((*TRIANGULATE, "--length", "forearm=0.3"), "FROM:TO=METRES"),
     "a length of nothing": ((*TRIANGULATE, "--length", "elbow:hand=0.3"), "no keypoint 'hand'"),
-    "two kinds of length": ((*TRIANGULATE, "--length", "elbow:wrist=0.3", "--baseline", "cam1:cam2=1"), "one of them"),
+    "two kinds of length": (
+        (*TRIANGULATE, "--length", "elbow:wrist=0.3", "--baseline", "cam1:cam2=1"),
+        "pass one kind, not both",
+    ),
     "a distance of no camera": ((*TRIANGULATE, "--baseline", "cam1:cam9=1"), "no camera 'cam9'"),
     "a link of no body": ((*TRIANGULATE, "--length", "shin=0.3", "--body", "paper_planar_arm"), "no link 'shin'"),
     "two kinds of offset": ((*TRIANGULATE, "--offset", "cam2=0", "--find-offsets", "0.1"), "choose one"),
