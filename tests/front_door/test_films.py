@@ -74,7 +74,7 @@ def words(call, **changes):
     [
         (words(TRACK, network=None), "f.mov: who is to be tracked?"),
         ([*TRACK, "--arm", "left"], "f.mov: who is to be tracked?"),
-        ([*TRACK, "--person", "left"], "--person chooses whose --arm is tracked"),
+        ([*TRACK, "--person", "left"], "--person says whose --arm to track"),
         ([*words(TRACK, network=None), "--arm", "both"], "--arm is left or right"),
         ([*words(TRACK, network=None), "--arm", "left", "--person", "me"], "--person is left, right, largest"),
         (words(TRACK, network="l.csv"), "l.csv: not a network of `invdyn train`"),
