@@ -14,10 +14,10 @@ from invdyn.diagnosis.assessment.result import (
     Interval,
     Outside,
     Shrinkage,
-    Tracks,
     Visibility,
     Where,
 )
+from invdyn.diagnosis.assessment.tracks import Tracks
 
 JOINTS, LINKS, TIPS = ("shoulder", "elbow", "wrist"), ("upper_arm", "forearm", "hand"), ("elbow", "wrist", "fingertip")
 HOSTILE = (

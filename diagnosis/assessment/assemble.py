@@ -23,12 +23,12 @@ from invdyn.diagnosis.assessment.result import (
     Outside,
     Part,
     Shrinkage,
-    Tracks,
     Visibility,
     Where,
 )
 from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
+from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
 from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips

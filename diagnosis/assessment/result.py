@@ -1,8 +1,6 @@
 """What a diagnosis says, and `diagnosis.json`.
 
-Everything that the report draws is here too, as arrays beside the numbers, so that no figure is drawn from anything
-else than the run. T rows, K joints, S sites (in the plane the K tips), P tracked keypoints, d dimensions; SI units and
-radians.
+SI units and radians.
 """
 
 import math
@@ -11,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import arviz as az
-import numpy as np
 
 from invdyn.diagnosis.assessment.posture import Posture
+from invdyn.diagnosis.assessment.tracks import Tracks
 
 SCHEMA = 1
 LEFT_OUT = "left out"
@@ -179,41 +177,6 @@ class Shrinkage:
     held_out: bool
     residual_torque_rms_after: dict[str, float]
     by_effect: dict[str, Part] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """What the figures show.
-
-    Attributes:
-        time: (T,) s.
-        observed: (T, P, d) m, NaN where missing; `keypoint_names` P names.
-        base: (d,) m.
-        command: (T, K) N·m, or None.
-        angle, velocity: (T, K) smoothed under the corrected simulation.
-        nominal_replay, corrected_replay: (T, S, d) m, sites in open-loop replays, set back to the smoothed state every
-            `replay_window` s.
-        smoothed: (T, S, d) m, sites under the corrected simulation.
-        residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its spread.
-        frame_gap: (T,) nats, what the corrected simulation predicts each frame better by; NaN where nothing was seen.
-    """
-
-    time: np.ndarray
-    observed: np.ndarray
-    keypoint_names: tuple[str, ...]
-    base: np.ndarray
-    command: np.ndarray | None
-    angle: np.ndarray
-    velocity: np.ndarray
-    nominal_replay: np.ndarray
-    corrected_replay: np.ndarray
-    replay_window: float
-    smoothed: np.ndarray
-    residual_before: np.ndarray
-    residual_before_sd: np.ndarray
-    residual_after: np.ndarray
-    residual_after_sd: np.ndarray
-    frame_gap: np.ndarray
 
 
 @dataclass(frozen=True)

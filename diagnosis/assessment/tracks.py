@@ -1,0 +1,43 @@
+"""The arrays that a report draws, kept with the result, so that no figure is drawn from anything else than the run.
+
+T rows, K joints, S sites (in the plane the K tips), P tracked keypoints, d dimensions; SI units and radians.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """What the figures show.
+
+    Attributes:
+        time: (T,) s.
+        observed: (T, P, d) m, NaN where missing; `keypoint_names` P names.
+        base: (d,) m.
+        command: (T, K) N·m, or None.
+        angle, velocity: (T, K) smoothed under the corrected simulation.
+        nominal_replay, corrected_replay: (T, S, d) m, sites in open-loop replays, set back to the smoothed state every
+            `replay_window` s.
+        smoothed: (T, S, d) m, sites under the corrected simulation.
+        residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its spread.
+        frame_gap: (T,) nats, what the corrected simulation predicts each frame better by; NaN where nothing was seen.
+    """
+
+    time: np.ndarray
+    observed: np.ndarray
+    keypoint_names: tuple[str, ...]
+    base: np.ndarray
+    command: np.ndarray | None
+    angle: np.ndarray
+    velocity: np.ndarray
+    nominal_replay: np.ndarray
+    corrected_replay: np.ndarray
+    replay_window: float
+    smoothed: np.ndarray
+    residual_before: np.ndarray
+    residual_before_sd: np.ndarray
+    residual_after: np.ndarray
+    residual_after_sd: np.ndarray
+    frame_gap: np.ndarray
