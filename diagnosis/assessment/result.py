@@ -13,7 +13,8 @@ import arviz as az
 from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.tracks import Tracks
 
-SCHEMA = 1
+SCHEMA = 2
+"""Of `diagnosis.json`: 2 has all of 1, and adds what of a file changes, what was learned of it, and the budget."""
 LEFT_OUT = "left out"
 """Key of `Diagnosis.method`: what was not looked at of a long recording."""
 
