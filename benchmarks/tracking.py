@@ -96,6 +96,7 @@ def dfki(steps: int, method: str, seed: int) -> None:
         pace = len(times) / (time.process_time() - start)
         points, confidence = tracks[labels.frames, :, :2], tracks[labels.frames, :, 2]
         error = np.linalg.norm(points - labels.points, axis=-1)
+        print(f"\nconfidence, {turn}")
         calibration(confidence[held], error[held])
         elbow, tip = np.median(error[held], 0)
         table.append(
