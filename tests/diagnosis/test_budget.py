@@ -109,7 +109,8 @@ def test_a_stopped_diagnosis_is_told(monkeypatch, workers):
 
     monkeypatch.setattr(ROOM, "PASSES", 1.0)
     found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told)
-    assert found.to_json()["search"] == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at}
+    told = found.to_json()["search"]
+    assert told == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at, "planar_only": []}
     assert found.not_looked_at > 0
     (line,) = [sentence for sentence in details(found) if "budget" in sentence]
     assert line.startswith(f"The search stopped at the budget; {found.not_looked_at} candidate")
