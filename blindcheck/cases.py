@@ -36,7 +36,7 @@ from invdyn.blindcheck.injected_effects import CATALOGUE, Present, drawn, named,
 from invdyn.blindcheck.motion import Plan, frame_times, play, random_body, random_plan
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import Trajectory
-from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.blindcheck.visibility import visibility
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
@@ -87,7 +87,7 @@ def effects_of(kind: str) -> tuple[str, ...]:
         raise ValueError(f"expected a kind of case among {', '.join(KINDS)}, got {kind!r}")
     if kind == "none":
         return ()
-    names = tuple(OUTSIDE) if kind == "outside" else CATALOGUE
+    names = tuple(UNLISTED) if kind == "outside" else CATALOGUE
     lacks = {"passive": "command", "unknown_torque": "clock"}.get(kind)
     barred = {"clock_rate"} if kind == "two" else set()
     return tuple(name for name in names if name not in barred and lacks not in needs(name))

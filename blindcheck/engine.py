@@ -16,10 +16,10 @@ from invdyn.blindcheck.pinocchio import camera as second_camera
 from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
 from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
-from invdyn.blindcheck.pinocchio.unlisted import UNLISTED
+from invdyn.blindcheck.pinocchio.unlisted import UNLISTED as OTHER_UNLISTED
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import World
-from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.models import Body
 
 
@@ -59,7 +59,7 @@ def _usual(rng: np.random.Generator, name: str, s: Scene, place: int, strength: 
     return EFFECTS[name].size(rng, s, place, strength)
 
 
-MUJOCO = Engine("mujoco", "mujoco", "mujoco", World, _usual, MECHANISMS, OUTSIDE, camera.film, lambda seed: "normal")
+MUJOCO = Engine("mujoco", "mujoco", "mujoco", World, _usual, MECHANISMS, UNLISTED, camera.film, lambda seed: "normal")
 PINOCCHIO = Engine(
     "pinocchio",
     "pin",
@@ -67,7 +67,7 @@ PINOCCHIO = Engine(
     SecondWorld,
     drawn_form,
     FORMS,
-    UNLISTED,
+    OTHER_UNLISTED,
     second_camera.film,
     second_camera.noise_law,
 )

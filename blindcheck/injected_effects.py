@@ -10,7 +10,7 @@ from invdyn.blindcheck.camera import Effect
 from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
 from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.scene import Scene
-from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.models import Body
 
 CATALOGUE = tuple(EFFECTS)
@@ -31,7 +31,7 @@ def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float, engine
     """Draw where an effect is and how large, for a scene."""
     joints = s.body.num_joints
     place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
-    if name in OUTSIDE:
+    if name in UNLISTED:
         return Present(name, place, {}, int(rng.integers(2**31)))
     size = engine.draw(rng, name, s, place or 0, strength)
     return Present(name, place, {key: float(value) for key, value in size.items()})
@@ -46,7 +46,7 @@ def world_with(body: Body, present: Sequence[Present], s: Scene, engine: Engine 
     """A world of a body with these effects of the dynamics."""
     world = engine.world(body)
     for each in sorted(present, key=lambda e: e.name not in FIRST):
-        if each.name in OUTSIDE:
+        if each.name in UNLISTED:
             install = engine.unlisted[each.name]
             each.parameters.update(install(world, np.random.default_rng(each.seed), s, each.place or 0))
         elif each.name in engine.mechanisms:
@@ -103,6 +103,6 @@ def _as_written(each: Present) -> dict:
         sizes = [parameters["amplitude_x"], parameters["amplitude_y"]]
         if max(sizes, key=abs) < 0:
             parameters |= {"amplitude_x": -sizes[0], "amplitude_y": -sizes[1], "phase": parameters["phase"] + np.pi}
-    if "phase" in parameters and each.name not in OUTSIDE:
+    if "phase" in parameters and each.name not in UNLISTED:
         parameters["phase"] = float(np.remainder(parameters["phase"] + np.pi, 2 * np.pi) - np.pi)
     return parameters

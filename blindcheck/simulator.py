@@ -59,6 +59,14 @@ Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
 """(row, t in s, q (K,), qd (K,)) → the command of that row, N·m (K,)."""
 
 
+def even_steps(command_time: np.ndarray, longest: float) -> tuple[int, float, np.ndarray]:
+    """Steps a row, seconds each, ``longest`` at most, and their times (N+1,), for evenly spaced rows (C,)."""
+    rows = len(command_time) - 1
+    interval = (command_time[-1] - command_time[0]) / rows
+    each = int(np.ceil(interval / longest - 1e-9))
+    return each, interval / each, command_time[0] + interval / each * np.arange(rows * each + 1)
+
+
 class World:
     """A body in MuJoCo, open to mechanisms until its first run.
 
@@ -149,11 +157,8 @@ class World:
         if self.model is None:
             self.compile()
         model, data = self.model, self.data
-        interval = (command_time[-1] - command_time[0]) / (len(command_time) - 1)
-        per_row = int(np.ceil(interval / LONGEST_STEP - 1e-9))
-        model.opt.timestep = step = interval / per_row
-        total = (len(command_time) - 1) * per_row
-        time = command_time[0] + step * np.arange(total + 1)
+        per_row, step, time = even_steps(command_time, LONGEST_STEP)
+        model.opt.timestep, total = step, len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
         self.mujoco.mj_resetData(model, data)
         joint_of = np.array([[s.joint == k for s in self.segments] for k in range(self.num_joints)], dtype=float)

@@ -127,7 +127,7 @@ def hysteresis(world: World, rng: np.random.Generator, scene: Scene, joint: int)
     return {"amplitude": (size, "N·m"), "width": (width, "rad")}
 
 
-OUTSIDE = {
+UNLISTED = {
     function.__name__: function
     for function in (
         position_friction,

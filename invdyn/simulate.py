@@ -174,10 +174,7 @@ def resting(body: Body | Tree) -> list[float]:
     def energy(angles: np.ndarray) -> tuple[float, np.ndarray]:
         q = torch.zeros(body.num_joints, dtype=torch.float64)
         q[places] = torch.as_tensor(angles)
-        q.requires_grad_()
-        value = dynamics.potential_energy(q, numbers)
-        (slope,) = torch.autograd.grad(value, q)
-        return value.item(), slope[places].numpy()
+        return dynamics.potential_energy(q, numbers).item(), dynamics.gravity_load(q, numbers)[places].numpy()
 
     found = torch.zeros(body.num_joints, dtype=torch.float64)
     if len(places) and any(body.gravity):

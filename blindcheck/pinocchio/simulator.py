@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from invdyn.blindcheck.pinocchio.chain import Chain
-from invdyn.blindcheck.simulator import FASTEST, Trajectory
+from invdyn.blindcheck.simulator import FASTEST, Trajectory, even_steps
 from invdyn.models import Body
 
 LONGEST_STEP = 2e-3  # s
@@ -92,11 +92,8 @@ class World(Chain):
     ) -> Trajectory:
         """Simulate from the first to the last of the evenly spaced `command_time` (C,), as `simulator.World.run`."""
         self.ready()
-        interval = (command_time[-1] - command_time[0]) / (len(command_time) - 1)
-        per_row = int(np.ceil(interval / self._longest - 1e-9))
-        h = interval / per_row
-        total = (len(command_time) - 1) * per_row
-        time = command_time[0] + h * np.arange(total + 1)
+        per_row, h, time = even_steps(command_time, self._longest)
+        total = len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / h))
         at, signs = self.at, self.signs
         path, speed = np.full((total + 1, len(signs)), np.nan), np.full((total + 1, len(signs)), np.nan)
@@ -117,7 +114,7 @@ class World(Chain):
                 if i % per_row == 0:
                     joints = signs[at] * x[at] + self.zeros[at], signs[at] * v[at]
                     given[i // per_row] = policy(i // per_row, time[i], *joints)
-                    self._command(given[i // per_row], interval, motor)
+                    self._command(given[i // per_row], per_row * h, motor)
                 if i < total:
                     x, v = self._advance(time[i], h, x, v, motor)
         return self._trajectory(time, path, speed, command_time, given)

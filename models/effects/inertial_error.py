@@ -74,9 +74,9 @@ class InertialError(Effect):
         return with_inertia(body, self.place[0], other)
 
     def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
-        """Of a payload on this link: a mass m at the tip, at t from the joint, adds
+        """Of a payload on this link: from its weight, and from its inertia, as either may be known alone.
 
-        m t to the moment of its weight about the joint, and m t² to its inertia; either may be known alone.
+        A mass m at the tip, at t from the joint, adds m t to the first moment about the joint, and m t² to the second.
         """
         if not isinstance(other, Payload) or self.place != other.place[:1]:
             return ()

@@ -14,7 +14,7 @@ import invdyn.blindcheck.initial_state_fit as starts
 from invdyn.blindcheck.cases import CATALOGUE, KINDS, effects_of, make_case, planned
 from invdyn.blindcheck.commitment import canonical
 from invdyn.blindcheck.engine import MUJOCO
-from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.models import Body
 from invdyn.recordings import read_keypoint_csv
 
@@ -51,7 +51,7 @@ def check(case, kind, folder):
     assert len(case.answer["effects"]) == {"none": 0, "two": 2}.get(kind, 1)
     for effect in case.answer["effects"]:
         assert effect["side"] == ("observation" if effect["effect"] in cases.OBSERVATIONS else "dynamics")
-        assert effect["effect"] in (OUTSIDE if kind == "outside" else CATALOGUE)
+        assert effect["effect"] in (UNLISTED if kind == "outside" else CATALOGUE)
         assert effect["parameters"]
         known = {"joint": body.joint_names, "keypoint": body.keypoint_names, "link": [e.name for e in body.links]}
         for site, names in known.items():

@@ -7,7 +7,7 @@ from pendulum import ARM
 from invdyn.blindcheck.motion import play, random_plan
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import World
-from invdyn.blindcheck.unlisted_effects import OUTSIDE
+from invdyn.blindcheck.unlisted_effects import UNLISTED
 
 pytest.importorskip("mujoco")
 
@@ -18,11 +18,11 @@ def played(name):
     plan = random_plan(rng, ARM, False)
     ideal = play(World(ARM), World(ARM), plan)
     world = World(ARM)
-    drawn = OUTSIDE[name](world, rng, scene(ARM, plan, ideal), 1)
+    drawn = UNLISTED[name](world, rng, scene(ARM, plan, ideal), 1)
     return drawn, ideal, play(world, World(ARM), plan)
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize("name", UNLISTED)
 def test_what_lies_outside_moves_the_arm(name):
     drawn, ideal, real = played(name)
     assert all(np.isfinite(value) and unit for value, unit in drawn.values())

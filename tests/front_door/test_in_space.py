@@ -136,6 +136,12 @@ def test_a_body_rests_where_it_hangs(robot):
     assert lift == pytest.approx(np.pi / 2, abs=1e-4)
 
 
+def test_what_gravity_does_not_move_rests_anywhere(robot):
+    """A turret by itself: its energy is the same in every posture."""
+    (pan,) = resting(Tree("turret", robot.links[:1]))
+    assert np.isfinite(pan)
+
+
 def test_simulated_encoders_and_points(robot, run):
     outcome = run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--duration", "1", "--encoders", "0.001")
     assert outcome.exit_code == 0, outcome.output

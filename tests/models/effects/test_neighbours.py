@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from pendulum import ARM, PENDULUM
 
+from invdyn.models import Joint, SpatialLink, Tree
 from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.inertias import inertia_of
 from invdyn.models.effects.neighbours import ALLOWED, neighbours
 from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
 from invdyn.simulate import random_arm
@@ -21,6 +24,8 @@ CANDIDATES = {
 }
 SCALE = SCALES["one link"]
 M, C, LENGTH = 1.0, 0.125, 0.25  # the forearm's
+AT, MOMENTS = (0.2, -0.1, 0.05), (0.02, 0.03, 0.04, 0.0, 0.0, 0.0)
+"""m, of a tip in space; kg·m² of its link."""
 
 
 def around(key, values, where="two links", sd=0.01, passive=False):
@@ -47,6 +52,21 @@ def test_errors_that_are_a_load_begin_at_that_load(mass):
     starts = around("inertial_error.forearm", loaded(mass))["payload", "alike"]
     assert [start["mass"] for start in starts] == pytest.approx([mass, mass], rel=1e-9)
     assert around("inertial_error.upper_arm", loaded(mass)) == {}
+
+
+@given(st.floats(0.01, 3.0))
+def test_in_space_too_by_weight_and_by_inertia(mass):
+    """The exact load is an error of mass and com, and of the moments' mean, whatever its direction."""
+    link = SpatialLink("a", Joint("j"), mass=1.2, com=(0.1, 0.02, 0.0), inertia=MOMENTS, sites={"tip": AT})
+    body = Tree("hinge", [link])
+    mine = next(e for e in EFFECTS["inertial_error"].everywhere(body, ())).bound(body)
+    payload = EFFECTS["payload"]().bound(body)
+    own = inertia_of(body.parameters(), 0)
+    other = own.loaded(torch.tensor([mass], dtype=torch.float64), torch.tensor(AT, dtype=torch.float64))
+    values = dict(zip(mine.coms, (other.com - own.com).tolist(), strict=True))
+    values |= {"mass": mass, "inertia": (other.mean - own.mean).item()}
+    starts = mine.starts_of(payload, values, random_arm(body, duration=0.1, fps=50).scale)
+    assert [start["mass"] for start in starts] == pytest.approx([mass, mass], rel=1e-6)
 
 
 def test_a_link_that_is_lighter_carries_nothing():
