@@ -9,7 +9,7 @@ from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
 from invdyn.diagnosis.write_back import mjcf, toml, urdf
 from invdyn.diagnosis.write_back.changes import FileChange, correction
 from invdyn.diagnosis.write_back.rollout import commands, rollout
-from invdyn.models import Body
+from invdyn.models import Body, load_body
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*clockwise")
 
@@ -156,6 +156,21 @@ def test_toml_says_it_too(tmp_path):
     assert second.parts.armature == pytest.approx(0.01)
     assert b"# mine" in text
     assert b"2.0  # weighed" in text
+
+
+def test_toml_of_a_tree_whose_outer_link_comes_first(tmp_path):
+    path = tmp_path / "arm.toml"
+    link = '[[links]]\nname = "{}"\njoint = "{}"\nparent = "{}"\nmass = 1.0\ncom = [0.1, 0.0, 0.0]\n'
+    link += "inertia = [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]\n"
+    path.write_text("dimensions = 3\n" + link.format("outer", "bend", "inner") + link.format("inner", "pan", "world"))
+    body = load_body(path)
+    found = cause(finding("viscous_friction", {"joint": "bend"}, damping=0.2))
+    text, unsaid = toml.rewritten(path.read_bytes(), body, correction(found, body).changes)
+    assert not unsaid
+    path.write_bytes(text)
+    damped = {link.joint.name: link.parts for link in load_body(path).links}
+    assert damped["bend"].damping == pytest.approx(0.2)
+    assert damped["pan"] is None
 
 
 def test_urdf_says_what_it_can():

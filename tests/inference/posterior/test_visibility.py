@@ -85,6 +85,14 @@ def test_pixels_that_are_missing_tell_nothing():
     assert unseen.tolist() == [[False] * 4, [False, False, True, True]]
 
 
+def test_what_lasts_of_a_trackers_error_hides_what_it_drowns():
+    own = before(*ring(2))
+    drowned = own.replace(**{"emission.bias_scale": 1e5 * torch.ones_like(own.parameters["emission.bias_scale"])})
+    at = pose(0.2, 0.3, 0.1, 1.0)
+    assert not visibility(own, torch.zeros(2, 8), at)[1].any()
+    assert visibility(drowned, torch.zeros(2, 8), at)[1].all()
+
+
 def test_one_camera_does_not_see_what_moves_along_its_line_of_sight():
     """From 3 m it sees a tip that points at it move sideways, but not where the line touches the tip's circle."""
     hinge = Tree("hinge", [SpatialLink("a", Joint("j"), length=0.3, tip="wrist", mass=1.0)])
