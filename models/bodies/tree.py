@@ -34,6 +34,7 @@ from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
 from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
 from invdyn.models.bodies.spatial_link import SpatialLink, ordered
+from invdyn.models.bodies.sticks import Sticks
 from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, moments
 
 
@@ -189,24 +190,7 @@ class Tree(FromFiles, BodyBase):
 
     def completed(self, numbers: TreeParameters) -> TreeParameters:
         """The numbers with what sticks leave out following their lengths, which their tips show, and masses."""
-        if not any(link.length is not None for link in self.links):
-            return numbers
-        own = self._left_out(numbers.mass.device)
-        length = numbers.sites[..., own["tip"], 0]
-        none, rod = torch.zeros_like(length), numbers.mass * length**2 / 12
-        none_of_rod = torch.zeros_like(rod)
-        stretch = length[..., own["parent"]]
-        follows = {
-            "com": [length / 2, none, none],
-            "inertia": [none_of_rod, rod, rod, none_of_rod, none_of_rod, none_of_rod],
-            "position": [stretch, none, none],
-        }
-        return numbers._replace(
-            **{
-                key: torch.where(own[key], torch.stack(each, -1), getattr(numbers, key))
-                for key, each in follows.items()
-            }
-        )
+        return self._sticks.completed(numbers)
 
     def described(self, numbers: Numbers) -> dict[str, tuple[list[str], Tensor]]:
         """By link, site and axis; joints' positions as "origin". And `base`, where that stands still; `skeleton`."""
@@ -279,35 +263,12 @@ class Tree(FromFiles, BodyBase):
         return {key: tuple(indices) for key, indices in found.items()}
 
     @cached_property
-    def _shapes(self) -> dict[str, torch.Size]:
-        return {key: value.shape for key, value in self.parameters()._asdict().items()}
-
-    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
-        """Which rows of com, inertia and position (L, 1) follow from lengths; links' tips and parents (L,), 0 for none.
-
-        Kept where they are asked for, as no row may wait.
-        """
-        if device not in self._left_out_on:
-            sticks = [link.length is not None for link in self.links]
-            on_stick = [parent >= 0 and sticks[parent] for parent in self.parents]
-            which = {
-                "com": [stick and link.com is None for stick, link in zip(sticks, self.links, strict=True)],
-                "inertia": [stick and link.inertia is None for stick, link in zip(sticks, self.links, strict=True)],
-                "position": [on and link.origin is None for on, link in zip(on_stick, self.links, strict=True)],
-            }
-            places = {
-                "tip": [0 if link.tip is None else self.keypoint_names.index(link.tip) for link in self.links],
-                "parent": [max(parent, 0) for parent in self.parents],
-            }
-            self._left_out_on[device] = {
-                **{key: torch.tensor(rows, device=device).unsqueeze(-1) for key, rows in which.items()},
-                **{key: torch.tensor(rows, device=device) for key, rows in places.items()},
-            }
-        return self._left_out_on[device]
+    def _sticks(self) -> Sticks:
+        return Sticks(self.links, self.parents, self.keypoint_names)
 
     @cached_property
-    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
-        return {}
+    def _shapes(self) -> dict[str, torch.Size]:
+        return {key: value.shape for key, value in self.parameters()._asdict().items()}
 
     def turning(self) -> list[np.ndarray]:
         """For each link, directions in its own frame that its angular velocity may have, (n, 3).
