@@ -99,12 +99,8 @@ def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:
             named.add(k)
     for n, spot in enumerate(spots):
         joints = [diagnosis.joint_names[k] for k, node in enumerate(body.joints) if node == n]
-        lines: list[str] = []
-        for name in joints:
-            share = where.joints.get(name)
-            lines += [_short(name)] + ([percent(share)] if known(share) else [])
-        if len(joints) > 1:
-            lines = [" ".join(lines[i : i + 2]) for i in range(0, len(lines), 2)] if len(lines) > len(joints) else lines
+        words = [[_short(name), *map(percent, filter(known, [where.joints.get(name)]))] for name in joints]
+        lines = [" ".join(each) for each in words] if len(joints) > 1 else [line for each in words for line in each]
         if joints:
             share = max((where.joints.get(name) for name in joints), key=lambda s: s if known(s) else -1.0)
             mark = '<circle class="joint s{}" cx="{:.1f}" cy="{:.1f}" r="{:.1f}"/>'
