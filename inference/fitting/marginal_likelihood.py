@@ -7,6 +7,10 @@ lies within about a nat of the SMC evidence. Gradient and Hessian come by finite
 in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised
 over, and run through one backward recursion together. Link lengths are known a hundred times
 better than noise scales: a first-order or quasi-Newton method crawls here.
+
+A tail heavier than a Gaussian's has rows of negative curvature, which the rows of least squares that stand in for them
+have not: then the gradient is right, and the Hessian may have the wrong sign. So it serves the search, and what is told
+of the parameters comes from differences of the gradient, each with its own mode and posterior.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +25,7 @@ from torch import Tensor
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
 from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
 from invdyn.models.divergence import Diverged, diverging
+from invdyn.models.observation.missing import is_gaussian
 from invdyn.models.state_space import StateSpaceModel
 
 STEP = 2e-3
@@ -28,6 +33,9 @@ STEP = 2e-3
 
 PATIENCE = 6
 """Iterations without a gain that end the search; rejected ones shrink the trust region fourfold each."""
+
+APART, MOST_APART = 0.25, 0.1
+"""How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +135,9 @@ class _Objective(Generic[M]):
         self.observations, self.parameters = observations, LogParameters(model, free)
         self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
         self.path = start
+        with torch.no_grad():
+            first = torch.zeros(1, model.state_dim, dtype=torch.float64)
+            self.heavy = not is_gaussian(model.emission(first, torch.zeros(1, dtype=torch.long)))
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
 
     def at(self, phi: np.ndarray) -> M:
@@ -144,6 +155,24 @@ class _Objective(Generic[M]):
     def hessian(self, phi: np.ndarray) -> np.ndarray:
         """(P, P)."""
         return self._evaluate(phi)[2]
+
+    def curvature(self, phi: np.ndarray) -> np.ndarray:
+        """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
+        _, gradient, hessian = self._evaluate(phi)
+        if not self.heavy:
+            return hessian
+        steps = APART / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
+        steps, found = np.clip(steps, STEP, MOST_APART), self.path
+        rows = np.zeros_like(hessian)
+        try:
+            for k, step in enumerate(steps):
+                with diverging():
+                    rows[k] = (self._expand(phi + step * np.eye(len(phi))[k])[1] - gradient) / step
+        except Diverged:
+            return hessian
+        finally:
+            self.path = found
+        return (rows + rows.T) / 2
 
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         if self._known is None or self._known[0] != phi.tobytes():
@@ -236,7 +265,7 @@ def fit(
             "gtol": 0.3,
         },
     )
-    value, _, hessian = objective._evaluate(result.x)
+    value, hessian = objective.value(result.x), objective.curvature(result.x)
     log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
     covariance = _laplace(objective, hessian)
     sd = np.sqrt(np.diagonal(covariance))

@@ -73,6 +73,12 @@ def _marginal(emission: Distribution, seen: Tensor) -> MultivariateNormal:
     return MultivariateNormal(emission.loc[..., seen], covariance_matrix=covariance)
 
 
+def is_gaussian(emission: Distribution) -> bool:
+    """Whether :func:`gaussian_rows` fits log p(y | ·) exactly, and not only its value and gradient."""
+    base = emission.base_dist if isinstance(emission, Independent) else emission
+    return isinstance(base, torch.distributions.Normal | torch.distributions.MultivariateNormal)
+
+
 def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, Tensor]:
     """Whitening W (..., O, O or O diagonal as vector) and log-normaliser of a Gaussian fit to log p(y | ·).
 
