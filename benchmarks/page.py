@@ -33,7 +33,8 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
-    "simulated_cameras": 'simulated_cameras.py --seeds 4 --cases two "two, points" four "four, points" clock',
+    "simulated_cameras": 'simulated_cameras.py --cases two three four hidden clock "two, points" "four, points" '
+    "--results build/simulated_cameras.jsonl",
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",

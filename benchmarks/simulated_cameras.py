@@ -9,16 +9,21 @@ Coverage is of 90 % intervals of all joints' torques, angles, and of points, ove
 torques' size as simulated (`--fit`: fitted by marginal likelihood, at ten times the cost). "white": the same with all
 errors taken for white, of the same size. "points": triangulated, then inferred, with noise from jitter and misfit.
 
-    python benchmarks/simulated_cameras.py [--seeds 20] [--cases two three …] [--fit]
+    python benchmarks/simulated_cameras.py [--seeds 20] [--cases two three …] [--fit] [--results FILE]
+
+With `--results` a line a seed is kept, and the same call goes on where it was stopped.
 """
 
 import argparse
 import time
 from dataclasses import replace
+from functools import partial
 from itertools import count
+from pathlib import Path
 
 import numpy as np
 import torch
+from kept import kept
 from projection import cameras_around
 
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
@@ -139,56 +144,62 @@ def free_of(problem: Problem, whole: bool) -> list[Free]:
     return every
 
 
+def run(case: str, seed: int, whole: bool) -> dict[str, float]:
+    """Shares of the truth within 90 % intervals, errors and stated sds, the clock's offset and sd (ms), CPU s."""
+    moments, torque, angle, points = motion(seed)
+    rows = np.arange(FRAMES) * FINE
+    begun = time.process_time()
+    problem = problem_of(case, seen(case, seed, moments, points))
+    model, start = problem.model, None
+    told: dict[str, float] = {}
+    if free := free_of(problem, whole):
+        found = fit(model, problem.observations, free)
+        model, start = found.model, found.path
+        if case == "clock":
+            told["offset"] = 1e3 * float(model.parameters["camera.offset"][3])
+            told["offset sd"] = 50 * float(found.log_sd["camera.offset"][0])
+    smoother = gaussian_smoother(model, problem.observations, start)
+    torch.manual_seed(0)
+    paths = GaussianChain.of(smoother).sample((DRAWS,))
+    told["s"] = time.process_time() - begun
+    q = model.split(paths)[1]
+    own = {"torque": paths[..., :4], "angle": q, "point": model.dynamics.keypoints(q, model.body_parameters())}
+    for (name, draws), true in zip(own.items(), (torque, angle, points), strict=True):
+        low, high = np.quantile(draws.numpy(), [0.05, 0.95], axis=0)
+        told[name] = float(((low <= true[rows]) & (true[rows] <= high)).mean())
+        told[f"{name} error"] = float(np.sqrt(((draws.numpy().mean(0) - true[rows]) ** 2).mean()))
+        told[f"{name} sd"] = float(np.sqrt(draws.numpy().var(0).mean()))
+    return told
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--results", type=Path)
     given = parser.parse_args()
     torch.set_num_threads(1)
     print(
-        "| case | torque in 90 % | angle | point | torque error, sd, N·m | point error, sd, mm | offset, ms | CPU s |"
+        "| case | seeds | torque in 90 % | angle | point | torque error, sd, N·m | point error, sd, mm | offset, ms "
+        "| CPU s |"
     )
-    print("|---" * 8 + "|")
+    print("|---" * 9 + "|")
     for case in given.cases:
-        held: dict[str, list[float]] = {name: [] for name in ("torque", "angle", "point", "te", "ts", "pe", "ps", "s")}
-        clocks = []
-        for seed in range(given.seeds):
-            moments, torque, angle, points = motion(seed)
-            rows = np.arange(FRAMES) * FINE
-            begun = time.process_time()
-            problem = problem_of(case, seen(case, seed, moments, points))
-            model, start = problem.model, None
-            if free := free_of(problem, given.fit):
-                found = fit(model, problem.observations, free)
-                model, start = found.model, found.path
-                if case == "clock":
-                    clocks.append(
-                        (1e3 * float(model.parameters["camera.offset"][3]), 50 * found.log_sd["camera.offset"][0])
-                    )
-            smoother = gaussian_smoother(model, problem.observations, start)
-            torch.manual_seed(0)
-            paths = GaussianChain.of(smoother).sample((DRAWS,))
-            held["s"].append(time.process_time() - begun)
-            q = model.split(paths)[1]
-            own = {"torque": paths[..., :4], "angle": q, "point": model.dynamics.keypoints(q, model.body_parameters())}
-            for (name, draws), true in zip(own.items(), (torque, angle, points), strict=True):
-                low, high = np.quantile(draws.numpy(), [0.05, 0.95], axis=0)
-                held[name].append(((low <= true[rows]) & (true[rows] <= high)).mean())
-                if name != "angle":
-                    off = draws.numpy().mean(0) - true[rows]
-                    held[name[0] + "e"].append(np.sqrt((off**2).mean()))
-                    held[name[0] + "s"].append(np.sqrt(draws.numpy().var(0).mean()))
-        mean = {name: np.mean(values) for name, values in held.items()}
-        spread = np.std(held["torque"]) / np.sqrt(len(held["torque"]))
+        fitted = ", fit" if given.fit else ""
+        told = [
+            kept(given.results, f"{case}{fitted}, {k}", partial(run, case, k, given.fit)) for k in range(given.seeds)
+        ]
+        mean = {name: np.mean([each[name] for each in told]) for name in told[0]}
+        spread = np.std([each["torque"] for each in told]) / np.sqrt(len(told))
         clock = ""
-        if clocks:
-            values, sds = np.array(clocks).T
-            clock = f"{values.mean():.1f} ± {values.std():.1f}, stated {sds.mean():.1f}"
+        if case == "clock":
+            values = [each["offset"] for each in told]
+            clock = f"{mean['offset']:.1f} ± {np.std(values):.1f}, stated {mean['offset sd']:.1f}"
         print(
-            f"| {case} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | {mean['point']:.3f} | "
-            f"{mean['te']:.2f}, {mean['ts']:.2f} | {1e3 * mean['pe']:.1f}, {1e3 * mean['ps']:.1f} | {clock} | "
-            f"{mean['s']:.1f} |",
+            f"| {case} | {len(told)} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | {mean['point']:.3f} | "
+            f"{mean['torque error']:.2f}, {mean['torque sd']:.2f} | "
+            f"{1e3 * mean['point error']:.1f}, {1e3 * mean['point sd']:.1f} | {clock} | {mean['s']:.1f} |",
             flush=True,
         )
 
