@@ -197,7 +197,8 @@ def main() -> None:
             values = [each["offset"] for each in told]
             clock = f"{mean['offset']:.1f} ± {np.std(values):.1f}, stated {mean['offset sd']:.1f}"
         print(
-            f"| {case} | {len(told)} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | {mean['point']:.3f} | "
+            f"| {case} | {len(told)} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | "
+            f"{mean['point']:.3f} | "
             f"{mean['torque error']:.2f}, {mean['torque sd']:.2f} | "
             f"{1e3 * mean['point error']:.1f}, {1e3 * mean['point sd']:.1f} | {clock} | {mean['s']:.1f} |",
             flush=True,
