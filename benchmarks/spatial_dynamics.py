@@ -139,7 +139,7 @@ def main() -> None:
             found = rates(steps, N, args.turns)
             if args.particles[0] == N:
                 times = " and ".join(f"{first[name]:.2f}" for name in ("compiled 32", "compiled 64"))
-                print(f"\n**K = {tree.num_joints} ({tree.name}); compiling and the first calls: {times} s of CPU**\n")
+                print(f"\nK = {tree.num_joints} ({tree.name}); compiling and the first calls: {times} s of CPU\n")
                 print(f"| N | {' | '.join(found)} | compiled 32 / MuJoCo | compiled 32 / Pinocchio |")
                 print(f"|---|{'---|' * (len(found) + 2)}")
             ratios = [found["compiled 32"] / found[other] for other in ("MuJoCo", "Pinocchio")]

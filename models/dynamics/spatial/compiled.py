@@ -63,11 +63,11 @@ class Compiled:
         N = math.prod(batch) // B
         if not N:
             return joint["q"].new_empty(len(traced.source.results), *batch).movedim(0, -1)
-        given = {word: _by_column(joint[word], batch, (B, N)) for word in traced.words}
+        given = [_by_column(joint[word], batch, (B, N)) for word in traced.words]
+        words = (ctypes.c_void_p * len(given))(*(each.data_ptr() for each in given))
         out = torch.empty(len(traced.source.results), B, max(N, LANES), dtype=dtype)
-        columns = _addresses([given[word][place] for word, place in traced.moving])
         call = self._compiled(method, traced, dtype, own)
-        call(columns, _addresses(body), out.data_ptr(), B, out.shape[-1])
+        call(words, body.data_ptr(), out.data_ptr(), B, out.shape[-1])
         return out[..., :N].reshape(-1, *batch).movedim(0, -1)
 
     def _body(self, method: str, numbers: Sequence[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
@@ -95,11 +95,6 @@ class Compiled:
             self._code[key] = machine_code(traced, dtype, own), traced
             _log.info("compiled %s of %d operations for %s", method, traced.operations, dtype)
         return self._code[key][0].call
-
-
-def _addresses(tensors: Sequence[Tensor] | Tensor) -> ctypes.Array:
-    """Where each tensor begins, or each row of one."""
-    return (ctypes.c_void_p * len(tensors))(*(each.data_ptr() for each in tensors))
 
 
 def _first_shared(numbers: Sequence[Tensor], ndim: int) -> int:

@@ -5,10 +5,10 @@ one instruction on a vector of ``LANES`` particles. Compiling takes a tenth of a
 of Python takes several. Nothing is joined or reordered: each operation is rounded as torch rounds it, to the same bits,
 and NaN and infinity are kept.
 
-Shapes, for C columns of arguments, M numbers of the body, R results, B bodies and N ≥ ``LANES`` particles of each:
+Shapes, for R results, M numbers of the body, B bodies and N ≥ ``LANES`` particles of each:
 
-    columns  C pointers to (B, N)      what moves, in the order of ``Program.moving``
-    numbers  M pointers to (B,)        or to (B, N), where each particle has a body of its own
+    words    pointers to (columns, B, N), what moves, in the order of ``Program.words``
+    numbers  (M, B), or (M, B, N) where each particle has a body of its own
     out      (R, B, N)
 
 LLVM: C. Lattner and V. Adve, CGO 2004; reached through llvmlite (extra ``fast``).
@@ -29,7 +29,7 @@ BYTES = {torch.float32: 4, torch.float64: 8}
 
 
 class MachineCode(NamedTuple):
-    """``call(columns, numbers, out, B, N)`` takes addresses; ``owner`` holds the code in memory."""
+    """``call(words, numbers, out, B, N)`` takes addresses; ``owner`` holds the code in memory."""
 
     call: Callable[..., None]
     owner: Any
@@ -73,13 +73,16 @@ def _module(traced: Program, dtype: torch.dtype, own: bool) -> Any:
 
     real = ir.FloatType() if dtype == torch.float32 else ir.DoubleType()
     i64, vector, size = ir.IntType(64), ir.VectorType(real, LANES), BYTES[dtype]
-    table = real.as_pointer().as_pointer()
-    module = ir.Module()
-    loop = ir.Function(module, ir.FunctionType(ir.VoidType(), [table, table, real.as_pointer(), i64, i64]), "loop")
-    columns, numbers, out, bodies, particles = loop.args
+    array, module = real.as_pointer(), ir.Module()
+    kind = ir.FunctionType(ir.VoidType(), [array.as_pointer(), array, array, i64, i64])
+    loop = ir.Function(module, kind, "loop")
+    words, numbers, out, bodies, particles = loop.args
 
     begin, body, block, body_end, end = (loop.append_basic_block(n) for n in ("begin", "body", "block", "next", "end"))
-    ir.IRBuilder(begin).branch(body)
+    at = ir.IRBuilder(begin)
+    starts = {word: at.load(at.gep(words, [i64(place)])) for place, word in enumerate(traced.words)}
+    each = at.mul(bodies, particles)
+    at.branch(body)
     of = ir.IRBuilder(body)
     b = of.phi(i64, "b")
     b.add_incoming(i64(0), begin)
@@ -93,15 +96,16 @@ def _module(traced: Program, dtype: torch.dtype, own: bool) -> Any:
     # The last block is a whole one, too: it does some particles once more.
     here = at.add(row, at.select(at.icmp_signed("<", first, whole), first, whole))
 
-    def pointer(start: Any, offset: Any) -> Any:
-        return at.bitcast(at.gep(start, [offset]), vector.as_pointer())
+    def column(start: Any, place: int) -> Any:
+        """Where the block's lanes are in a column."""
+        return at.bitcast(at.gep(start, [at.add(at.mul(i64(place), each), here)]), vector.as_pointer())
 
-    def column(of_columns: Any, place: int) -> Any:
-        return at.load(pointer(at.load(at.gep(of_columns, [i64(place)])), here), align=size)
+    def lanes(start: Any, place: int) -> Any:
+        return at.load(column(start, place), align=size)
 
     def alike(place: int) -> Any:
         """One number for all lanes."""
-        number = at.load(at.gep(at.load(at.gep(numbers, [i64(place)])), [b]))
+        number = at.load(at.gep(numbers, [at.add(at.mul(i64(place), bodies), b)]))
         nothing = ir.Constant(vector, ir.Undefined)
         return at.shuffle_vector(
             at.insert_element(nothing, number, ir.IntType(32)(0)),
@@ -111,14 +115,14 @@ def _module(traced: Program, dtype: torch.dtype, own: bool) -> Any:
 
     source = traced.source
     values = {name: ir.Constant(vector, [x] * LANES) for name, x in source.literals.items()}
-    values |= {name: column(columns, place) for place, name in enumerate(source.arguments)}
-    values |= {name: column(numbers, place) if own else alike(place) for place, name in enumerate(source.numbers)}
+    moving = zip(source.arguments, traced.moving, strict=True)
+    values |= {name: lanes(starts[word], place) for name, (word, place) in moving}
+    values |= {name: lanes(numbers, place) if own else alike(place) for place, name in enumerate(source.numbers)}
     operation = {"+": at.fadd, "-": at.fsub, "*": at.fmul, "/": at.fdiv, "neg": at.fneg}
     for line in source.lines:
         values[line.name] = operation[line.kind](*(values[x] for x in line.operands))
     for place, name in enumerate(source.results):
-        start = at.mul(at.mul(i64(place), bodies), particles)
-        at.store(values[name], pointer(out, at.add(start, here)), align=size)
+        at.store(values[name], column(out, place), align=size)
     after = at.add(first, i64(LANES))
     first.add_incoming(after, block)
     at.cbranch(at.icmp_signed("<", after, particles), block, body_end)
