@@ -27,7 +27,7 @@ BEFOREHAND = 1e-3
 
 
 def stretches(recording: Recording, most: int) -> list[Recording]:
-    """Stretches of a recording, in their order, that ``most`` rows show well; itself alone where they show all of it."""
+    """Stretches of a recording, in their order, that ``most`` rows show well; itself where they show all of it."""
     table = np.concatenate(
         [
             values.reshape(recording.num_frames, -1)

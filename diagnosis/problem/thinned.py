@@ -8,6 +8,7 @@ looked at (:mod:`.stretches`).
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def thinned(recording: Recording, most: int = ROWS) -> Recording:
 def left_out(recordings: Sequence[Recording]) -> str | None:
     """A sentence about what a diagnosis does not look at of recordings; None where it looks at all."""
     parts = [looked_at(each) for each in recordings]
-    total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, sum(parts, [])))
+    total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, chain(*parts)))
     if used == total:
         return None
     spread = f"Of {total} rows with an observation {used} were looked at, spread evenly, with all commands between them"

@@ -1,5 +1,7 @@
 """Long recordings in the stretches that tell most."""
 
+from itertools import pairwise
+
 import numpy as np
 from robot_log import ARM, robot_log
 
@@ -43,7 +45,7 @@ def test_where_the_arm_moves():
     )
     assert inside > 0.9 * seconds_of(parts)
     assert len(parts) < WINDOWS  # neighbours are one stretch
-    assert all(one.time[-1] < other.time[0] for one, other in zip(parts, parts[1:], strict=False))
+    assert all(one.time[-1] < other.time[0] for one, other in pairwise(parts))
 
 
 def test_they_tell_more_than_any_evenly_spread_ones():
