@@ -3,8 +3,9 @@
 MuJoCo plays the turret arm of `tests/in_space.py`, three hinges, the Franka Emika Panda of `tests/trees.py` (which says
 where its numbers are from), seven, or twelve, that and its first five again, under torques that are held for 10 ms. One
 thing is otherwise than in the file: friction or a rotor at some joint, a payload, late motors, or nothing. Encoders
-have noise of .2 mrad. The whole catalogue is looked at with the default budget. For each case: the verdict's effect, its probability, the parameter
-over the true one, how many candidates there were and how many the budget had no time for, and seconds of CPU.
+have noise of .2 mrad. The whole catalogue is looked at with the default budget. For each case: the verdict's effect,
+its probability, the parameter over the true one, how many candidates there were and how many the budget had no time
+for, and seconds of CPU.
 
     python benchmarks/diagnose_in_space.py [--robots arm panda twelve] [--seconds 10] [--only 0 3] [--results FILE]
 """
