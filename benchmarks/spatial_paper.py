@@ -143,8 +143,9 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    tables = [("filed", noise) for noise in arguments.noise] + [("turned", noise) for noise in arguments.turned]
-    for kind, noise in [*tables, ("planar", 0.05**0.5)]:
+    turned = [("turned", noise) for noise in arguments.turned]
+    filed = [("filed", noise) for noise in arguments.noise]
+    for kind, noise in [*filed[:1], *turned, *filed[1:], ("planar", 0.05**0.5)]:
         rows = {}
         for seed in range(arguments.seeds):
             rows[seed] = kept(arguments.results, f"{kind} {noise:g} {seed}", lambda: run(kind, noise, seed))  # noqa: B023
