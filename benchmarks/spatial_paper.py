@@ -16,7 +16,7 @@ posterior has heavy tails. *Axes from the data* are what `infer` takes where nob
 joint whose motion comes to a pitch of 60° is turned. The prior is then of torques about other axes than the truth's,
 and the start is read off the first row; results are told in the file's axes for both.
 
-    python benchmarks/spatial_paper.py [--seeds 20] [--noise .1 .01 .003] [--turned .1] [--results FILE]
+    python benchmarks/spatial_paper.py [--seeds 20] [--noise .1 .01 .003] [--turned .1] [--no-planar] [--results FILE]
 """
 
 import argparse
@@ -140,12 +140,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--noise", type=float, nargs="*", default=[0.1, 0.01, 0.003])
     parser.add_argument("--turned", type=float, nargs="*", default=[0.1], help="noise, m, with axes from the data")
+    parser.add_argument("--planar", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     turned = [("turned", noise) for noise in arguments.turned]
     filed = [("filed", noise) for noise in arguments.noise]
-    for kind, noise in [*filed[:1], *turned, *filed[1:], ("planar", 0.05**0.5)]:
+    planar = [("planar", 0.05**0.5)] if arguments.planar else []
+    for kind, noise in [*filed[:1], *turned, *filed[1:], *planar]:
         rows = {}
         for seed in range(arguments.seeds):
             rows[seed] = kept(arguments.results, f"{kind} {noise:g} {seed}", lambda: run(kind, noise, seed))  # noqa: B023
