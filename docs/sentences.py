@@ -19,7 +19,9 @@ WRITTEN = ("docs/reference/cli.md", "docs/reference/effects.md", "docs/reference
 """Pages that the site's build writes from the code."""
 ERRORS = {"InputError", "BodyError", "warn", "fail"}
 
-_NO_PROSE = re.compile(r"^```.*?^```[^\n]*$|^\$\$.*?\$\$|<!--.*?-->|^\|.*?$|^#.*?$|^!\[.*?\)$", re.DOTALL | re.MULTILINE)
+_NO_PROSE = re.compile(
+    r"^```.*?^```[^\n]*$|^\$\$.*?\$\$|<!--.*?-->|^\|.*?$|^#.*?$|^!\[.*?\)$", re.DOTALL | re.MULTILINE
+)
 _LINK = re.compile(r"!?\[((?:[^\[\]]|\[[^\]]*\])*)\]\([^)]*\)")
 _CODE = re.compile(r"``[^`]+``|:\w+:`[^`]+`|`[^`]+`|\$[^$]+\$")
 _ITEM = re.compile(r"\n\s*(?:[-*]|\d+\.) ")

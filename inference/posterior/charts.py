@@ -58,8 +58,8 @@ def warn_of_poles(tree: Tree, path: np.ndarray) -> None:
     for name, most in pitches(tree, path).items():
         if most > STEEP:
             warnings.warn(
-                f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole: "
-                "torques there are told badly; take a shorter stretch, or give the joint another rotation",
+                f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
+                "torques are told badly: take a shorter stretch, or give the joint another rotation",
                 stacklevel=3,
             )
 
