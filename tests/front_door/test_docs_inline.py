@@ -41,6 +41,13 @@ def options(words: list[str]) -> set[str]:
     return {word.split("=")[0] for word in words if re.match(r"--\w", word)}
 
 
+def source(script: Path) -> str:
+    """A script, and those beside it that it imports: one may take its options from another."""
+    own = script.read_text("utf-8")
+    beside = [script.parent / f"{name}.py" for name in re.findall(r"^(?:from|import) (\w+)", own, re.MULTILINE)]
+    return own + "".join(each.read_text("utf-8") for each in beside if each.exists())
+
+
 def is_there(line: str) -> bool:
     """Whether a command names what there is; a line of another kind counts as nothing that there is."""
     words = shlex.split(line, comments=True)
@@ -56,8 +63,7 @@ def is_there(line: str) -> bool:
             asked = [extra for word in rest for group in re.findall(r"\[(.*)\]", word) for extra in group.split(",")]
             return bool(asked) and set(asked) <= set(EXTRAS)
         case ["python", script, *rest] if script.endswith(".py"):
-            source = (ROOT / script).read_text("utf-8")
-            return all(f'"{option}"' in source for option in options(rest))
+            return all(f'"{option}"' in source(ROOT / script) for option in options(rest))
         case ["pytest", place, *_] if place.startswith("tests/"):
             return (ROOT / place).exists()
     return False
