@@ -6,15 +6,15 @@ file: friction or a rotor at some joint, a payload, late motors, or nothing. Enc
 catalogue is looked at with the default budget. For each case: the verdict's effect, its probability, the parameter
 over the true one, how many candidates there were and how many the budget had no time for, and seconds of CPU.
 
-    python benchmarks/diagnose_in_space.py [--robot panda] [--seconds 10] [--only 0 3] [--out results.jsonl]
+    python benchmarks/diagnose_in_space.py [--robots arm panda] [--seconds 10] [--only 0 3] [--results FILE]
 """
 
 import argparse
-import json
 import sys
 import tempfile
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from invdyn.models import load_body, write_mjcf
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from in_space import ARM, play
+from kept import kept
 from trees import panda
 
 MIDDLE = {"panda": (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8), "arm": (0.0, -0.5, 0.9)}
@@ -84,34 +85,35 @@ def run(robot: str, number: int, seconds: float, folder: Path, workers: int) -> 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Of the cases."""
-    lines = ["| the file lacks | the diagnosis says | parameter over true | candidates | not looked at | CPU s |"]
-    lines.append("|---|---|---|---|---|---|")
+    lines = ["| robot | the file lacks | the diagnosis says | parameter over true | gap closed | candidates | CPU s |"]
+    lines.append("|---|---|---|---|---|---|---|")
     for row in rows:
         share = "" if row["parameter over true"] is None else f"{row['parameter over true']:.3f}"
         count = row["candidates"].split()[0]
-        cells = (row["case"], row["said"], share, count, row["not looked at"], f"{row['CPU s']:.0f}")
+        if missed := row["not looked at"]:
+            count = f"{count}, {missed} not looked at"
+        closed = f"{row['gap closed']:.2f}" if row["case"] != "nothing" else ""
+        cells = (row["robot"], row["case"], row["said"], share, closed, count, f"{row['CPU s']:.0f}")
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robot", choices=sorted(CASES), default="panda")
+    parser.add_argument("--robots", nargs="+", choices=sorted(CASES), default=["arm", "panda"])
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in arguments.only or range(len(CASES[arguments.robot])):
-            row = run(arguments.robot, number, arguments.seconds, Path(folder), arguments.workers)
-            rows.append(row)
-            if arguments.out is not None:
-                with arguments.out.open("a", encoding="utf-8") as lines:
-                    lines.write(json.dumps(row) + "\n")
+        for robot in arguments.robots:
+            for number in arguments.only or range(len(CASES[robot])):
+                make = partial(run, robot, number, arguments.seconds, Path(folder), arguments.workers)
+                rows.append(kept(arguments.results, f"{robot} {number} {arguments.seconds:g} s", make))
     print(table(rows))
 
 
