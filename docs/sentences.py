@@ -9,6 +9,7 @@ import argparse
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
@@ -73,12 +74,12 @@ def notebooks() -> list[Sentence]:
     return found
 
 
-def sources() -> Iterator[tuple[str, ast.Module]]:
-    """Every module of the rooms, parsed, by its place."""
-    for room in ROOMS:
-        for file in sorted((ROOT / room).rglob("*.py")):
-            if not any(part.is_symlink() for part in file.parents):
-                yield str(file.relative_to(ROOT)), ast.parse(file.read_text("utf-8"))
+@cache
+def sources() -> list[tuple[str, ast.Module]]:
+    """Every module of the rooms, parsed, by its place; a link into another room is not followed."""
+    files = [file for room in ROOMS for file in sorted((ROOT / room).rglob("*.py"))]
+    own = [file for file in files if not any(part.is_symlink() for part in file.parents)]
+    return [(str(file.relative_to(ROOT)), ast.parse(file.read_text("utf-8"))) for file in own]
 
 
 def docstrings() -> list[Sentence]:
