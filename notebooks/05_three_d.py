@@ -120,9 +120,13 @@ plt.show()
 #
 # ## Aliases
 #
-# Turn the shoulder's yaw by half a turn and take $\pi$ minus its pitch. The upper arm points where it pointed, rolled
-# over. With the elbow's angles negated the forearm does too. Both stories show the *same points*: no camera can tell
-# them apart, their evidence is the same, and pitch torques have opposite signs.
+# Turn the shoulder's yaw $\psi$ by half a turn and take $\pi$ minus its pitch $\varphi$. The upper arm points where it
+# pointed, rolled over. With the elbow's angles negated the forearm does too:
+#
+# $$ X(\psi, \varphi, \psi_e, \varphi_e) = X(\psi + \pi,\; \pi - \varphi,\; -\psi_e,\; -\varphi_e). $$
+#
+# Both stories show the *same points*. No camera can tell them apart, their evidence is the same, and pitch torques have
+# opposite signs.
 
 # %%
 alias = truth.angle * [1, -1, -1, -1] + [np.pi, np.pi, 0, 0]
@@ -144,8 +148,13 @@ print(f"inverse kinematics begins at {first} degrees: of all aliases the one wit
 # ## Poles, and turns that nobody sees
 #
 # At a pitch of 90° the yaw turns nothing. A frame is therefore chosen from the recording where a motion comes near
-# (`invdyn.inference.posterior.charts`). And some turns move no keypoint at all: a straight arm twists unseen. The
-# smallest singular value of the keypoints' Jacobian says how near that is, and a posterior names what is not seen.
+# (`invdyn.inference.posterior.charts`). And some turns move no keypoint at all: a straight arm twists unseen.
+# Keypoints move by the Jacobian,
+#
+# $$ \dot X = J(q)\, \dot q, \qquad J = U\, \mathrm{diag}(w)\, V^\top, $$
+#
+# so a turn along $v_i$ is seen as a motion of $w_i$ metres a radian. The smallest $w_i$ says how near a turn is to being
+# unseen, and a posterior names what is not seen.
 
 # %%
 inertia = (0.002, 0.015, 0.015, 0.0, 0.0, 0.0)
@@ -169,7 +178,8 @@ for degrees in (60, 10, 0):
 # ## The mouse
 #
 # A mouse reaches for a pellet; two cameras, one of them behind the scene, give its shoulder, elbow and wrist in space.
-# Nobody weighed its paw, so no force is asked for: the *kinematic* model lets the angles walk and learns the lengths.
+# Nobody weighed its paw, so no force is asked for. The *kinematic* model lets the velocities walk by chance,
+# $\ddot q = \sigma_w \eta$ with white noise $\eta$, and learns the lengths.
 # The cameras' calibration is not metric (its own parameters multiply one camera's picture by 19), so that lengths are
 # in **reconstruction units**, and no centimetres. Every twentieth frame is hidden, and predicted.
 #
