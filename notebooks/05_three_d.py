@@ -153,8 +153,8 @@ print(f"inverse kinematics begins at {first} degrees: of all aliases the one wit
 #
 # $$ \dot X = J(q)\, \dot q, \qquad J = U\, \mathrm{diag}(w)\, V^\top, $$
 #
-# so a turn along $v_i$ is seen as a motion of $w_i$ metres a radian. The smallest $w_i$ says how near a turn is to being
-# unseen, and a posterior names what is not seen.
+# so a turn along $v_i$ is seen as a motion of $w_i$ metres a radian. The smallest $w_i$ says how near a turn is to
+# being unseen, and a posterior names what is not seen.
 
 # %%
 inertia = (0.002, 0.015, 0.015, 0.0, 0.0, 0.0)
