@@ -160,9 +160,8 @@ class _Objective(Generic[M]):
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and Hessian at φ."""
         model, size = self.at(phi), len(phi)
-        mode = gauss_newton(model, self.observations, start=self.path, max_iterations=15)
-        if self.path is not None and not bool(mode.converged):
-            mode = gauss_newton(model, self.observations)
+        # From the last mode always: begun anew the search may end at another one, and evidences would not compare.
+        mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
         # The mode obeys the dynamics and the posterior's mean does not quite: start from the mode next time.
