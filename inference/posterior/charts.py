@@ -55,8 +55,8 @@ def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
 def poles(tree: Tree, path: np.ndarray) -> list[str]:
     """A sentence for each joint that passes ``STEEP`` along a path (T, K)."""
     return [
-        f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole: "
-        "torques there are told badly; take a shorter stretch, or give the joint another rotation"
+        f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
+        "torques are told badly: take a shorter stretch, or give the joint another rotation"
         for name, most in pitches(tree, path).items()
         if most > STEEP
     ]
