@@ -45,7 +45,6 @@ RULES = {
     "_look": ("search", "every effect on what is seen, in the end"),
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
-    "_beside_play": ("swap_step", "the same, beside play"),
     "refine_promising": ("forward_step", "add: the best of the screen"),
     "refine_clearing": ("forward_step", "those that would leave little to a small residual"),
     "refine_barred": ("forward_step", "those that gain less than a torque could"),
