@@ -42,7 +42,6 @@ RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
     "_several": ("search", "sets of up to four as a whole, from a beam"),
     "shortened": ("search", "shorter sub-steps where a force jumps"),
-    "_look": ("search", "every effect on what is seen, in the end"),
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_promising": ("forward_step", "add: the best of the screen"),

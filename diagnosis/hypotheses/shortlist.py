@@ -110,21 +110,6 @@ def refine_clearing(
     _refine_beside(problem, found, base, sorted(clear, key=lambda s: -s.by_size[0])[:PAIR])
 
 
-def refine_every(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
-) -> None:
-    """Refine all of the screened effects on what is seen, added to ``base``, that were not, until one leaves nothing.
-
-    A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
-    """
-    seen = [s for s in added(screened) if s.effect.side == "observation"]
-    left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
-    for first in range(0, len(left), PAIR):
-        _refine_beside(problem, found, base, left[first : first + PAIR])
-        if found.explained:
-            return
-
-
 def _refine_beside(
     problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, some: Sequence[Added]
 ) -> None:

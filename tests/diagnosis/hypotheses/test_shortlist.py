@@ -16,7 +16,6 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     SOFTENED,
     refine_barred,
     refine_clearing,
-    refine_every,
     refine_promising,
 )
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
@@ -119,37 +118,6 @@ def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_re
     refine_clearing(bound, found, none, screened)
     assert tried == ["camera_roll"]
     assert "camera_roll" in found.pool
-
-
-@pytest.mark.parametrize("explaining", ["camera_latency", None])
-def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_one_leaves_nothing(
-    monkeypatch, explaining
-):
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    spike = np.arange(len(none.by_size)) == 0
-    none = replace(none, by_size=np.where(spike, -1e4, 0.0))
-    names = ("camera_yaw", "camera_roll", "camera_latency", "clock_rate", "camera_scale", "payload")
-    some = [e for e in considered(bound) if e.key in names]
-    common = unknowns(bound, ())
-    screened = screen(bound, bound.model, path, some, common, common.mean)
-    screened = [replace(s, log_evidence=-1e3 * names.index(s.effect.name) if s.effect else 0.0) for s in screened]
-    screened = sorted(screened, key=lambda s: -s.log_evidence)
-    tried = []
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried.append(effects[0].name)
-        done = effects[0].name == explaining
-        sizes = np.where(spike == done, 0.0, -1e4)
-        return replace(none, effects=effects, log_evidence=none.log_evidence + 1e3 * done, by_size=sizes)
-
-    monkeypatch.setattr(sys.modules[refine_every.__module__], "refine", refined_one)
-    known = replace(none, effects=(next(e for e in some if e.name == "camera_yaw"),))
-    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
-    refine_every(bound, found, none, screened)
-    # By twos; what was refined before is not again, and what changes the motion the screen sees.
-    assert tried == ["camera_roll", "camera_latency"] + ([] if explaining else ["clock_rate", "camera_scale"])
 
 
 @pytest.mark.parametrize("plausible", [True, False])
