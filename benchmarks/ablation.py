@@ -45,7 +45,6 @@ RULES = {
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_promising": ("forward_step", "add: the best of the screen"),
-    "refine_clearing": ("forward_step", "those that would leave little to a small residual"),
     "refine_barred": ("forward_step", "those that gain less than a torque could"),
     "_scan": ("forward_step", "from several values, where no screen tells the size"),
     "_from_base": ("shortlist", "once more from the base's path, where the way was lost"),

@@ -6,8 +6,7 @@ ranks (:mod:`.shortlist`):
 - those whose parameters are searched (:mod:`.noise`): what changes the scatter with each screen; play after it, alone
   or beside one that does not stick, where no other effect explains the gap, or a small one, and beside a base far
   behind the best set if it may make that good,
-- with the first effect, those that would leave little to a small residual, and from several values those that no screen
-  tells the size of (``Effect.scan``).
+- with the first effect, from several values, those that no screen tells the size of (``Effect.scan``).
 
 With unknown torque only what the camera shows is refined (:func:`.shortlist.refine_promising`): if it gains more than
 what a torque imitates, or where errors of prediction show that something is left whatever the torque does.
@@ -32,7 +31,6 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     attempt,
     idle,
     refine_barred,
-    refine_clearing,
     refine_promising,
 )
 from invdyn.diagnosis.hypotheses.swap_step import free_beside
@@ -67,8 +65,6 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
         refine_barred(problem, found, base, best)
         least = -np.inf
     if alone:
-        if not found.ranked[0].complete:
-            refine_clearing(problem, found, base, best)
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break

@@ -3,9 +3,6 @@
 A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
 screen says, which errs, and if it gains a fair share of what the best one gains.
 
-Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
-it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
-
 An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
 stand for what the ideal form lacks. So is, in :mod:`.moves`, one that leaves something.
 
@@ -97,25 +94,6 @@ def refine_promising(
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
         found.add_all(problem, parts if first else [*parts, *besides])
-
-
-def refine_clearing(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
-) -> None:
-    """Refine those added to ``base`` that leave less than half of the gap where the residual is next to nothing."""
-    none = next(s for s in screened if s.effect is None)
-    least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
-    known = {effect.key for cause in found.pool.values() for effect in cause.effects}
-    clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
-    _refine_beside(problem, found, base, sorted(clear, key=lambda s: -s.by_size[0])[:PAIR])
-
-
-def _refine_beside(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, some: Sequence[Added]
-) -> None:
-    """Refine some of the screened effects, added to ``base``, side by side."""
-    limits = {"enough": found.top - TOO_FAR_BEHIND}
-    found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in some])
 
 
 def refine_barred(

@@ -120,7 +120,6 @@ def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(mo
 
     monkeypatch.setattr(module, "TOO_FAR_BEHIND", 2.0)
     monkeypatch.setattr(module, "refine_promising", refined)
-    monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
     monkeypatch.setattr(module, "_scan", lambda *_: None)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append((given[2].name, given[3])))

@@ -12,10 +12,8 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
     FAILED,
-    HALF,
     SOFTENED,
     refine_barred,
-    refine_clearing,
     refine_promising,
 )
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
@@ -91,33 +89,6 @@ def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined
     monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
     refine_promising(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert len(tried) == refined
-
-
-def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_residual(monkeypatch):
-    """But nothing that has been tried, and what leaves most of the gap is not."""
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    shares = {"camera_roll": HALF + 0.1, "camera_latency": HALF - 0.1, "coulomb_friction": 0.9}
-    some = [e for e in considered(bound) if e.name in shares]
-    common, gap = unknowns(bound, ()), 1000.0
-    screened = []
-    for each in screen(bound, bound.model, path, some, common, common.mean):
-        left = gap * (1 - shares[each.effect.name]) if each.effect else gap
-        screened.append(replace(each, log_evidence=0.0, by_size=np.linspace(-left, 0.0, len(each.by_size))))
-    tried = []
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried.append(effects[0].name)
-        return replace(none, effects=effects, log_evidence=none.log_evidence + 10)
-
-    monkeypatch.setattr(sys.modules[refine_clearing.__module__], "refine", refined_one)
-    friction = next(e for e in some if e.name == "coulomb_friction")
-    known = replace(none, effects=(friction,))
-    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
-    refine_clearing(bound, found, none, screened)
-    assert tried == ["camera_roll"]
-    assert "camera_roll" in found.pool
 
 
 @pytest.mark.parametrize("plausible", [True, False])
