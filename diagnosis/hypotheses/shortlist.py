@@ -6,8 +6,6 @@ screen says, which errs, and if it gains a fair share of what the best one gains
 An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
 stand for what the ideal form lacks. So is, in :mod:`.moves`, one that leaves something.
 
-A refinement that ends far under its base, which it contains, has lost its way and begins again from the base's path.
-
 With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
 show that something is left whatever it does.
 """
@@ -46,9 +44,6 @@ DOUBT, SURE = 5.0, 2.0
 
 SOFTENED = 0.01
 """Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
-
-FAILED = 20.0
-"""Nats under its base from which on a refinement has lost its way: a cause contains its base."""
 
 
 def refine_promising(
@@ -124,8 +119,6 @@ def _refined(
     problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
 ) -> list[FittedHypothesis]:
     """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
-
-    Where both end far under the base, once more from there.
     """
     refined = []
     for start in (each.values, each.elsewhere):
@@ -140,22 +133,7 @@ def _refined(
             refined.append(cause)
             if cause.complete:
                 break
-    if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
-        again = attempt(_from_base, problem, base, each, limits)
-        refined += [again] if again is not None else []
     return refined
-
-
-def _from_base(
-    problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
-) -> FittedHypothesis:
-    """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
-    none_of_it = {
-        p.name: p.absent for p in each.effect.parameters(problem.model.scale) if p.absent not in (None, np.inf)
-    }
-    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | none_of_it).items()} | base.values
-    effects = (*base.effects, each.effect)
-    return refine(problem, effects, values, base.path, best_size(problem, base), **base.searched, **limits)
 
 
 def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:

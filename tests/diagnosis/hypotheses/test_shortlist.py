@@ -11,7 +11,6 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
-    FAILED,
     SOFTENED,
     refine_barred,
     refine_promising,
@@ -130,31 +129,3 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
             assert list(expected) == [*ideal, *softer]
             assert size >= SOFTENED
         assert (effect.key in found.pool) == (plausible or bool(softer))
-
-
-@pytest.mark.parametrize(("under", "again"), [(FAILED - 1, False), (FAILED + 1, True)])
-def test_what_ends_under_its_base_begins_again_from_there(monkeypatch, under, again):
-    """Along the base's path and with nothing of the effect; a limit that is absent at infinity as the screen has it."""
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = replace(refine(bound, (), {}, path, LOOSE), path=path + 0.0)
-    some = [e for e in considered(bound) if e.name in ("coulomb_friction", "actuator_saturation")]
-    common = unknowns(bound, ())
-    screened = screen(bound, bound.model, path, some, common, common.mean)
-    screened = [replace(s, log_evidence=1e3 if s.effect else 0.0, elsewhere=None) for s in screened]
-    tried = {e.name: [] for e in some}
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried[effects[0].name].append((values, path))
-        first = len(tried[effects[0].name]) == 1
-        return replace(none, effects=effects, log_evidence=none.log_evidence + (-under if first else 10.0))
-
-    monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
-    found = HypothesisPool(some, {"": none}, [], path, stray)
-    refine_promising(bound, found, none, screened, 9)
-    for name, calls in tried.items():
-        assert [path is none.path for _, path in calls] == [False] + [True] * again
-        if again:
-            (value,) = calls[1][0].values()
-            assert value == (0.0 if name == "coulomb_friction" else calls[0][0]["actuator_saturation.pivot.limit"])
-            assert max(c.log_evidence for c in found.pool.values() if c.effects) == none.log_evidence + 10.0
