@@ -41,7 +41,6 @@ ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
     "_several": ("search", "sets of up to four as a whole, from a beam"),
-    "shortened": ("search", "shorter sub-steps where a force jumps"),
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_promising": ("forward_step", "add: the best of the screen"),
@@ -89,8 +88,6 @@ QUICK_EFFECTS = {
     }.items()
 }
 KINDS = ("twin", "wider", "narrower", "alike")
-GONE: dict[str, Callable] = {"shortened": lambda problem, *_: problem}
-"""What stands in for a rule that is gone, where that is not None."""
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
 
@@ -149,7 +146,7 @@ class Watch:
 def without_it(name: str, rule: Callable) -> Callable:
     """What stands in for a rule that is gone."""
     if name not in KINDS:
-        return GONE.get(name, lambda *_, **__: None)
+        return lambda *_, **__: None
     return lambda *given: None if given[-1].kind == name else rule(*given)
 
 

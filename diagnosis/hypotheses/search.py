@@ -41,7 +41,6 @@ from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considere
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_promising
-from invdyn.diagnosis.hypotheses.substeps import shortened
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
@@ -56,8 +55,8 @@ WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
 """Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
 candidates refined instead of stray detections."""
 
-Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], DiagnosisProblem | None]
-"""Refines what a base leads to, into the pool, and may say in which sub-steps the search goes on."""
+Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
+"""Refines what a base leads to, into the pool."""
 
 
 def search(
@@ -93,7 +92,7 @@ def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         if move is None or base is None:
             return
         made.add((move, base.key))
-        problem = move(problem, found, base) or problem
+        move(problem, found, base)
 
 
 def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterator[tuple[Move, FittedHypothesis]]:
@@ -120,18 +119,16 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
         yield exchange, best
 
 
-def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> DiagnosisProblem:
-    """Add an effect; the first of all in shorter sub-steps if it needs them, and where it is not enough also several.
+def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Add an effect; where the first of all is not enough, also several.
 
     Enough is what leaves nothing, by effects that are what they are called.
     """
     screened = extend(problem, found, base, _width(base))
     if base.effects or problem.regime == "unknown_torque":
-        return problem
-    problem = shortened(problem, found)
+        return
     if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
         _several(problem, found, screened)
-    return problem
 
 
 def _width(base: FittedHypothesis) -> int:

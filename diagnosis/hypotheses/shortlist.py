@@ -118,8 +118,7 @@ def refine_barred(
 def _refined(
     problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
 ) -> list[FittedHypothesis]:
-    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
-    """
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
     refined = []
     for start in (each.values, each.elsewhere):
         if start is None:

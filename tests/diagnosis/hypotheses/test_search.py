@@ -180,41 +180,11 @@ def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monke
     module, asked = sys.modules[search.__module__], []
     monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
     monkeypatch.setattr(module, "credible", lambda *_: named)
-    monkeypatch.setattr(module, "shortened", lambda problem, _: problem)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
     for name in ("_several", "reduce", "exchange"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     search(bound, path, stray, MANY)
     assert ("_several" in asked) is looked
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
-    """An unknown torque takes errors of integration along, and is left in its own."""
-    recording = recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05)
-    bound = diagnosis_problem(recording if known else replace(recording, torques=None), PENDULUM)
-    path, stray = data_path(bound)
-    module, asked = sys.modules[search.__module__], []
-
-    def extend(problem, found, base, _):
-        asked.append((base.key, problem.model.substeps))
-        if not base.effects:
-            add_friction(found, False)
-
-    monkeypatch.setattr(module, "extend", extend)
-
-    def shortened(problem, _):
-        assert known
-        return problem.in_substeps(7)
-
-    monkeypatch.setattr(module, "shortened", shortened)
-    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "exchange"):
-        monkeypatch.setattr(module, name, lambda *_: None)
-    search(bound, path, stray, MANY)
-    own = bound.model.substeps
-    assert own != 7
-    assert asked == ([("", own), ("viscous_friction.pivot", 7)] if known else [("", own)])
 
 
 @pytest.mark.parametrize(
