@@ -52,11 +52,10 @@ def refine_promising(
     base: FittedHypothesis,
     screened: Sequence[Screened],
     width: int,
-    besides: Sequence[Callable[[], Sequence[FittedHypothesis | None]]] = (),
 ) -> None:
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
 
-    What else can be found meanwhile, ``besides``, goes side by side with the first of them.
+    The first one alone: it may leave nothing, and spare the others.
     """
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
@@ -73,9 +72,7 @@ def refine_promising(
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > RULE.faint]
     promising = promising[:width]
-    # One that gains far more than the next may leave nothing, and spare the others.
-    alone = len(promising) > 1 and promising[1].log_evidence - nothing < HALF * most
-    for first in (0, *range(1 if alone else PAIR, len(promising), PAIR)):
+    for first, last in ((0, 1), *((i, i + PAIR) for i in range(1, len(promising), PAIR))):
         top, complete = found.top, found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
         least = min(most - TOO_FAR_BEHIND, (HALF if complete else SHARE) * most)
@@ -85,10 +82,10 @@ def refine_promising(
         }
         parts = [
             partial(_refined, problem, base, each, limits)
-            for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
+            for place, each in enumerate(promising[first:last], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        found.add_all(problem, parts if first else [*parts, *besides])
+        found.add_all(problem, parts)
 
 
 def refine_barred(
