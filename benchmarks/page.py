@@ -40,7 +40,7 @@ COMMANDS = {
     "vsmc_learn": "vsmc.py learn",
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
-    "diagnose_in_space": "diagnose_in_space.py --robot arm --seconds 4",
+    "diagnose_in_space": "diagnose_in_space.py --results build/diagnose_in_space.jsonl",
     "diagnose_logs": "diagnose_logs.py",
     "ablation": "ablation.py",
     "check": "check.py --seed 41000 --results build/check.jsonl",
