@@ -6,7 +6,8 @@ end, so that turns about the link's own axis show as well. One body in four has 
 is like Franka's Panda: the joints of its data sheet (Denavit and Hartenberg's modified table; Franka Emika, "Robot and
 interface specifications", 2017), masses in the proportions that Gaz and others identified (IEEE RA-L 4, 2019).
 
-Two bodies in five that a case allows have position servos, as stiff as hold the arm level with .05 to .2 rad of error.
+Two bodies in five that a case allows have position servos, as stiff as hold the arm level with .05 to .2 rad of error,
+but for joints that would swing faster than at 10 Hz.
 SI units, radians.
 """
 
@@ -34,6 +35,8 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 """Of a link that runs along x: a roll, a pitch, a yaw."""
 MOTORS = {"actuator_gain", "actuator_saturation", "actuator_deadzone", "hot_motor"}
 """Effects that mean something else of a servo."""
+FASTEST_SERVO = 10.0
+"""Hz, of a joint with its servo's spring."""
 SETTLED = 12
 """Periods of its pendulum in which a damped body comes to hang."""
 RIGHT = np.pi / 2
@@ -116,17 +119,19 @@ def _panda_like(rng: np.random.Generator) -> Tree:
 
 
 def with_servos(rng: np.random.Generator, tree: Tree) -> Tree:
-    """Position servos at all joints; weight and inertia are those of what a joint carries, stretched out."""
+    """Position servos at all joints: as stiff as carries what hangs on them, but no faster than `FASTEST_SERVO`."""
     mass, far, inertia = stretched(tree)
+    posture = rng.uniform(-1.0, 1.0, tree.num_joints)
+    turning = 1 / np.linalg.inv(World(tree).inertia(posture)).diagonal()
     links = []
     for place, link in enumerate(tree.links):
         carried = [k for k in range(len(tree.links)) if place in _inwards(tree, k)]
-        arm = np.maximum(far[carried] - far[place] + np.sqrt(inertia[place] / mass[place]), 0.0)
+        arm = np.maximum(far[carried] - far[place], 0.0) + np.sqrt(inertia[place] / mass[place])
         load = EARTH * float((mass[carried] * arm).sum())
-        turning = float((inertia[carried] + mass[carried] * arm**2).sum())
-        stiffness = float(f"{load / rng.uniform(0.05, 0.2):.4g}")
-        damping = float(f"{2 * rng.uniform(0.3, 0.7) * np.sqrt(stiffness * turning):.4g}")
-        motor = Motor("position", gain=stiffness, stiffness=stiffness, damping=damping)
+        stiffness = min(load / rng.uniform(0.05, 0.2), turning[place] * (2 * np.pi * FASTEST_SERVO) ** 2)
+        damping = 2 * rng.uniform(0.3, 0.7) * np.sqrt(stiffness * turning[place])
+        gains = float(f"{stiffness:.4g}"), float(f"{damping:.4g}")
+        motor = Motor("position", gain=gains[0], stiffness=gains[0], damping=gains[1])
         links.append(replace(link, parts=JointParts(motor=motor)))
     return replace(tree, links=links)
 
