@@ -22,12 +22,12 @@ NONIDEAL = 0.4
 
 @dataclass(frozen=True)
 class Scene:
-    """A body, its motion without the effect, and the yardsticks that follow; (K,) by joint.
+    """A body, planar or a tree, its motion without the effect, and the yardsticks that follow; (K,) by joint.
 
     `torque`, `peak`: rms and largest torque, N·m; `speed` rad/s; `inertia` kg·m² of the joint with what it carries.
     """
 
-    body: Body | Tree
+    body: Any
     plan: Plan
     motion: Trajectory
     torque: np.ndarray

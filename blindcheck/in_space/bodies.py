@@ -13,6 +13,7 @@ SI units, radians.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -179,7 +180,12 @@ def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[
     period = 2 * np.pi * np.sqrt(far.max() / EARTH)
     damping = float((inertia + mass * far**2).sum()) * 2 * np.pi / period / np.arange(1, body.num_joints + 1) ** 2
     world = made(body)
-    world.on_spec(lambda spec: [set_part(spec.joint(f"joint{k}"), {"damping": d}) for k, d in enumerate(damping)])
+
+    def damped(spec: Any) -> None:
+        for k, each in enumerate(damping):
+            set_part(spec.joint(f"joint{k}"), {"damping": each})
+
+    world.on_spec(damped)
     time, still = np.linspace(0.0, SETTLED * period, 40), np.zeros(body.num_joints)
     hanging = world.run(time, lambda row, t, q, qd: still, anywhere, still).q[-1]
     return hanging + rng.uniform(0.3, 0.8, body.num_joints) * rng.choice([-1, 1], body.num_joints)

@@ -51,6 +51,7 @@ class World(simulator.World):
         p, sites = body.parameters(), iter(body.parameters().sites.numpy())
         if any(link.joint.type != "hinge" for link in body.links):
             raise ValueError(f"expected hinges alone, got {', '.join(link.joint.type for link in body.links)}")
+        assert body.hand is not None  # every link has a site, and all hang on the first
         self.hand = body.hand
         self.keypoint_names = body.keypoint_names
         self.segments: list[Any] = []
