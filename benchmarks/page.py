@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
-    "spatial_paper": "spatial_paper.py",
+    "spatial_paper": "spatial_paper.py --results build/spatial_paper.jsonl",
     "mouse": "mouse.py",
     "cost": "cost.py",
     "calibration": "calibration.py",

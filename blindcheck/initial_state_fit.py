@@ -1,9 +1,9 @@
 """What a world without an effect does not follow from any state: misfits of the best ones to start from.
 
-The world replays the same commands and is set back once in a pendulum's period. The angles and velocities then are
-what Gauss–Newton makes the best of, each window damped by itself (Levenberg, Q. Appl. Math. 1944; Marquardt, J. SIAM
-1963). Windows of an eighth of the period come first, then twice as long ones from the states that were found (multiple
-shooting's way to a long horizon; Bock, 1983): on a motion that is unstable, straight lines over a whole period mislead
+The world replays the same commands and is set back once in a pendulum's period. The angles and velocities then are what
+Gauss–Newton makes the best of, each window damped by itself (Levenberg, Q. Appl. Math. 1944; Marquardt, J. SIAM 1963).
+Windows of an eighth of the period come first, then twice as long ones from the states that were found. That is multiple
+shooting's way to a long horizon (Bock, 1983). On a motion that is unstable, straight lines over a whole period mislead
 from anywhere but next to the best state.
 
 Shapes: T frames, K joints, O points or other things seen, W windows. SI units, radians.

@@ -1,12 +1,11 @@
 """How visible an effect is, from what was made and without any diagnosis.
 
 Noise-free tips with and without the effect, in units of the noise: d′ = √Σ (Δp/σ)² over frames and coordinates. For
-an effect of the dynamics the world without it replays the same commands, and is set back once in a pendulum's period,
-to the state from which it follows best (`starts`): Δp is what no other angles and velocities at that moment make up
-for, as nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
-the body could show counts; in space, where only frames that jump tell of an effect then, all that it changes.
-Encoders count where a setting says so. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and
-without it.
+an effect of the dynamics, the world without it replays the same commands. Once in a pendulum's period it is set back to
+the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
+for: nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
+the body could show counts; in space all that an effect of the observation changes. Encoders count where a setting says
+so. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
 """
 
 from collections.abc import Sequence

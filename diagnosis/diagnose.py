@@ -1,11 +1,10 @@
 """Diagnose the gap between simulation and recording: measure, locate, screen, confirm, add the cause, measure again.
 
-Its stages are rooms beside this file: ``problem`` binds the recording (:mod:`.diagnosis_problem`); ``sensitivity``
-says of every effect what it would change; ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`);
-``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC
-(:mod:`.confirm`), measures how far the gap closes on held-out data (:mod:`.gap_closure`), puts into a formula what
-no cause explains (:mod:`.symbolic_regression`), says where it lies (:mod:`.localisation`), and puts all together
-(:mod:`.assemble`).
+Its stages are rooms beside this file. ``problem`` binds the recording (:mod:`.diagnosis_problem`). ``sensitivity``
+says of every effect what it would change. ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`).
+``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC (:mod:`.confirm`).
+It measures how far the gap closes on held-out data (:mod:`.gap_closure`). What no cause explains becomes a formula
+(:mod:`.symbolic_regression`) with a place (:mod:`.localisation`). :mod:`.assemble` puts all together.
 """
 
 import json

@@ -35,7 +35,7 @@ class Inference(Recorded):
         str,
         typer.Option(
             help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, smooth_and_rough; "
-            "or auto: of the first and the last that with more evidence, for two fits instead of one."
+            "or auto, which fits the first and the last and keeps the one with more evidence."
         ),
     ] = "ornstein_uhlenbeck"
     noise: Annotated[

@@ -3,9 +3,9 @@
 Screened along the base's path; the first effect of all along the simulation's own, too. Beside those that the screen
 ranks (:mod:`.shortlist`):
 
-- those whose parameters are searched (:mod:`.noise`): what changes the scatter with each screen; play after it, alone
-  or beside one that does not stick, where no other effect explains the gap, or a small one, and beside a base far
-  behind the best set if it may make that good,
+- those whose parameters are searched (:mod:`.noise`). What changes the scatter is searched with each screen. Play comes
+  after it, alone or beside an effect that does not stick: where no other effect explains the gap, or a small one, and
+  beside a base far behind the best set, if it may make that good;
 - with the first effect, those that would leave little to a small residual, and from several values those that no screen
   tells the size of (``Effect.scan``).
 
