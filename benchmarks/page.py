@@ -22,8 +22,10 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
-    "spatial_paper": "spatial_paper.py",
-    "mouse": "mouse.py",
+    "spatial_paper": "spatial_paper.py --turned --results build/spatial_paper.jsonl",
+    "spatial_paper_turned": "spatial_paper.py --noise --turned .1 --no-planar --results build/spatial_paper.jsonl",
+    "mouse": "mouse.py --out build/mouse --shown 0:60",
+    "panda": "panda.py --seconds 1 --seeds 2 --results build/panda.jsonl",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",
@@ -41,7 +43,7 @@ COMMANDS = {
     "vsmc_learn": "vsmc.py learn",
     "diagnose_speed": "diagnose_speed.py",
     "diagnose_growth": "diagnose_speed.py --growth",
-    "diagnose_in_space": "diagnose_in_space.py --robot arm --seconds 4",
+    "diagnose_in_space": "diagnose_in_space.py --results build/diagnose_in_space.jsonl",
     "diagnose_logs": "diagnose_logs.py",
     "ablation": "ablation.py",
     "check": "check.py --seed 41000 --results build/check.jsonl",

@@ -4,7 +4,8 @@ A step is one forward dynamics and one semi-implicit Euler step, of arms of 4 jo
 little inertia about themselves, which MuJoCo needs), 7 (the Panda) and 12 (that, and its first five links again), by
 
     torch           this project, eager, float32
-    numba           this project, fast, float32 and float64; compiling comes before the clock starts, and is told
+    compiled        this project, as machine code, float32 and float64; compiling comes before the clock starts, and is
+                    told
     gradient        this project, eager, float32, with the derivative of Σ q̈ by q, q̇ and τ
     MuJoCo          mujoco.rollout, float64, no contacts, no constraints, torques applied at the joints
     Pinocchio       its articulated bodies alone, float64, without a step: a loop in C++ where the wheel has one
@@ -18,6 +19,7 @@ of CPU. The first table has operations a step, with the numbers of the body alon
 
 import argparse
 import dataclasses
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -32,7 +34,7 @@ from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state
+from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state, twelve_joints
 
 DT = 1e-3
 
@@ -41,18 +43,11 @@ def arms() -> list[Tree]:
     rod = (0.001, 0.04, 0.04, 0.0, 0.0, 0.0)
     paper = paper_arm()
     links = [dataclasses.replace(link, inertia=rod) for link in paper.links]
-    long = list(panda().links)
-    for link in panda().links[:5]:
-        joint = dataclasses.replace(link.joint, name=f"{link.joint.name}_again")
-        again = dataclasses.replace(link, name=f"{link.name}_again", joint=joint, parent=long[-1].name)
-        long.append(again)
-    return [Tree("paper's arm", links, paper.gravity), panda(), Tree("twelve joints", long)]
+    return [Tree("paper's arm", links, paper.gravity), panda(), twelve_joints()]
 
 
-def ours(
-    tree: Tree, N: int, dtype: torch.dtype, fast: bool, gradient: bool = False
-) -> tuple[Callable, SpatialDynamics]:
-    dynamics, p = SpatialDynamics(tree, fast=fast), tree.parameters(dtype)
+def ours(tree: Tree, N: int, dtype: torch.dtype, compile_after: float, gradient: bool = False) -> Callable:
+    dynamics, p = SpatialDynamics(tree, compile_after), tree.parameters(dtype)
     state = [x.movedim(-1, 0).contiguous().movedim(0, -1) for x in random_state(tree.num_joints, 0, (N,), dtype)]
 
     def step():
@@ -64,7 +59,7 @@ def ours(
         qd = qd + DT * dynamics.forward(q, qd, tau, p)
         q + DT * qd
 
-    return step, dynamics
+    return step
 
 
 def by_mujoco(tree: Tree, N: int) -> Callable:
@@ -95,6 +90,12 @@ def by_pinocchio(tree: Tree, N: int) -> Callable:
     return loop
 
 
+def _seconds(step: Callable) -> float:
+    began = time.process_time()
+    step()
+    return time.process_time() - began
+
+
 def rates(steps: dict[str, Callable], N: int, turns: int) -> dict[str, float]:
     """Million particle-steps a core-second, the best of the turns."""
     best = dict.fromkeys(steps, np.inf)
@@ -120,28 +121,23 @@ def main() -> None:
         dynamics = SpatialDynamics(tree)
         print(f"| K = {tree.num_joints} | {' | '.join(str(dynamics.operations(m)) for m in methods)} |")
     for tree in arms():
-        compiled = {}
         for N in args.particles:
-            numba32, fast32 = ours(tree, N, torch.float32, True)
-            numba64, fast64 = ours(tree, N, torch.float64, True)
             steps = {
-                "torch": ours(tree, N, torch.float32, False)[0],
-                "gradient": ours(tree, N, torch.float32, False, gradient=True)[0],
-                "numba 32": numba32,
-                "numba 64": numba64,
+                "torch": ours(tree, N, torch.float32, math.inf),
+                "gradient": ours(tree, N, torch.float32, math.inf, gradient=True),
+                "compiled 32": ours(tree, N, torch.float32, 0),
+                "compiled 64": ours(tree, N, torch.float64, 0),
                 "MuJoCo": by_mujoco(tree, N),
                 "Pinocchio": by_pinocchio(tree, N),
             }
-            for step in steps.values():
-                step()
-            compiled |= fast32.compile_seconds | fast64.compile_seconds
+            first = {name: _seconds(step) for name, step in steps.items()}
             found = rates(steps, N, args.turns)
             if args.particles[0] == N:
-                times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.items())
-                print(f"\nK = {tree.num_joints} ({tree.name}); compiled in CPU seconds: {times}\n")
-                print(f"| N | {' | '.join(found)} | numba 32 / MuJoCo | numba 32 / Pinocchio |")
+                times = " and ".join(f"{first[name]:.2f}" for name in ("compiled 32", "compiled 64"))
+                print(f"\nK = {tree.num_joints} ({tree.name}); compiling and the first calls: {times} s of CPU\n")
+                print(f"| N | {' | '.join(found)} | compiled 32 / MuJoCo | compiled 32 / Pinocchio |")
                 print(f"|---|{'---|' * (len(found) + 2)}")
-            ratios = [found["numba 32"] / found[other] for other in ("MuJoCo", "Pinocchio")]
+            ratios = [found["compiled 32"] / found[other] for other in ("MuJoCo", "Pinocchio")]
             print(
                 f"| {N} | {' | '.join(f'{x:.3g}' for x in found.values())} | {ratios[0]:.1f} | {ratios[1]:.1f} |",
                 flush=True,

@@ -7,9 +7,9 @@ when a descent ends, grids, budgets) stand beside their algorithms: with time en
 field of :data:`RULE` has unit, meaning and source; `python benchmarks/decision_sensitivity.py` asks what half and twice
 the value change.
 
-Sources: *odds*, an argument about probabilities that stands beside it; *chance*, the level of a one-sided test under a
-right simulation; *measured*, on opened runs of the blind check, as said; *stated*, what is meant by a word, so that a
-user may want it otherwise; *chosen*, by hand, and then held to by the blind check.
+A source is one of five. *odds*: an argument about probabilities, which stands beside it. *chance*: the level of a
+one-sided test under a right simulation. *measured*: on opened runs of the blind check, as said. *stated*: what is meant
+by a word, so that a user may want it otherwise. *chosen*: by hand, and then held to by the blind check.
 """
 
 from collections.abc import Iterator

@@ -1,11 +1,10 @@
 """Diagnose the gap between simulation and recording: measure, locate, screen, confirm, add the cause, measure again.
 
-Its stages are rooms beside this file: ``problem`` binds the recording (:mod:`.diagnosis_problem`); ``sensitivity``
-says of every effect what it would change; ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`);
-``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC
-(:mod:`.confirm`), measures how far the gap closes on held-out data (:mod:`.gap_closure`), puts into a formula what
-no cause explains (:mod:`.symbolic_regression`), says where it lies (:mod:`.localisation`), and puts all together
-(:mod:`.assemble`).
+Its stages are rooms beside this file. ``problem`` binds the recording (:mod:`.diagnosis_problem`). ``sensitivity``
+says of every effect what it would change. ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`).
+``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC (:mod:`.confirm`).
+It measures how far the gap closes on held-out data (:mod:`.gap_closure`). What no cause explains becomes a formula
+(:mod:`.symbolic_regression`) with a place (:mod:`.localisation`). :mod:`.assemble` puts all together.
 """
 
 import json
@@ -180,13 +179,13 @@ def diagnose(
 def _searched(
     bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST_EFFECTS
 ) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The problem in sub-steps short enough, along the data's path and for all that was found, and the search."""
+    """The problem in sub-steps short enough along the data's path, and the search."""
     try:
         with diverging():
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
             found = search(bound, path, stray, without, workers, most)
-            return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
+            return bound, found
     except Diverged as error:
         raise cannot_follow(bound) from error
 

@@ -44,6 +44,13 @@ class Diagnosed(Recorded):
         str | None,
         typer.Option("--map", metavar="FILE", help="For a robot's log: which track is which joint's, .toml."),
     ] = None
+    beside: Annotated[
+        str | None, typer.Option(help="Keypoints of a camera that filmed what a robot's log has: the two are joined.")
+    ] = None
+    clock: Annotated[
+        float | None,
+        typer.Option(help="How far that camera's clock is ahead of the log's, s; default: found from the motion."),
+    ] = None
     episodes: Annotated[
         str, typer.Option(help="Which episodes of a log to diagnose together, such as 0,1; default: the first.")
     ] = "0"
@@ -64,15 +71,24 @@ class Diagnosed(Recorded):
             if name not in EFFECTS:
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
         if self.calibration:
-            raise InputError(
-                "a diagnosis takes one recording in metres, so far: `invdyn triangulate` makes it of several cameras"
-            )
+            if len(self.recordings) < 2:
+                raise InputError("--calibration is of several cameras: give the tracks of two or more, in pixels")
+            beside = {"--also": self.also, "--held-out": self.held_out, "--map": self.mapping, "--beside": self.beside}
+            if surplus := [option for option, value in beside.items() if value]:
+                raise InputError(
+                    f"{surplus[0]} takes recordings in metres: `invdyn triangulate` makes them of several cameras"
+                )
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
+        if self.clock is not None and self.beside is None:
+            raise InputError("--clock is of a camera beside a log: name its keypoints with --beside")
+        if self.beside is not None and len(self.numbers) > 1:
+            raise InputError("--beside takes one episode of a log, which the camera filmed: --episodes 0")
         given: set[Path] = set()
-        for name in (self.recording, *self.others, *([] if self.held_out is None else [self.held_out])):
+        first = () if self.calibration else (self.recording,)
+        for name in (*first, *self.others, *(each for each in (self.held_out, self.beside) if each)):
             if resolved(name) in given:
-                option = "--held-out" if name == self.held_out else "--also"
+                option = {self.held_out: "--held-out", self.beside: "--beside"}.get(name, "--also")
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
             given.add(resolved(name))
 
@@ -84,7 +100,8 @@ class Diagnosed(Recorded):
     @property
     def files(self) -> list[Path]:
         """What is read, and must not be written over."""
-        return [Path(name) for name in (self.recording, *self.others, self.body, self.held_out) if name is not None]
+        names = (*self.tracked, *self.others, self.body, self.held_out, self.beside, *(self.calibration or ()))
+        return [Path(name) for name in names if name is not None]
 
     @property
     def numbers(self) -> list[int]:
@@ -108,6 +125,8 @@ class Diagnosed(Recorded):
         from .inputs import is_log, load_body, load_log, load_logs
 
         body = freed(load_body(self.body), self.free)
+        if self.calibration:
+            return self.asked(self.triangulated(), [], body, None)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):
@@ -124,10 +143,26 @@ class Diagnosed(Recorded):
         if self.mapping is not None or is_log(self.recording):
             recording, *rest = load_logs(self.recording, body, self.mapping, self.numbers, self.frames)
             more = [*rest, *more]
+        if self.beside is not None:
+            recording = self.joined(recording, self.read(self.beside, body, as_filmed=True), body)
+        return self.asked(recording, more, body, None if self.held_out is None else read(self.held_out))
+
+    def triangulated(self) -> Any:
+        """Points in space of several cameras' tracks."""
+        from .inputs_of_cameras import load_from_cameras
+
+        options = {"fps": self.fps, "format": self.format, "individual": self.individual}
+        found, _ = load_from_cameras(
+            self.recordings, self.calibration or (), self.body, self.frames, (), self.not_of_cameras, **options
+        )
+        return found.points
+
+    def asked(self, recording: Any, more: list, body: Any, held_out: Any) -> dict[str, Any]:
+        """Arguments of `diagnosis.diagnose`."""
         return {
             "recording": [recording, *more] if more else recording,
             "body": body,
-            "held_out": None if self.held_out is None else read(self.held_out),
+            "held_out": held_out,
             "passive": self.passive,
             "without": self.struck,
             "most": self.most,
@@ -136,6 +171,17 @@ class Diagnosed(Recorded):
             "seed": self.seed,
             "workers": self.workers,
         }
+
+    def joined(self, log: Any, film: Any, body: Any) -> Any:
+        """A log with the film of it, on the log's clock; says by how much the film's was found to be ahead."""
+        from invdyn.diagnosis.problem.clocks import camera_clock
+        from invdyn.recordings.beside import beside
+
+        if self.clock is not None:
+            return beside(log, film, self.clock)
+        found = camera_clock(log, film, body)
+        typer.echo(f"clock      {film.name} is ahead of {log.name} by {found.seconds:.4f} ± {found.sd:.4f} s")
+        return beside(log, film, found.seconds)
 
 
 FREE = 0.3

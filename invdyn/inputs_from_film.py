@@ -78,8 +78,8 @@ class TrackedFilm(Generic[Given]):
         film = Path(self.given.recording)
         if (aspect := Film(film).aspect) != 1:
             warnings.warn(
-                f"{film}: its pixels are not square (a player shows them {aspect:.3g} times as wide as high): no one "
-                "scale fits both directions; make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
+                f"{film}: its pixels are {aspect:.3g} times as wide as high, so no one scale fits both directions: "
+                "make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
                 stacklevel=2,
             )
         tracks_of(film, self.tracks, self.network, self.arm, self.person, kept, progress, wanted)

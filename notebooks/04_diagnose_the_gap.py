@@ -128,9 +128,9 @@ print(f"truth {DAMPING}: {(estimate.mean - DAMPING) / estimate.sd:+.1f} standard
 # razor). Something stays outside the catalogue, too. A torque so small that two seconds do not show it is never
 # ruled out.
 #
-# *Where* comes as shares of probability. *How far* comes from data that the fit has not seen: parameters are fitted
-# on the first two thirds, and on the last third each frame is predicted from the ones before. Each frame's log score,
-# in nats, is taken under the simulation as it is, with the cause, and for a simulation without a gap:
+# *Where* comes as shares of probability. *How far* comes from data that the fit has not seen. Parameters are fitted on
+# the first two thirds. On the last third each frame is predicted from the ones before. Each frame's log score, in nats,
+# is taken under the simulation as it is, with the cause, and for a simulation without a gap:
 #
 # $$ \text{closed} = \frac{\sum (\text{with cause} - \text{as it is})}{\sum (\text{no gap} - \text{as it is})}. $$
 

@@ -15,11 +15,15 @@
 #
 # Real arms leave the plane. Half of [Biderman, Naesseth and colleagues (2020)](https://montrealrobotics.ca/diffcvgp/)
 # lives in three dimensions: first a simulated arm whose torques are known, then the paw of a mouse. This notebook
-# follows them. It shows what sampling costs in space, what a camera of that quality can tell of torques at all, and
-# three traps that the plane does not have: poles, aliases, and turns that nobody sees.
+# follows them. It shows what sampling costs in space. It asks what a camera of that quality can tell of torques at all.
+# And it walks into three traps that the plane does not have: poles, aliases, and turns that nobody sees.
 #
-# **You will learn** how much a camera tells of torques in space, why a start must choose among poses that show the same
-# points, what a posterior says of turns that no keypoint shows, and how lengths and motion are learned without forces.
+# **You will learn**
+#
+# - how much a camera tells of torques in space,
+# - why a start must choose among poses that show the same points,
+# - what a posterior says of turns that no keypoint shows,
+# - how lengths and motion are learned without forces.
 #
 # It needs notebook 1, and runs in about half a minute.
 
@@ -116,9 +120,13 @@ plt.show()
 #
 # ## Aliases
 #
-# Turn the shoulder's yaw by half a turn and take $\pi$ minus its pitch. The upper arm points where it pointed, rolled
-# over. With the elbow's angles negated the forearm does too. Both stories show the *same points*: no camera can tell
-# them apart, their evidence is the same, and pitch torques have opposite signs.
+# Turn the shoulder's yaw $\psi$ by half a turn and take $\pi$ minus its pitch $\varphi$. The upper arm points where it
+# pointed, rolled over. With the elbow's angles negated the forearm does too:
+#
+# $$ X(\psi, \varphi, \psi_e, \varphi_e) = X(\psi + \pi,\; \pi - \varphi,\; -\psi_e,\; -\varphi_e). $$
+#
+# Both stories show the *same points*. No camera can tell them apart, their evidence is the same, and pitch torques have
+# opposite signs.
 
 # %%
 alias = truth.angle * [1, -1, -1, -1] + [np.pi, np.pi, 0, 0]
@@ -140,8 +148,13 @@ print(f"inverse kinematics begins at {first} degrees: of all aliases the one wit
 # ## Poles, and turns that nobody sees
 #
 # At a pitch of 90° the yaw turns nothing. A frame is therefore chosen from the recording where a motion comes near
-# (`invdyn.inference.posterior.charts`). And some turns move no keypoint at all: a straight arm twists unseen. The
-# smallest singular value of the keypoints' Jacobian says how near that is, and a posterior names what is not seen.
+# (`invdyn.inference.posterior.charts`). And some turns move no keypoint at all: a straight arm twists unseen.
+# Keypoints move by the Jacobian,
+#
+# $$ \dot X = J(q)\, \dot q, \qquad J = U\, \mathrm{diag}(w)\, V^\top, $$
+#
+# so a turn along $v_i$ is seen as a motion of $w_i$ metres a radian. The smallest $w_i$ says how near a turn is to
+# being unseen, and a posterior names what is not seen.
 
 # %%
 inertia = (0.002, 0.015, 0.015, 0.0, 0.0, 0.0)
@@ -165,7 +178,8 @@ for degrees in (60, 10, 0):
 # ## The mouse
 #
 # A mouse reaches for a pellet; two cameras, one of them behind the scene, give its shoulder, elbow and wrist in space.
-# Nobody weighed its paw, so no force is asked for: the *kinematic* model lets the angles walk and learns the lengths.
+# Nobody weighed its paw, so no force is asked for. The *kinematic* model lets the velocities walk by chance,
+# $\ddot q = \sigma_w \eta$ with white noise $\eta$, and learns the lengths.
 # The cameras' calibration is not metric (its own parameters multiply one camera's picture by 19), so that lengths are
 # in **reconstruction units**, and no centimetres. Every twentieth frame is hidden, and predicted.
 #
@@ -223,7 +237,48 @@ for axes, name, k in zip(panels, ("elbow", "wrist"), (0, 1), strict=True):
 plt.show()
 
 # %% [markdown]
-# The learned noise is a good part of the motion: the apparent lengths of the two bones differ from frame to frame by
-# much more than a rigid bone can, which is the calibration's doing. What the bands hold, they hold because the model
+# The learned noise is a good part of the motion. The apparent lengths of the two bones differ from frame to frame by
+# much more than a rigid bone's can. That is the calibration's doing. What the bands hold, they hold because the model
 # says so of its noise, as in notebook 1's human arm. The same from a terminal, with a body file and a recording in
 # metres: `invdyn infer paw.csv --body mouse.toml --kinematic --learn-lengths --out motion.nc`.
+#
+# ## Exercises
+#
+# **1. Why the camera hardly tells.** A keypoint's place is off by $\sigma$ in each frame. Differences of three frames
+# give its acceleration. By how much is that off, at the paper's 10 cm and this frame rate? Compare it with how fast the
+# wrist really accelerates.
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+step = float(model.dt[1])
+noise = np.sqrt(1 + 4 + 1) * 0.1 / step**2
+path = model.dynamics.keypoints(torch.as_tensor(truth.angle), parameters)[..., -1, :].numpy()
+real = np.sqrt((np.diff(path, 2, axis=0) ** 2).mean()) / step**2
+print(f"(1, −2, 1)/δ² makes √6 σ/δ² of the noise: {noise:.0f} m/s². The wrist itself has {real:.1f} m/s² rms.")
+print(f"So one frame tells nothing. About {(noise / real) ** 2:.0e} of them would have to agree, or the prior helps.")
+
+# %% [markdown]
+# **2. What an alias pushes.** The alias has angles $q' = S q + c$ with $S = \mathrm{diag}(1, -1, -1, -1)$. Both tell of
+# one motion, and so of one power $\tau^\top \dot q$. Which torques does the alias have? Check your answer by inverse
+# dynamics.
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+turned = torch.tensor([1.0, -1, -1, -1], dtype=torch.float64)
+q, qd = torch.as_tensor(truth.angle), torch.as_tensor(truth.velocity)
+qdd = torch.gradient(qd, spacing=step, dim=0)[0]
+told = model.dynamics.inverse(q, qd, qdd, parameters)
+mirrored = model.dynamics.inverse(torch.as_tensor(alias), turned * qd, turned * qdd, parameters)
+off = (mirrored - turned * told).abs().max() / told.abs().max()
+print(f"S S = 1 and τ'ᵀ S q̇ = τᵀ q̇ give τ' = S τ: all but the shoulder's yaw change their sign (off by {off:.0e}).")
+
+# %% [markdown]
+# **3. A twist that nearly nobody sees.** The upper arm twists about itself by a small angle. How far does the wrist go
+# for each radian, at a bend $\beta$ of the elbow? Which bend keeps a twist of 10° above keypoints that are off by 5 mm?
+
+# %% tags=["hide-cell"] jupyter={"source_hidden": true, "outputs_hidden": true}
+for degrees in (60, 10, 0):
+    print(
+        f"bent by {degrees:2d}°: the wrist is {0.25 * np.sin(np.radians(degrees)):.3f} m off the axis, and goes so far"
+    )
+least = np.degrees(np.arcsin(0.005 / (0.25 * np.radians(10))))
+print(f"0.25 sin β · 10° > 5 mm needs a bend of {least:.0f}° or more in one frame; many frames do with less.")
+print("The smallest singular value is at most so large: a motion of several joints may show less than a pure twist.")

@@ -148,8 +148,8 @@ def _tell_no_base(recording: Recording, base: str, keypoints: Sequence[str], own
         )
     if not own_frame and known:
         warnings.warn(
-            f"{recording.name}: the base {base!r} is not tracked (the file has {', '.join(known)}): it is taken to "
-            "rest at the body's base in the file's own frame; pass --base with a keypoint's name if it is one of these",
+            f"{recording.name}: the base {base!r} is not tracked (the file has {', '.join(known)}), so it is taken to "
+            "rest where the body's is, in the file's own frame; pass --base with a keypoint's name if it is one",
             stacklevel=2,
         )
 

@@ -66,7 +66,7 @@ def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
         start, stop = max(doubted, key=lambda run: run[1] - run[0])
         rows = sum(stop - start for start, stop in doubted)
         warnings.warn(
-            f"{name} stands at one place to the last digit in {rows} rows, such as {start + 1} to {stop}, where its "
-            f"likelihood is under half of its median: if it was lost there, leave these cells empty",
+            f"{name} stands still to the last digit in {rows} rows, such as {start + 1} to {stop}, and its likelihood "
+            "is under half of its median there: if it was lost, leave these cells empty",
             stacklevel=3,
         )

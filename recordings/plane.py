@@ -55,8 +55,8 @@ def _moving(columns: Mapping[str, np.ndarray]) -> str:
         widest = "".join(sorted(sorted(spread, key=spread.__getitem__)[1:]))
         sizes = ", ".join(f"{axis} by {size:.3g}" for axis, size in spread.items())
         raise InputError(
-            f"keypoints have three coordinates ({sizes} from least to most), but the body moves in a plane: pass "
-            f"two of the file's axes, the first to the right and the second up, such as --plane {widest}"
+            f"keypoints have three coordinates ({sizes} from least to most), but the body moves in a plane: name the "
+            f"file's axes that point right and up, such as --plane {widest}"
         )
     (out,) = constant
     warnings.warn(f"coordinate {out} is {np.nanmedian(columns[out]):g} throughout: left out", stacklevel=2)

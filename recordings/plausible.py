@@ -62,8 +62,8 @@ def check_plausible(
         total = 1.0  # of an arm whose size is not known, at most
     if recording.length_unit == "body length" and abs(total - 1) > WORST_BODY_LENGTH:
         raise InputError(
-            f"keypoints are in body lengths, in which a body is 1 long, but this body's links are {total:.3g} long: "
-            "give its lengths as shares of it, or scale the keypoints by its own length"
+            f"keypoints are in body lengths, but this body's links are {total:.3g} long together: "
+            "give lengths that add up to 1, or scale the keypoints by the body's own length"
         )
     if units.time is None:
         check_interval(recording, total)

@@ -48,13 +48,16 @@ def play(
     encoders: float | None = 2e-4,
     cameras: float | None = None,
 ) -> Recording:
-    """What MuJoCo makes of a robot of a file's ``text`` under torques held within rows.
+    """What MuJoCo makes of a robot of a file's ``text`` under torques held within rows, by Runge–Kutta in 1 ms steps.
+
+    Its Euler steps would err by what friction and clocks of some tenths of a per cent do, and these would be named.
 
     They follow sums of sines about ``middle``, by bias torques and a weak controller. By joint: more ``damping``
     N·m·s/rad, ``friction`` N·m and ``armature`` kg·m²; ``payload`` kg at a site of a body; motors ``late`` by s.
     ``encoders`` rad and ``cameras`` m are sds of noise; None for no such columns.
     """
     model = mujoco.MjModel.from_xml_string(text)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 1e-3
     for values, array in ((damping, model.dof_damping), (friction, model.dof_frictionloss)):
         for joint, more in (values or {}).items():
             array[model.joint(joint).dofadr[0]] += more

@@ -4,9 +4,9 @@ Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, Sprin
 (Carpentier et al., IEEE SII 2019), and the classical Runge–Kutta method of order 4 in steps of at most 2 ms, or of a
 twentieth of the fastest swing's inverse angular frequency, or of what a mechanism asks for by `resolve`.
 
-Dry friction that is hard (`dry`) is, over each step h, the force that brings the joint to rest at the step's end, as
-far as its level L allows (Moreau's time stepping, 1988):  f = clip(−(φ̇/h + a)/A, ±L), a the acceleration without it,
-A the joint's mobility; several joints in turn (Gauss–Seidel).
+Dry friction that is hard (`dry`) brings the joint to rest at the end of each step h, as far as its level L allows
+(Moreau's time stepping, 1988): f = clip(−(φ̇/h + a)/A, ±L). Here a is the acceleration without it, and A the joint's
+mobility. Several joints take turns (Gauss–Seidel).
 
 Shapes: K joints, S ≥ K hinges, N steps, C command rows. SI units, radians.
 """

@@ -1,10 +1,10 @@
 """How far the gap closes on data that the cause's parameters have not seen.
 
-Another recording of the same arm where there is one; else the last third of this one, the cause refitted on the first
-two; but what was searched (:mod:`.noise`), and what the first two cannot show, such as a push that comes later, keeps
-the parameters that all rows gave it. In nats of one-step prediction, the parameters' posterior integrated over
-(:mod:`.predict`), with the simulation as it is, with the cause, and the floor that a simulation without a gap would
-reach:
+The data are another recording of the same arm where there is one. Else they are the last third of this one, and the
+cause is refitted on the first two. Two things keep the parameters that all rows gave them: what was searched
+(:mod:`.noise`), and what the first two thirds cannot show, such as a push that comes later. In nats of one-step
+prediction, the parameters' posterior integrated over (:mod:`.predict`), with the simulation as it is, with the cause,
+and the floor that a simulation without a gap would reach:
 
     closed = Σ (with − without) / Σ (floor − without)
 

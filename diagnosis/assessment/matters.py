@@ -6,8 +6,8 @@ in an acceleration by half of what that changes in one step of h seconds (Hairer
     |τ_k| ≲ I_k h/2 |d³θ_k/dt³|,        h = 2 ms, or as short as rows are, I_k the inertia that joint k carries,
 
 and that, too, is no gap. The third derivative is the motion's, of cubics through a tenth of a second of its velocity
-(Savitzky & Golay 1964): from row to row a path is as rough as the torque that the simulation lacks, and a gap may not
-raise the tolerance that it is held against.
+(Savitzky & Golay 1964). From row to row a path is as rough as the torque that the simulation lacks. A gap may not raise
+the tolerance that it is held against.
 
 A torque counts as large as it is in its worst second: a push is over soon. Where detections are louder than their noise
 whatever the torque does, or only the noise itself is otherwise, no torque tells, and the gap matters. An unknown torque

@@ -1,10 +1,11 @@
 """Moves from what was found to its neighbours, from values that follow from its own.
 
 A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a softer
-form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of gravity: the
-path itself is what they shift; and of effects that change a period it sees what a little of them does, not that much
-more of a load hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to an effect, but not
-from its neighbour's parameters and path (continuation: Allgower & Georg 1990, "Numerical continuation methods").
+form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of gravity,
+because they shift the path itself. Of an effect that changes a period it sees what a little does. It does not see that
+a large load, made larger, hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to an
+effect, but not from its neighbour's parameters and path (continuation: Allgower & Georg 1990, "Numerical continuation
+methods").
 """
 
 from collections.abc import Iterator, Mapping, Sequence

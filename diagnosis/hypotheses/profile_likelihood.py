@@ -1,8 +1,8 @@
 """Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and play (:mod:`.backlash_search`).
 
-The evidence of those on the scatter is looked at on a grid, along the base's path and with what the base has left free
-integrated out at each point; from the best point on it is climbed, along a path of its own, and its curvature at the
-top is their integral's width (Laplace).
+The evidence of those on the scatter is first looked at on a grid, along the base's path. What the base has left free is
+integrated out at each point. From the best point on, the evidence is climbed along a path of its own. Its curvature at
+the top is their integral's width (Laplace).
 
 Several of them take each other's part: noise that grows with speed has many stray detections until those are counted
 too, and while they are called that it hardly grows. So each is looked for again beside the others, from its grid on, in

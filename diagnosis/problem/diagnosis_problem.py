@@ -21,7 +21,7 @@ from invdyn.diagnosis.problem.conventions import check_conventions
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
-from invdyn.diagnosis.problem.thinned import thinned
+from invdyn.diagnosis.problem.thinned import looked_at
 from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
 from invdyn.inference.posterior.jitter import jitter
@@ -153,7 +153,7 @@ def diagnosis_problem(
 ) -> DiagnosisProblem:
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     given = [recording] if isinstance(recording, Recording) else recording
-    recording, begins = joined([thinned(each) for each in given])
+    recording, begins = joined([part for each in given for part in looked_at(each)])
     known = recording.torques is not None and np.isfinite(recording.torques).any()
     regime = "passive" if passive else "commanded" if known else "unknown_torque"
     uncertain = uncertain_numbers(body)

@@ -1,8 +1,8 @@
 """Labels that a tracker has exchanged, put right where the links' lengths say so.
 
-A rigid link's ends are its length L apart: with r = max |‖p_i − p_{i−1}‖ − L_i| over the links whose ends are tracked
-(the first link's inner end is the base), a row is put right where r is far above what it is in most rows, and with the
-labels of two keypoints exchanged it is not. What is left of it is for :mod:`.outliers`. It only serves to find a first
+A rigid link's ends are its length L apart. Let r = max |‖p_i − p_{i−1}‖ − L_i| over the links whose ends are tracked;
+the first link's inner end is the base. A row is put right where r is far above what it is in most rows, and is not once
+the labels of two keypoints are exchanged. What is left of it is for :mod:`.outliers`. It only serves to find a first
 path: how often labels are exchanged, an effect says, from the detections as they are.
 
 Shapes: T rows, P keypoints, O observations.

@@ -7,9 +7,10 @@ medians in ``BINS`` bins are compared with a noise that is the same everywhere a
 
 σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
 
-One camera and one network saw all points, and of each alone the noise is known to a twentieth at best, where it grows
-to a third: too little to tell them apart by, and what one is said to have too little of looks like noise that grows.
-Of their differences so much is believed as is worth more than their number (Akaike's criterion as a shrinkage factor):
+One camera and one network saw all points. Of each point alone the noise is known to a twentieth at best, and to a third
+where it grows. That is too little to tell points apart by, and a point said to have too little noise looks as if its
+noise grew. Of their differences so much is believed as is worth more than their number (Akaike's criterion as a
+shrinkage factor):
 
     log σ_p → m + w (log σ_p − m),    m = Σ (log σ_p / s_p²) / Σ 1/s_p²
 

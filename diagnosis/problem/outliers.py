@@ -1,8 +1,8 @@
 """Observations that jump out of their neighbours' course: stray detections and exchanged labels are no fast arm.
 
-A Hampel filter (Hampel 1974) about parabolas instead of a median, as an arm in motion is nowhere near its neighbours'
-median: through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, twenty in all, and with
-d_t the fourth smallest of the distances |y_t − p(t)|, y_t jumps where d_t > 7 × that of most rows. Two of the six may
+A Hampel filter (Hampel 1974) about parabolas instead of a median: an arm in motion is nowhere near its neighbours'
+median. Through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, twenty in all. Let d_t be
+the fourth smallest of the distances |y_t − p(t)|. Then y_t jumps where d_t > 7 × that of most rows. Two of the six may
 have jumped themselves: four parabolas do without them.
 
 The first three and the last three rows have fewer neighbours: each is measured by one parabola through rows on its

@@ -20,11 +20,11 @@ and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
 
     log p_ζ(y) = ζ log p(y) − ½ Σ_i [log(1 + ζλ_i) − ζ log(1 + λ_i)] − ½ (1 − ζ) |(φ̂ − μ)/s|²
 
-so that parameters which are known well, or far from what was expected, cost what they do without tempering.
-Small gaps are weighed as they are, and of large ones no more than α nats count, however many rows there are; for the
-parameters of one cause α is larger, by which .90 of 740 intervals of opened blind runs hold the truth, and .936 of 311
-and .904 of 312 of sealed ones after it. Stray detections, whose thousands of nats nothing else imitates, have a ζ of
-their own (:meth:`.pool.HypothesisPool.score`).
+so that parameters which are known well, or far from what was expected, cost what they do without tempering. Small gaps
+are weighed as they are. Of large ones no more than α nats count, however many rows there are. For the parameters of one
+cause α is larger. It is such that .90 of 740 intervals of opened blind runs hold the truth; of sealed ones after it
+.936 of 311 and .904 of 312 do. Stray detections, whose thousands of nats nothing else imitates, have a ζ of their own
+(:meth:`.pool.HypothesisPool.score`).
 """
 
 import math

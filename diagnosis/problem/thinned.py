@@ -2,19 +2,29 @@
 
 A diagnosis takes time and memory by the row. A log of 500 rows/s says next to nothing that one of 100 does not say as
 well; what drives the arm in between is known, and a row carries it as it came. Of two streams the rarer one, a camera's
-beside encoders, keeps up to half of the rows.
+beside encoders, keeps up to half of the rows. Of a recording too long for that, the stretches that tell most are
+looked at (:mod:`.stretches`).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
+from invdyn.diagnosis.problem.stretches import stretches
 from invdyn.recordings import Recording
 
 ROWS = 2000
 """With an observation, at most, of one recording."""
+
+
+def looked_at(recording: Recording) -> list[Recording]:
+    """What a diagnosis looks at of a recording, ``ROWS`` rows of observations at most: itself, or stretches of it."""
+    parts = stretches(recording, ROWS)
+    lasts = [part.time[-1] - part.time[0] for part in parts]
+    return [thinned(part, int(ROWS * last / sum(lasts))) for part, last in zip(parts, lasts, strict=True)]
 
 
 def thinned(recording: Recording, most: int = ROWS) -> Recording:
@@ -38,10 +48,23 @@ def thinned(recording: Recording, most: int = ROWS) -> Recording:
 
 def left_out(recordings: Sequence[Recording]) -> str | None:
     """A sentence about what a diagnosis does not look at of recordings; None where it looks at all."""
-    total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, [*map(thinned, recordings)]))
+    parts = [looked_at(each) for each in recordings]
+    total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, chain(*parts)))
     if used == total:
         return None
-    return f"Of {total} rows with an observation {used} were looked at, spread evenly, with all commands between them"
+    spread = f"Of {total} rows with an observation {used} were looked at, spread evenly, with all commands between them"
+    cut = [_where(each, of) for each, of in zip(recordings, parts, strict=True) if len(of) > 1]
+    return ". ".join([spread, *cut])
+
+
+def _where(recording: Recording, parts: Sequence[Recording]) -> str:
+    """A sentence about the stretches of a recording."""
+    whole, some = (sum(each.time[-1] - each.time[0] for each in of) for of in ([recording], parts))
+    spans = ", ".join(f"{part.time[0]:.4g}–{part.time[-1]:.4g}" for part in parts)
+    return (
+        f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} s that tell most were looked at, {spans} s, "
+        "one after the other"
+    )
 
 
 def _seen(recording: Recording) -> dict[str, np.ndarray]:

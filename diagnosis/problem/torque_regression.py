@@ -6,8 +6,8 @@ Inverse dynamics are linear in a link's mass m, first moment m c and inertia J a
     τ = Y(q, q̇, q̈) φ + b q̇ + f tanh(q̇/v) + I_a q̈,     φ = φ₀ + δ,     δ ~ N(0, (.3 φ₀)²),     b, f, I_a ≥ 0
 
 The misfit is the root of the least value of mean ((u − τ)/u_rms)² + λ Σ (β/sd)²: 0 where all is explained, 1 where
-nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows; the torque goes through the same
-window, so that what the window takes from the one it takes from the other.
+nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows. The torque goes through the same
+window, so that both lose the same.
 
 Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
 """

@@ -5,12 +5,11 @@ Gaussian around the start (a factor of e^±sd), by Newton's method in a trust re
 is that of the posterior-linearised model (:mod:`.posterior_linearisation`), which on planar arms
 lies within about a nat of the SMC evidence. Gradient and Hessian come by finite differences
 in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised
-over, and run through one backward recursion together. Link lengths are known a hundred times
-better than noise scales: a first-order or quasi-Newton method crawls here.
+over, and run through one backward recursion together. Means that a parameter does not move are fitted once.
+Link lengths are known a hundred times better than noise scales: a first-order or quasi-Newton method crawls here.
 
-A tail heavier than a Gaussian's has rows of negative curvature, which the rows of least squares that stand in for them
-have not: then the gradient is right, and the Hessian may have the wrong sign. So it serves the search, and what is told
-of the parameters comes from differences of the gradient, each with its own mode and posterior.
+Under heavy tails the least squares that stand in for rows have the right gradient, but a Hessian whose sign may be
+wrong: it serves the search. What is told of parameters comes from differences of gradients, each at its own mode.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +22,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
-from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.inference.smoothing.posterior_linearisation import Alike, fit_linear, posterior_linearisation, that_move
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.observation.missing import is_gaussian
 from invdyn.models.state_space import StateSpaceModel
@@ -135,9 +134,7 @@ class _Objective(Generic[M]):
         self.observations, self.parameters = observations, LogParameters(model, free)
         self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
         self.path = start
-        with torch.no_grad():
-            first = torch.zeros(1, model.state_dim, dtype=torch.float64)
-            self.heavy = not is_gaussian(model.emission(first, torch.zeros(1, dtype=torch.long)))
+        self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
 
     def at(self, phi: np.ndarray) -> M:
@@ -162,16 +159,15 @@ class _Objective(Generic[M]):
         if not self.heavy:
             return hessian
         steps = APART / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
-        steps, found = np.clip(steps, STEP, MOST_APART), self.path
-        rows = np.zeros_like(hessian)
+        rows, found = np.zeros_like(hessian), self.path
         try:
-            for k, step in enumerate(steps):
+            for k, step in enumerate(np.clip(steps, STEP, MOST_APART)):
+                self.path = found
                 with diverging():
                     rows[k] = (self._expand(phi + step * np.eye(len(phi))[k])[1] - gradient) / step
         except Diverged:
-            return hessian
-        finally:
-            self.path = found
+            rows = hessian
+        self.path = found
         return (rows + rows.T) / 2
 
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -193,15 +189,15 @@ class _Objective(Generic[M]):
         mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
-        # The mode obeys the dynamics and the posterior's mean does not quite: start from the mode next time.
-        self.path = mode.path
+        self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
 
         unit = STEP * np.eye(size)
         first, second = np.triu_indices(size, 1)
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
         path = smoother.path.expand(len(shifts), *smoother.path.shape)
         covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
-        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance)
+        moved, seen = self._alike(phi, shifts, path, covariance)
+        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance, moved, seen)
         evidence = solve(linear).log_evidence + linear.log_constant
         middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
         gradient = (up - down) / (2 * STEP)
@@ -211,6 +207,18 @@ class _Objective(Generic[M]):
         precision = 1 / self.sd**2
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
         return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
+
+    def _alike(self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor) -> list[Alike]:
+        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P), of transitions and of emissions."""
+        each = np.zeros((1 + len(self.free), len(phi)))
+        for row, index in zip(each[1:], self.slices, strict=True):
+            row[index] = STEP
+        found = []
+        for told in that_move(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
+            moves = each.T @ np.where(told, 1 / STEP, 0.0)
+            fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
+            found.append(Alike(self.at(phi + fewer), torch.as_tensor(number)))
+        return found
 
 
 def fit(

@@ -3,9 +3,9 @@
     angles → zero-phase Butterworth → θ, θ̇, θ̈ by central differences → τ = D(θ) θ̈ + h(θ, θ̇) + c(θ)
 
 Winter (2009), "Biomechanics and motor control of human movement", 4th ed., §3.4. The filter is of second
-order and run forwards and backwards. Without a given cut-off it comes from Winter's residual analysis:
-R(f), the rms of what a filter of cut-off f takes away, falls on a straight line where it takes
-away noise alone; the line's value at f = 0 estimates the rms of all the noise, and the cut-off is where R equals it.
+order and run forwards and backwards. Without a given cut-off it comes from Winter's residual analysis.
+R(f) is the rms of what a filter of cut-off f takes away. It falls on a straight line where the filter takes away noise
+alone. The line's value at f = 0 estimates the rms of all the noise, and the cut-off is where R equals it.
 
 Gaps are bridged by straight lines for the filter's sake only: where one is longer than half a period of
 the cut-off, and at the ends, the result is NaN. One path, no uncertainty, no evidence.

@@ -1,11 +1,11 @@
 """Which coordinates of a body in space its keypoints do not tell, row by row.
 
-A row's sensors tell a small turn dq by J dq / σ, with J (O, K) the slopes of what is seen in it: those of tracked
-sites, m/rad, of pixels, px/rad, and of encoders, each over its noise σ (of pixels with what lasts of a tracker's
-error). Of J / σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad. Where that is more than ``BLUNT`` the direction
-is not seen, and a coordinate is not where such directions make up most of it: the twist of a last link, or of a
-straight arm, and a joint without keypoints beyond it. What a posterior says there is the prior's: its torque's
-stationary law and its start, which are proper, keep it bounded.
+A row's sensors tell a small turn dq by J dq / σ. J (O, K) are the slopes of what is seen in it: tracked sites, m/rad,
+pixels, px/rad, and encoders. Each is over its noise σ, which for pixels includes what lasts of a tracker's error. Of J
+/ σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad. Where that is more than ``BLUNT`` the direction is not seen,
+and a coordinate is not where such directions make up most of it: the twist of a last link, or of a straight arm, and a
+joint without keypoints beyond it. What a posterior says there is the prior's: its torque's stationary law and its
+start, which are proper, keep it bounded.
 
 Shapes: rows (T, O), K coordinates.
 """

@@ -20,9 +20,8 @@ ancestors, which are integers. What becomes of their part of ∇L is a choice, b
 "score" needs multinomial ancestors, whose probability is a product, and is unbiased where resampling does
 not hang on the parameters: at every row (``ess_threshold=1``). Its baseline is the mean of the other filters.
 "soft" carries the gradient through the weights that are left, at the price of their variance: α = 1 is "dropped",
-α = 0 never resamples. "transport" (:mod:`.ot_resampling`) leaves no ancestors to be differentiated and costs N² a row;
-its particles are means of particles, so that p̂ is no longer unbiased and the bound no bound: compare models by
-another estimator's.
+α = 0 never resamples. "transport" (:mod:`.ot_resampling`) leaves no ancestors to be differentiated and costs N² a row.
+Its particles are means of particles, so that p̂ is biased and the bound is none: compare models by another estimator.
 
 Shapes: M filters × N particles, weights and evidence in float64 as in :mod:`.particle_filter`.
 """

@@ -8,9 +8,9 @@ With the hinges' common axis n, what moves together is one link, of
 
 No other moment is looked at: a tensor may break the triangle inequality in directions that the plane never uses. The
 plane is (x, z) for hinges about y, (x, y) about z, (y, z) about x: the recording's x and y. Angles need no conversion:
-ours are Denavit–Hartenberg, seen in the picture, whatever pose the file calls zero. Where a robot's own angles are
-wanted, q = ±(θ − θ₀), with θ₀ the angle of the link where the file's own angles are 0, and − for a hinge about the axis
-that points away from the viewer; torques then change their sign too, and a warning says so.
+ours are Denavit–Hartenberg, seen in the picture, whatever pose the file calls zero. A robot's own
+angles are q = ±(θ − θ₀), where they are wanted. θ₀ is the angle of the link where the file's own angles are 0. The sign
+is − for a hinge about the axis that points away from the viewer; torques then change sign too, and a warning says so.
 
 Of the last link's marked points the one farthest from its hinge is the tip; else the farthest frame of what is fixed to
 it; else the far end of a shape. What a file has and a rigid body lacks is named in a warning: a diagnosis may find it.
@@ -119,9 +119,9 @@ def _axis(hinges: Sequence[PartJoint], where: str) -> tuple[int, np.ndarray]:
     for hinge, own in zip(hinges, axes, strict=True):
         if not abs(own[axis]) >= PARALLEL:
             raise BodyError(
-                f"{where}: expected all hinges about one of the axes x, y and z, so that the chain moves in a plane; "
-                f"joint '{hinge.name}' turns about ({', '.join(f'{a:.3g}' for a in own)}); "
-                "if it stands still in the recording, make it a fixed one"
+                f"{where}: expected all hinges about one axis, x, y or z; "
+                f"joint '{hinge.name}' turns about ({', '.join(f'{a:.3g}' for a in own)}): "
+                "make it a fixed one if it stands still in the recording"
             )
     return axis, np.sign(axes[:, axis])
 

@@ -45,6 +45,6 @@ def check_inertia(matrix: np.ndarray, turning: np.ndarray, where: str) -> None:
     if largest > (smallest + middle) + SLACK * largest:
         raise BodyError(
             f"{where}: its largest principal moment of inertia, {largest:.4g} kg·m², exceeds the sum of the two "
-            f"others, {smallest + middle:.4g}; no rigid body has that: is the order xx, yy, zz, xy, xz, yz, about the "
-            "centre of mass?"
+            f"others, {smallest + middle:.4g}, as in no rigid body: give xx, yy, zz, xy, xz, yz, about the centre of "
+            "mass"
         )

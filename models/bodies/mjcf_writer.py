@@ -1,13 +1,15 @@
 """A body as MJCF, for MuJoCo and whatever reads its files.
 
-Bodies, joints, sites and inertials have the names of links, coordinates and sites; a joint of several coordinates is
-several of that one body, in the order in which they act, so that coordinates and torques mean the same on both sides.
+Bodies, joints, sites and inertials have the names of links, coordinates and sites. A joint of several coordinates
+becomes several joints of one body, in the order in which they act. So coordinates and torques mean the same on both
+sides.
 All is written at coordinates 0. Inertials come as principal moments and the quaternion (w, x, y, z) of their axes.
 
 MuJoCo wants of whatever moves a mass and moments above 1e-15, and moments that a rigid body can have. A massless link
-with one child becomes more joints of the child; a moment of 0 becomes 2e-15 kg·m²; where a link turns about one
-direction alone, and its tensor is no rigid body's (a planar body's says the moment about z alone), the moment about
-that direction stands for all three. Capsules show the links in a viewer; they weigh nothing and touch nothing.
+with one child becomes more joints of the child. A moment of 0 becomes 2e-15 kg·m². A link that turns about one
+direction alone may have a tensor that is no rigid body's: a planar body's says the moment about z alone. Then the
+moment about that direction stands for all three. Capsules show the links in a viewer; they weigh nothing and touch
+nothing.
 """
 
 import warnings

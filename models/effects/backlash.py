@@ -16,8 +16,8 @@ Where contact begins or ends a sub-step ends with it (event location: Hairer, N�
 Differential Equations I", II.6; :mod:`invdyn.models.dynamics.dense_output`), and the rest of that is a sub-step of
 its own: through contacts, too, errors fall with the fourth power of the sub-step. Left to its end they fell with
 the first, and one recording of 259 rows lost 98 nats by that. More contacts than a row has room for do wait for
-the end (Moreau's time-stepping) and give nothing back: an impact was then earlier by as long as the gap took for
-what it is too wide, and Δangles = the same of that in place of (1 + e) ψ̇ keeps the centre of inertia.
+the end (Moreau's time-stepping) and give nothing back. Such an impact was earlier by the time that the gap took to
+become too wide. Δangles = the same of that excess, in place of (1 + e) ψ̇, keeps the centre of inertia.
 """
 
 import math

@@ -1,8 +1,8 @@
 """What an effect is: something that an ideal rigid body lacks, as Pyro parameters and the hooks that it changes.
 
-An effect is one file and one class, named as in the catalogue (:mod:`.catalogue`). It says where it acts (a joint, a
-link, a keypoint, a pair of joints or the whole arm), which parameters it has, with prior, unit and the value at which
-it is absent, and overrides those hooks that it changes; the others pass on what they are given.
+An effect is one file and one class, named as in the catalogue (:mod:`.catalogue`). It says where it acts: a joint, a
+link, a keypoint, a pair of joints or the whole arm. It says which parameters it has, each with prior, unit and the
+value at which it is absent. It overrides those hooks that it changes; the others pass on what they are given.
 
     body       the body's numbers                                   its own named tuple → the same
     command    what the motors make of the command                  Command → Command

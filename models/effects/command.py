@@ -1,7 +1,7 @@
 """A commanded torque as the motors make it: within each row a straight line.
 
-A command is held from its row to the next. What a delay or a lag makes of it is no longer constant within a row; a
-straight line with the same impulse ∫u dt and first moment ∫u t dt stands for it, whose effect on the arm differs
+A command is held from its row to the next. What a delay or a lag makes of it is no longer constant within a row. A
+straight line with the same impulse ∫u dt and first moment ∫u t dt stands for it. The line's effect on the arm differs
 only in the third order of the row's length.
 
     u(t_r + s δ_r) = mean_r + slope_r (s − ½),   0 ≤ s < 1

@@ -7,21 +7,21 @@ within a sub-step h. With a_0 the accelerations without friction and A = (D + di
 
 by projected Gauss–Seidel sweeps (Jean & Moreau's contact solver) from what would stop all joints; that is exact for one
 joint, and for any that all stick. A joint that slides gets −L sgn θ̇; one at rest that nothing overcomes stays at rest,
-and does not creep as under a smoothed sign. A joint that comes to a stop within h, at t* = |θ̇| / (A L − a sgn θ̇) with a
-its acceleration but for its own friction, and is pushed on, |a| > A L, gets the mean of what acts before and after,
-L (1 − 2 t*/h) sgn θ̇. Where friction f(t) jumps within h like this, or holds what has stopped, its mean f̄ alone leads
-to the right speed, but not to the right place: that is off by
+and does not creep as under a smoothed sign. Let a be a joint's acceleration but for its own friction. A joint that
+comes to a stop within h does so at t* = |θ̇| / (A L − a sgn θ̇). If it is then pushed on, |a| > A L, it gets the mean
+of what acts before and after, L (1 − 2 t*/h) sgn θ̇. Where friction f(t) jumps within h like this, or holds what has
+stopped, its mean f̄ alone leads to the right speed, but not to the right place: that is off by
 
     A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
-Where friction is soft and settles a joint with a time constant T, but lets it creep with a speed a ρ
-(:mod:`.regularised_friction`), w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a), above which
-it is −L and below +L: at constant a all of a sub-step in closed form, its mean and where it leads. Between two
-joints w and h / (1 − exp(−h/T)) take the places of θ̇ and h.
+Soft friction settles a joint with a time constant T, but lets it creep with a speed a ρ (:mod:`.regularised_friction`).
+Then w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a); above them friction is −L, below them +L. At
+constant a, a sub-step's mean and end thus have closed forms. Between two joints w and h / (1 − exp(−h/T)) take the
+places of θ̇ and h.
 
-Levels that change with speed or load, and what soft friction settles against, are those half a sub-step later, where
-the friction of the beginning leads (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1): while it slides, that is of
-second order in h, not of first.
+Levels that change with speed or load, and what soft friction settles against, are taken half a sub-step later, where
+the friction of the beginning leads (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1). For a joint that slides, this
+is of second order in h, not of first.
 """
 
 from collections.abc import Callable, Mapping

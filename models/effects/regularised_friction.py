@@ -1,9 +1,9 @@
 """Dry friction whose joint does not come to rest at once: the ideal law, and its softer forms.
 
-Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it: a joint is brought with a time
-constant T, as far as friction's level L allows, to the speed at which it creeps under what friction holds (Todorov
-2014, "Convex and analytically invertible dynamics with contacts and constraints", regularised friction), with a its
-acceleration but for the friction, A its mobility, 1/(kg·m²), and a time ρ
+Ideal dry friction takes what speed there is in no time. Solvers of contacts soften it (Todorov 2014, "Convex and
+analytically invertible dynamics with contacts and constraints", regularised friction). As far as friction's level L
+allows, a joint is brought with a time constant T to the speed a ρ. So fast it creeps under what friction holds. With a
+the joint's acceleration but for the friction, A its mobility, 1/(kg·m²), and a time ρ
 
     f = −clip((a + (θ̇ − a ρ)/T) / A, ±L)
 

@@ -60,8 +60,8 @@ def fit_intrinsics(name: str, board: Board, found: dict[int, np.ndarray], size: 
         )
     if (perspective := max(_perspective(board, pixels) for pixels in found.values())) < LEAST_PERSPECTIVE:
         raise InputError(
-            f"camera {name!r}: the board's near edge looks {perspective:.1%} larger than its middle at most, so "
-            "nothing tells the focal length: tilt the board by 30° and more, this way and that, near and far"
+            f"camera {name!r}: nothing tells the focal length, as the board's near edge looks {perspective:.1%} larger "
+            "than its middle at most: tilt the board by 30° and more, this way and that, near and far"
         )
     chosen = _spread([found[number] for number in sorted(found)])
     fit = _fit(board, chosen, size)

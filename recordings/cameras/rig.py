@@ -40,8 +40,8 @@ def fit_rig(board: Board, lenses: dict[str, Intrinsics], found: dict[str, dict[i
     names = list(lenses)
     if len(names) > 1 and not board.told_apart:
         raise InputError(
-            f"a checkerboard of {board.columns} × {board.rows} corners looks the same turned round, so two cameras "
-            "cannot tell its corners apart: take one of an odd and an even side, or a ChArUco board"
+            f"a checkerboard of {board.columns} × {board.rows} corners looks the same turned round, so cameras confuse "
+            "its corners: take one with an odd and an even side, or a ChArUco board"
         )
     cameras = {name: _camera(name, lens, (np.eye(3), np.zeros(3))) for name, lens in lenses.items()}
     boards = {name: {at: _board_pose(board, cameras[name], found[name][at]) for at in found[name]} for name in names}

@@ -115,8 +115,8 @@ def reconstruct(
     calibration = views.calibration
     if not (calibration.metric or lengths or baseline):
         raise InputError(
-            "the calibration does not say what its lengths are in: state one, --length FROM:TO=METRES of two keypoints "
-            "or --baseline FROM:TO=METRES of two cameras, or its unit, --unit mm"
+            "the calibration does not say what its lengths are in: pass its unit (--unit mm), or a length between two "
+            "keypoints (--length FROM:TO=METRES) or two cameras (--baseline FROM:TO=METRES)"
         )
     if intrinsics and not refine:
         raise InputError("lenses are adjusted together with poses only: ask for both")

@@ -1,17 +1,20 @@
 """`invdyn diagnose`: what it is given, what it writes and says; bad input leaves everything as it was."""
 
 import json
+import re
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
 from invdyn.diagnosis.report import write_report
-from invdyn.recordings import InputError
+from invdyn.recordings import InputError, write_keypoint_csv
 
 DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "found")
 COMMANDED = "time,shoulder_x,shoulder_y,elbow_x,elbow_y,wrist_x,wrist_y,shoulder_torque,elbow_torque\n"
@@ -129,6 +132,30 @@ def test_keypoints_stay_where_they_were_filmed(commanded, run, calls):
     np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.1, 0.2], [2.1, 0.2]])
     run(*commanded[:2], "--body", "arm.toml", "--out", "found", "--base", "shoulder")
     np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.0, 0.0], [2.0, 0.0]])
+
+
+def test_a_camera_beside_a_log(folder, run, calls):
+    """Its clock is found from the motion and said, or stated; the two are one recording."""
+    both = robot_log(5)
+    ARM.to_toml(folder / "robot.toml")
+    seen = np.isfinite(both.keypoints).all((1, 2))
+    film = replace(both.at(seen), angles=None, torques=None, joint_names=())
+    write_keypoint_csv(replace(film, time=film.time + 2.5), folder / "film.csv")
+    write_keypoint_csv(replace(both, keypoints=both.keypoints[:, :0], keypoint_names=()), folder / "log.csv")
+    given = ("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--beside", "film.csv")
+    outcome = run(*given)
+    assert outcome.exit_code == 0, outcome.stderr
+    said = re.search(r"clock      film is ahead of log by (\S+) ± (\S+) s", outcome.stdout)
+    assert abs(float(said[1]) - 2.5) < 0.002
+    assert run(*given, "--clock", "2.5").exit_code == 0
+    for call in calls:
+        recording = call["recording"]
+        assert recording.keypoint_names == both.keypoint_names
+        assert np.isfinite(recording.keypoints).all((1, 2)).sum() == seen.sum()
+    assert calls[1]["recording"].num_frames == both.num_frames
+    refused = run("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--clock", "2.5")
+    assert refused.exit_code == 2
+    assert "name its keypoints with --beside" in refused.stderr
 
 
 def test_not_enough_data_is_an_answer(folder, run, calls):

@@ -25,7 +25,8 @@ from invdyn.recordings import write_keypoint_csv
 LEFT_OUT = pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarning")
 """What a robot's file has besides is told."""
 RUN = {
-    "": None,  # commands
+    "": None,  # commands: test_docs.py parses them, test_docs_inline.py what is not ours
+    "text": {ROOT / "docs" / "blind_protocol.md"},  # names of files, and words for another program's command
     "python": {*GUIDES, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "files.md"},
     "toml": {*GUIDES, ROOT / "docs" / "files.md"},
     "csv": {ROOT / "docs" / "files.md"},

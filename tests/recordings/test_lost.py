@@ -70,6 +70,6 @@ def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
         kept = without_lost(recording, pixels=True)
     np.testing.assert_array_equal(kept.keypoints, points)
     assert [
-        str(each.message).startswith("heel stands at one place to the last digit in 5 rows, such as 21 to 25")
+        str(each.message).startswith("heel stands still to the last digit in 5 rows, such as 21 to 25")
         for each in caught
     ] == [True] * told

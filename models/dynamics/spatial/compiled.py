@@ -1,57 +1,57 @@
-"""A traced program as one loop over particles, compiled by numba: no gradients, a tenth of torch's time or less.
+"""Traced programs without gradients, as machine code: torch's numbers to the last bit, in a twentieth of its time.
 
-Arguments lie by column, (columns, B, N): B bodies with N particles each, or B = 1 where all have the same body; numbers
-of the body are (count, B), or (count, B, N) where each particle has its own. Angles' cosines and sines come in ready:
-torch computes them for many at a time. Divisions follow numpy's rules, and NaN and infinity are kept.
+torch takes one operation after the other over all particles, and each costs microseconds whatever their number. The
+machine code (:mod:`.machine_code`) takes all operations for eight particles, then for the next eight. Angles' cosines
+and sines come in ready: torch computes them for many at a time.
 
-Compiled loops live as long as their dynamics. numba could keep them on disk, but as pickles, which run code when they
-are read; the few seconds are not worth that.
+Compiling pays where a program runs often. As both ways give the same bits, it is only a matter of time which one runs:
+a program is compiled once torch has spent on it about what compiling costs (the ski-rental rule: Karlin, Manasse,
+Rudolph and Sleator 1988).
+
+Arguments lie by column, (columns, B, N): B bodies with N particles each, or B = 1 where all have the same body.
 """
 
+import ctypes
 import logging
 import math
-import time
-import warnings
 from collections.abc import Callable, Mapping, Sequence
-from itertools import accumulate
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models.dynamics.spatial.programs import Program, function
+from invdyn.models.dynamics.spatial.machine_code import LANES, MachineCode, machine_code
+from invdyn.models.dynamics.spatial.programs import Program
 
-FASTMATH = {"contract", "reassoc", "nsz", "arcp"}  # not nnan and ninf: a simulation that diverges must show it
-LANES = 16
-"""Particles in a block: in float32 what one vector register of the widest kind holds."""
-LONG = 2.0
-"""Seconds of compiling from which on the user is told."""
-DTYPES = {torch.float32: np.float32, torch.float64: np.float64}
+PAYS = 20
+"""Calls of torch that cost what compiling does; particles beyond the first of a call cost ``EACH`` of one more."""
+EACH = 1 / 3000
 
 _log = logging.getLogger(__name__)
 
 
-def engine() -> Any:
-    """The numba package, or None, with one warning."""
+def is_there() -> bool:
+    """Whether there is a compiler (llvmlite, extra ``fast``)."""
     try:
-        import numba
+        import llvmlite  # noqa: F401
     except ImportError:
-        warnings.warn(
-            "fast dynamics need `pip install 'invdyn[fast]'`; torch does it in ten times the time", stacklevel=3
-        )
-        return None
-    return numba
+        return False
+    return True
 
 
 class Compiled:
-    """Loops of programs, each compiled at its first use; `seconds` of CPU that this took, by method and dtype."""
+    """Machine code of programs, each compiled once it pays."""
 
-    def __init__(self, numba: Any):
-        self._numba = numba
-        self._loops: dict[tuple, Any] = {}
+    def __init__(self, after: float = PAYS) -> None:
+        self._after = after
+        self._code: dict[tuple, tuple[MachineCode, Program]] = {}
+        self._spent: dict[int, float] = {}
         self._bodies: dict[str, tuple] = {}
-        self.seconds: dict[str, float] = {}
+
+    def pays(self, traced: Program, batch: Sequence[int]) -> bool:
+        """Whether to run a program as machine code, for a ``batch`` of particles; asked once before each run."""
+        spent = self._spent.get(id(traced), 0.0)
+        self._spent[id(traced)] = spent + 1 + EACH * math.prod(batch)
+        return spent >= self._after
 
     def __call__(
         self, method: str, traced: Program, joint: Mapping[str, Tensor], numbers: Sequence[Tensor], batch: Sequence[int]
@@ -59,16 +59,19 @@ class Compiled:
         """Outputs (*batch, O) of arguments (..., columns) by word, and of numbers (...), laid out by column."""
         dtype = joint["q"].dtype
         body, own = self._body(method, numbers, batch, dtype)
-        B = 1 if own else body.shape[1]
+        B = 1 if own or not numbers else body.shape[1]
         N = math.prod(batch) // B
+        if not N:
+            return joint["q"].new_empty(len(traced.source.results), *batch).movedim(0, -1)
         given = [_by_column(joint[word], batch, (B, N)) for word in traced.words]
+        words = (ctypes.c_void_p * len(given))(*(each.data_ptr() for each in given))
         out = torch.empty(len(traced.source.results), B, max(N, LANES), dtype=dtype)
-        loop, literals = self._loop(method, traced, [len(columns) for columns in given], own, dtype)
-        loop(*given, body, literals, out.numpy())
+        call = self._compiled(method, traced, dtype, own)
+        call(words, body.data_ptr(), out.data_ptr(), B, out.shape[-1])
         return out[..., :N].reshape(-1, *batch).movedim(0, -1)
 
     def _body(self, method: str, numbers: Sequence[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
-        """Numbers as an array (count, B, 1), or (count, 1, N) where each particle has its own: True then.
+        """Numbers (count, B), or (count, 1, N) where each particle has its own: True then.
 
         It is kept for as long as the same list of numbers comes.
         """
@@ -77,75 +80,21 @@ class Compiled:
             split = _first_shared(numbers, len(batch))
             B, N = math.prod(batch[:split]), math.prod(batch[split:])
             own = N == 1 < B
-            array = np.empty((len(numbers), B), DTYPES[dtype])
+            array = torch.empty(len(numbers), B, dtype=dtype)
             shape = (*batch[:split], *(1 for _ in batch[split:]))
             for row, number in zip(array, numbers, strict=True):
-                row[...] = number.detach().expand(shape).reshape(B).numpy()
-            found = _filled(array[:, None, :]) if own else array[:, :, None], own
+                row.copy_(number.detach().expand(shape).reshape(B))
+            found = _filled(array[:, None, :]) if own else array, own
             self._bodies[method] = numbers, batch, found
         return found
 
-    def _loop(self, method: str, traced: Program, sizes: list[int], own: bool, dtype: torch.dtype) -> Any:
+    def _compiled(self, method: str, traced: Program, dtype: torch.dtype, own: bool) -> Callable[..., None]:
         key = (id(traced), own, dtype)
-        if key not in self._loops:
-            began = time.thread_time()
-            scalar = self._numba.from_dtype(np.dtype(DTYPES[dtype]))
-            array = scalar[:, :, ::1]
-            types = (*(array for _ in traced.words), array, scalar[::1], array)
-            compiling = self._numba.njit(self._numba.void(*types), fastmath=FASTMATH, error_model="numpy", nogil=True)
-            # the program is kept with its loop: the id of one that is gone could become another's
-            literals = np.array(list(traced.source.literals.values()), DTYPES[dtype])
-            self._loops[key] = compiling(_loop_source(traced, sizes, own)), literals, traced
-            took = time.thread_time() - began
-            self.seconds[f"{method} {str(dtype).removeprefix('torch.')}"] = took
-            said = "numba compiled %s of %d operations in %.1f s of CPU: once for as long as these dynamics live"
-            _log.log(logging.WARNING if took > LONG else logging.INFO, said, method, traced.operations, took)
-        return self._loops[key][:2]
-
-
-def _loop_source(traced: Program, sizes: Sequence[int], own: bool) -> Callable:
-    """The loop over bodies, blocks of particles, and the lanes of a block; `sizes` are the columns of each word.
-
-    A block's columns are copied next to each other first: of columns that lie anywhere, the compiler cannot know that
-    results do not overwrite arguments, and would take one particle at a time.
-    """
-    source, words = traced.source, traced.words
-    given = [*zip(words, sizes, strict=True), *([("body", len(source.numbers))] if own else [])]
-    first = dict(zip(dict(given), accumulate((size for _, size in given), initial=0), strict=False))
-    results = sum(size for _, size in given)
-    named = [(name, first[word] + place) for name, (word, place) in zip(source.arguments, traced.moving, strict=True)]
-    numbers = list(enumerate(source.numbers))
-    if own:
-        named += [(name, first["body"] + place) for place, name in numbers]
-    copies = [f"block[{first[word]} + k, lane] = {word}[k, b, start + lane]" for word, _ in given]
-    return function(
-        f"loop({', '.join([*words, 'body', 'literals', 'out'])})",
-        [
-            *(f"{name} = literals[{place}]" for place, name in enumerate(source.literals)),
-            f"block = zeros(({results + len(source.results)}, {LANES}), out.dtype)",
-            "for b in range(out.shape[1]):",
-            *(f"    {name} = body[{place}, b, 0]" for place, name in numbers if not own),
-            f"    for begin in range(0, out.shape[2], {LANES}):",
-            f"        start = min(begin, out.shape[2] - {LANES})",  # the last block is a whole one, too
-            *(
-                line
-                for (_, size), copy in zip(given, copies, strict=True)
-                for line in (
-                    f"        for k in range({size}):",
-                    f"            for lane in range({LANES}):",
-                    f"                {copy}",
-                )
-            ),
-            f"        for lane in range({LANES}):",
-            *(f"            {name} = block[{place}, lane]" for name, place in named),
-            *(f"            {line}" for line in source.lines),
-            *(f"            block[{results + place}, lane] = {name}" for place, name in enumerate(source.results)),
-            f"        for k in range({len(source.results)}):",
-            f"            for lane in range({LANES}):",
-            f"                out[k, b, start + lane] = block[{results} + k, lane]",
-        ],
-        {"zeros": np.zeros},
-    )
+        if key not in self._code:
+            # The program is kept with its code: the id of one that is gone could become another's.
+            self._code[key] = machine_code(traced, dtype, own), traced
+            _log.info("compiled %s of %d operations for %s", method, traced.operations, dtype)
+        return self._code[key][0].call
 
 
 def _first_shared(numbers: Sequence[Tensor], ndim: int) -> int:
@@ -159,18 +108,14 @@ def _first_shared(numbers: Sequence[Tensor], ndim: int) -> int:
     return split
 
 
-def _by_column(value: Tensor, batch: Sequence[int], shape: tuple[int, int]) -> np.ndarray:
-    array = value.numpy(force=True)  # without its gradient
-    if array.shape[:-1] != batch:
-        array = np.broadcast_to(array, (*batch, array.shape[-1]))
-    array = array.transpose(array.ndim - 1, *range(array.ndim - 1))
-    return _filled(np.ascontiguousarray(array.reshape(-1, *shape)))
+def _by_column(value: Tensor, batch: Sequence[int], shape: tuple[int, int]) -> Tensor:
+    value = value.detach()
+    if value.shape[:-1] != batch:
+        value = value.expand(*batch, value.shape[-1])
+    return _filled(value.movedim(-1, 0).reshape(-1, *shape).contiguous())
 
 
-def _filled(array: np.ndarray) -> np.ndarray:
+def _filled(columns: Tensor) -> Tensor:
     """The same, with zeros up to one block where there are fewer particles."""
-    if array.shape[-1] >= LANES:
-        return array
-    whole = np.zeros((*array.shape[:-1], LANES), array.dtype)
-    whole[..., : array.shape[-1]] = array
-    return whole
+    missing = LANES - columns.shape[-1]
+    return torch.nn.functional.pad(columns, (0, missing)) if missing > 0 else columns

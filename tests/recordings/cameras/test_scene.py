@@ -57,7 +57,7 @@ def test_a_stated_length_makes_it_metric(tmp_path):
     files = write_tracks(tmp_path, calibration)
     unknown = calibration.scaled(7.0, metric=False)
     views = read_views(files, unknown)
-    with pytest.raises(InputError, match="state one"):
+    with pytest.raises(InputError, match="does not say what its lengths are in: pass its unit"):
         reconstruct(views)
     by_arm = reconstruct(views, lengths=[Length("shoulder", "elbow", 0.3), Length.parse("elbow:wrist=.25")], scale=1.0)
     by_cameras = reconstruct(views, baseline=Length("cam1", "cam2", calibration.baseline("cam1", "cam2")), scale=1.0)

@@ -1,53 +1,75 @@
-"""Programs compiled by numba: torch's numbers, gradients where they are asked for, and a word without numba."""
+"""Programs as machine code: torch's numbers to the last bit, gradients where they are asked for, and when it pays."""
 
 import logging
+import math
 import sys
 
 import pytest
 import torch
-from chains import assert_close as close
-from trees import mobile_arm, paper_arm, random_state
+from torch.fx.experimental.proxy_tensor import make_fx
+from trees import mobile_arm, panda, paper_arm, random_state, random_tree
 
-from invdyn.models.dynamics.spatial.compiled import LONG
+from invdyn.models.dynamics.spatial.compiled import PAYS, Compiled
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 
 K = 4
+DTYPES = [torch.float32, torch.float64]
 
 
-@pytest.fixture(scope="module")
-def fast():
-    pytest.importorskip("numba")
-    return SpatialDynamics(paper_arm(), fast=True)
+def both(tree):
+    """Dynamics as machine code from the first call, and by torch alone."""
+    pytest.importorskip("llvmlite")
+    return SpatialDynamics(tree, compile_after=0), SpatialDynamics(tree, compile_after=math.inf)
 
 
-def test_the_same_as_torch(fast, caplog):
-    slow, p = SpatialDynamics(paper_arm()), paper_arm().parameters()
-    caplog.set_level(logging.INFO, "invdyn.models.dynamics.spatial.compiled")
+def same(found, expected):
+    """To the last bit, NaN where that is."""
+    assert found.dtype == expected.dtype
+    assert found.shape == expected.shape
+    assert torch.equal(found.nan_to_num(7e7), expected.nan_to_num(7e7))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("tree", [paper_arm(), panda(), random_tree(3, 5)], ids=lambda tree: tree.name)
+def test_torchs_bits(tree, dtype):
+    fast, slow = both(tree)
+    p = tree.parameters(dtype)
+    q, qd, tau = random_state(tree.num_joints, 0, (50,), dtype)
+    own = torch.linspace(0.1, 0.7, tree.num_joints, dtype=dtype)
+    same(fast.forward(q, qd, tau, p), slow.forward(q, qd, tau, p))
+    same(fast.forward(q, qd, tau, p, own), slow.forward(q, qd, tau, p, own))
+    same(fast.response(q, tau, p), slow.response(q, tau, p))
+    for method in ("inverse", "bias", "inertia_matrix", "jacobian"):
+        given = {"inverse": (q, qd, tau), "bias": (q, qd)}.get(method, (q,))
+        same(getattr(fast, method)(*given, p), getattr(slow, method)(*given, p))
+
+
+def test_any_layout_and_number_of_particles():
+    fast, slow = both(paper_arm())
+    p = paper_arm().parameters()
     state = random_state(K, 0, batch=(50,))
-    close(fast.forward(*state, p), slow.forward(*state, p), 1e-9)  # thin rods: D's condition is large
-    close(fast.keypoints(state[0], p), slow.keypoints(state[0], p), 1e-12)
-    assert 0 < fast.compile_seconds["forward float64"] < 20
-    told = {record.args[0]: record.levelno for record in caplog.records if "numba compiled" in record.msg}
-    for method, level in told.items():  # who waits long is told without asking
-        assert level == (logging.WARNING if fast.compile_seconds[f"{method} float64"] > LONG else logging.INFO)
-    assert set(told) == {"forward", "keypoints"}
-    # by row or by column, one at a time or in a table
+    whole = slow.forward(*state, p)
     turned = [x.movedim(-1, 0).contiguous().movedim(0, -1).reshape(5, 10, K) for x in state]
-    close(fast.forward(*turned, p).reshape(50, K), fast.forward(*state, p), 1e-15)
-    close(fast.forward(*(x[7] for x in state), p), fast.forward(*state, p)[7], 1e-12)
+    same(fast.forward(*turned, p), whole.reshape(5, 10, K))
+    for count in (0, 1, 7, 8, 9):
+        same(fast.forward(*(x[:count] for x in state), p), whole[:count])
+    same(fast.forward(*(x[7] for x in state), p), whole[7])
+    same(fast.forward(state[0][:, None], state[1][None], state[2][0], p).diagonal().T[:1], whole[:1])
 
 
-def test_each_body_and_each_particle_of_its_own(fast):
-    slow, p = SpatialDynamics(paper_arm()), paper_arm().parameters()
+def test_each_body_and_each_particle_of_its_own():
+    fast, slow = both(paper_arm())
+    p = paper_arm().parameters()
     state = random_state(K, 1, batch=(6, 5))
     for batch in ((6, 1), (5,), (6, 5)):
         many = p._replace(mass=p.mass * torch.linspace(0.5, 2, 30)[: torch.Size(batch).numel()].reshape(*batch, 1))
-        close(fast.forward(*state, many), slow.forward(*state, many), 1e-9)
+        same(fast.forward(*state, many), slow.forward(*state, many))
     # the same numbers in another list, another batch
-    close(fast.forward(*(x[0] for x in state), p), slow.forward(*(x[0] for x in state), p), 1e-9)
+    same(fast.forward(*(x[0] for x in state), p), slow.forward(*(x[0] for x in state), p))
 
 
-def test_gradients_come_from_torch(fast):
+def test_gradients_come_from_torch():
+    fast, _ = both(paper_arm())
     p, (q, qd, tau) = paper_arm().parameters(), random_state(K, 2)
     fast.forward(q, qd, tau.requires_grad_(), p).sum().backward()
     assert tau.grad.abs().sum() > 0
@@ -62,36 +84,54 @@ def test_gradients_come_from_torch(fast):
     assert mass.grad.abs().sum() > 0
 
 
-def test_single_precision(fast):
-    state = [x.float() for x in random_state(K, 3, batch=(20,))]
-    found = fast.forward(*state, paper_arm().parameters(torch.float32))
-    assert found.dtype == torch.float32
-    close(found, SpatialDynamics(paper_arm()).forward(*state, paper_arm().parameters(torch.float32)), 1e-3)
+def test_recorded_and_mapped_operations_stay_torchs():
+    fast, slow = both(paper_arm())
+    p, state = paper_arm().parameters(), random_state(K, 5, batch=(9,))
+    other = [x.flip(0).contiguous() for x in state]
+    with torch.no_grad():
+        recorded = make_fx(lambda *given: fast.forward(*given, p))(*state)
+        same(recorded(*other), slow.forward(*other, p))
+        same(torch.func.vmap(lambda *given: fast.forward(*given, p))(*state), slow.forward(*state, p))
 
 
-def test_what_diverges_shows(fast):
+def test_what_diverges_shows():
+    fast, slow = both(paper_arm())
     q, qd, tau = random_state(K, 4, batch=(3,))
     qd[1] = torch.inf
     found = fast.forward(q, qd, tau, paper_arm().parameters())
     assert found[[0, 2]].isfinite().all()
     assert not found[1].isfinite().any()
+    same(found, slow.forward(q, qd, tau, paper_arm().parameters()))
 
 
 def test_driven_joints_and_places():
-    pytest.importorskip("numba")
     tree = mobile_arm(driven=True)
-    fast, slow, p = SpatialDynamics(tree, fast=True), SpatialDynamics(tree), tree.parameters()
+    fast, slow = both(tree)
+    p = tree.parameters()
     path = Driven(*random_state(1, 0, batch=(9,)))
     q, qd, qdd = random_state(tree.num_joints, 5, batch=(9,))
-    close(fast.keypoints(q, p, path), slow.keypoints(q, p, path), 1e-12)
-    close(fast.inverse(q, qd, qdd, p, path), slow.inverse(q, qd, qdd, p, path), 1e-12)
+    same(fast.keypoints(q, p, path), slow.keypoints(q, p, path))
+    same(fast.inverse(q, qd, qdd, p, path), slow.inverse(q, qd, qdd, p, path))
 
 
-def test_without_numba_torch_does_it_and_says_so(monkeypatch):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.warns(UserWarning, match=r"pip install 'invdyn\[fast\]'") as told:
-        dynamics = SpatialDynamics(paper_arm(), fast=True)
-    assert len(told) == 1
-    state, p = random_state(K, 0), paper_arm().parameters()
-    close(dynamics.forward(*state, p), SpatialDynamics(paper_arm()).forward(*state, p), 0)
-    assert dynamics.compile_seconds == {}
+def test_compiled_once_torch_has_spent_what_it_costs(caplog):
+    pytest.importorskip("llvmlite")
+    caplog.set_level(logging.INFO, "invdyn.models.dynamics.spatial.compiled")
+    dynamics, p, state = SpatialDynamics(paper_arm()), paper_arm().parameters(), random_state(K, 0, batch=(50,))
+    for _ in range(PAYS - 1):
+        dynamics.forward(*state, p)
+    assert not caplog.records
+    for _ in range(3):
+        found = dynamics.forward(*state, p)
+    assert [record.args[0] for record in caplog.records] == ["forward"]
+    same(found, SpatialDynamics(paper_arm(), compile_after=math.inf).forward(*state, p))
+    # a call of very many particles is worth several
+    compiled, traced = Compiled(), object()
+    assert not compiled.pays(traced, (1000, 100))
+    assert compiled.pays(traced, (1,))
+
+
+def test_without_a_compiler_torch_does_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
+    dynamics, p, state = SpatialDynamics(paper_arm(), compile_after=0), paper_arm().parameters(), random_state(K, 0)
+    same(dynamics.forward(*state, p), SpatialDynamics(paper_arm(), compile_after=math.inf).forward(*state, p))

@@ -1,0 +1,56 @@
+"""A camera's keypoints beside a robot's log: one recording of the rows of both, on the log's clock."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .errors import InputError
+from .recording import Recording
+
+TOGETHER = 1e-6
+"""s between rows that are one."""
+
+
+def beside(log: Recording, film: Recording, ahead: float = 0.0) -> Recording:
+    """The log's angles and torques (T, K) with the film's keypoints, in all rows of either while the log runs.
+
+    ``ahead`` is by how much the film's clock runs ahead of the log's, s. What a row has not is NaN; commands are held.
+    Raises InputError for a log that has keypoints or no angles, a film without keypoints, and where they have no time
+    together.
+    """
+    if log.angles is None or log.keypoint_names:
+        raise InputError(f"{log.name}: expected a log of angles, without keypoints of its own, beside a film")
+    if not film.keypoint_names:
+        raise InputError(f"{film.name}: expected keypoints to go beside a log, it has none")
+    own = film.time - ahead
+    within = (own >= log.time[0] - TOGETHER) & (own <= log.time[-1] + TOGETHER)
+    if within.sum() < 2:
+        raise InputError(
+            f"{film.name}: runs from {own[0]:.4g} to {own[-1]:.4g} s on the log's clock, the log from "
+            f"{log.time[0]:.4g} to {log.time[-1]:.4g} s: they share no time"
+        )
+    film, own = film.at(within), own[within]
+    # a picture that comes with a row of the log is that row's
+    near = np.searchsorted(log.time, own - TOGETHER).clip(0, len(log.time) - 1)
+    own = np.where(np.abs(log.time[near] - own) <= TOGETHER, log.time[near], own)
+    time = np.union1d(log.time, own)
+    logged, filmed = np.searchsorted(time, log.time), np.searchsorted(time, own)
+    angles = np.full((len(time), log.angles.shape[1]), np.nan)
+    angles[logged] = log.angles
+    keypoints = np.full((len(time), *film.keypoints.shape[1:]), np.nan)
+    keypoints[filmed] = film.keypoints
+    confidence = None
+    if film.confidence is not None:
+        confidence = np.full((len(time), film.confidence.shape[1]), np.nan)
+        confidence[filmed] = film.confidence
+    held = np.searchsorted(log.time, time, side="right") - 1
+    return replace(
+        log,
+        time=time,
+        keypoints=keypoints,
+        keypoint_names=film.keypoint_names,
+        confidence=confidence,
+        angles=angles,
+        torques=None if log.torques is None else log.torques[held],
+        length_unit=film.length_unit,
+    )
