@@ -30,6 +30,8 @@ from invdyn.recordings import Recording
 JOINT_EFFECTS = tuple(
     n for n, e in EFFECTS.items() if e.install is not None and n not in ("external_push", "clock_rate")
 )
+SAID = {"direction": "angles and torques are counted the other way", "offset": "N·m off all along"}
+"""Words of a mistake that stands beside the first one, as what fits as well."""
 KINDS = ("torque sign", "direction", "zero", "degrees", "milliseconds", "exchanged", "gear", "offset")
 
 
@@ -102,7 +104,9 @@ def main() -> None:
     options.add_argument("--results", type=Path, default=None, help="Where results are kept, a line a log.")
     given = options.parse_args()
     begun, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*KINDS, "none"]
-    print("| what is wrong | found, of | s a log | what else is said |\n|---|---|---|---|", flush=True)
+    print(
+        "| what is wrong | named first | or as fitting as well | s a log | what else is said |\n|---|---|---|---|---|"
+    )
     for kind in wanted:
         told: Counter = Counter()
         spent = []
@@ -114,7 +118,9 @@ def main() -> None:
             told[told_of["answer"]] += 1
         instead = "; ".join(f"{name} ×{n}" for name, n in told.items() if name != "right")
         total = sum(told.values())
-        print(f"| {kind} | {told['right']} of {total} | {np.mean(spent):.1f} | {instead} |", flush=True)
+        beside = sum(n for name, n in told.items() if name.endswith(", or that"))
+        cells = kind, f"{told['right']} of {total}", beside or "", f"{np.mean(spent):.1f}", instead
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
     print(f"{clock.perf_counter() - begun:.0f} s in all")
 
 
@@ -129,6 +135,8 @@ def one(seed: int, kind: str, number: int) -> dict:
     seconds = clock.process_time() - start
     first = (found[0].kind, found[0].joints) if found else ("none", ())
     answer = "right" if first == (called, names) else f"{first[0]} {','.join(first[1])}".strip()
+    if found and any(SAID.get(called, called) in other for other in found[0].others):
+        answer += ", or that"
     return {"answer": answer, "joints": joints, "seconds": seconds}
 
 

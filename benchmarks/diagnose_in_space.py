@@ -1,12 +1,13 @@
 """Diagnoses of robots in space: is the effect named at the right joint, with how much work, and what the copy is worth.
 
-MuJoCo plays the Franka Emika Panda of `tests/trees.py`, seven hinges (which says where its numbers are from), or the
-turret arm of `tests/in_space.py`, three, under torques that are held for 10 ms. One thing is otherwise than in the
-file: friction or a rotor at some joint, a payload, late motors, or nothing. Encoders have noise of .2 mrad. The whole
-catalogue is looked at with the default budget. For each case: the verdict's effect, its probability, the parameter
-over the true one, how many candidates there were and how many the budget had no time for, and seconds of CPU.
+MuJoCo plays the turret arm of `tests/in_space.py`, three hinges, the Franka Emika Panda of `tests/trees.py` (which says
+where its numbers are from), seven, or twelve, that and its first five again, under torques that are held for 10 ms. One
+thing is otherwise than in the file: friction or a rotor at some joint, a payload, late motors, or nothing. Encoders
+have noise of .2 mrad. The whole catalogue is looked at with the default budget. For each case: the verdict's effect,
+its probability, the parameter over the true one, how many candidates there were and how many the budget had no time
+for, and seconds of CPU.
 
-    python benchmarks/diagnose_in_space.py [--robots arm panda] [--seconds 10] [--only 0 3] [--results FILE]
+    python benchmarks/diagnose_in_space.py [--robots arm panda twelve] [--seconds 10] [--only 0 3] [--results FILE]
 """
 
 import argparse
@@ -26,12 +27,17 @@ from invdyn.models import load_body, write_mjcf
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from in_space import ARM, play
 from kept import kept
-from trees import panda
+from trees import panda, twelve_joints
 
-MIDDLE = {"panda": (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8), "arm": (0.0, -0.5, 0.9)}
+PANDA = (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8)
+MIDDLE = {"arm": (0.0, -0.5, 0.9), "panda": PANDA, "twelve": (*PANDA, *PANDA[:5])}
 """rad: a pose in the middle of the joints' ranges."""
-TIP = {"panda": ("link7", "flange"), "arm": ("fore", "tip")}
+TIP = {"arm": ("fore", "tip"), "panda": ("link7", "flange"), "twelve": ("link5_again", "flange")}
 CASES: dict[str, list[tuple[str, str, float, dict[str, Any]]]] = {
+    "twelve": [
+        ("viscous_friction.joint2_again", "damping", 1.0, {"damping": {"joint2_again": 1.0}}),
+        ("", "", 0.0, {}),
+    ],
     "panda": [
         ("viscous_friction.joint4", "damping", 1.0, {"damping": {"joint4": 1.0}}),
         ("coulomb_friction.joint2", "torque", 1.5, {"friction": {"joint2": 1.5}}),
@@ -56,10 +62,10 @@ def run(robot: str, number: int, seconds: float, folder: Path, workers: int) -> 
     """One case."""
     effect, parameter, size, change = CASES[robot][number]
     path = folder / f"{robot}.xml"
-    if robot == "panda":
-        write_mjcf(panda(), path)
-    else:
+    if robot == "arm":
         path.write_text(ARM, encoding="utf-8")
+    else:
+        write_mjcf(panda() if robot == "panda" else twelve_joints(), path)
     log = play(path.read_text(encoding="utf-8"), seconds, number, MIDDLE[robot], carried_by=TIP[robot], **change)
     body = load_body(path)
     began, clock = time.process_time(), time.monotonic()
@@ -100,7 +106,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", nargs="+", choices=sorted(CASES), default=["arm", "panda"])
+    parser.add_argument("--robots", nargs="+", choices=sorted(CASES), default=list(MIDDLE))
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--workers", type=int, default=1)

@@ -34,7 +34,7 @@ from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state
+from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state, twelve_joints
 
 DT = 1e-3
 
@@ -43,12 +43,7 @@ def arms() -> list[Tree]:
     rod = (0.001, 0.04, 0.04, 0.0, 0.0, 0.0)
     paper = paper_arm()
     links = [dataclasses.replace(link, inertia=rod) for link in paper.links]
-    long = list(panda().links)
-    for link in panda().links[:5]:
-        joint = dataclasses.replace(link.joint, name=f"{link.joint.name}_again")
-        again = dataclasses.replace(link, name=f"{link.name}_again", joint=joint, parent=long[-1].name)
-        long.append(again)
-    return [Tree("paper's arm", links, paper.gravity), panda(), Tree("twelve joints", long)]
+    return [Tree("paper's arm", links, paper.gravity), panda(), twelve_joints()]
 
 
 def ours(tree: Tree, N: int, dtype: torch.dtype, compile_after: float, gradient: bool = False) -> Callable:

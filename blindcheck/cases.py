@@ -29,16 +29,16 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
+from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
-from invdyn.blindcheck.injected_effects import CATALOGUE, Present, drawn, named, pace, seen_by_camera, world_with
-from invdyn.blindcheck.motion import Plan, frame_times, play, random_body, random_plan
+from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, seen_by_camera, world_with
+from invdyn.blindcheck.motion import Plan, frame_times, play, random_plan
 from invdyn.blindcheck.scene import scene
+from invdyn.blindcheck.setting import Style
 from invdyn.blindcheck.simulator import Trajectory
-from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.blindcheck.visibility import visibility
-from invdyn.models import Body
+from invdyn.models import Body, Tree
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
 KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
@@ -64,7 +64,7 @@ class Case:
 
     recording: Recording
     other: Recording | None
-    body: Body
+    body: Body | Tree
     regime: str
     without: tuple[str, ...]
     answer: dict
@@ -81,21 +81,22 @@ class Case:
         write_text(folder / "case.json", json.dumps(public, indent=1) + "\n")
 
 
-def effects_of(kind: str) -> tuple[str, ...]:
-    """Names that a case of that kind may have. Raises ValueError for no such kind."""
+def effects_of(kind: str, engine: str = MUJOCO.name) -> tuple[str, ...]:
+    """Names that a case of that kind, played by one of `ENGINES`, may have. Raises ValueError for no such kind."""
     if kind not in KINDS:
         raise ValueError(f"expected a kind of case among {', '.join(KINDS)}, got {kind!r}")
     if kind == "none":
         return ()
-    names = tuple(UNLISTED) if kind == "outside" else CATALOGUE
+    player = ENGINES[engine]
+    names = tuple(player.unlisted if kind == "outside" else player.effects)
     lacks = {"passive": "command", "unknown_torque": "clock"}.get(kind)
     barred = {"clock_rate"} if kind == "two" else set()
-    return tuple(name for name in names if name not in barred and lacks not in needs(name))
+    return tuple(name for name in names if name not in barred and lacks not in needs(name, player))
 
 
-def needs(name: str) -> tuple[str, ...]:
+def needs(name: str, engine: Engine = MUJOCO) -> tuple[str, ...]:
     """What a case with an effect must have."""
-    return EFFECTS[name].needs if name in EFFECTS else UNLISTED_NEEDS.get(name, ())
+    return engine.effects[name].needs if name in engine.effects else UNLISTED_NEEDS.get(name, ())
 
 
 def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None, engine: str = MUJOCO.name) -> Case:
@@ -104,7 +105,7 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None, e
     Raises ValueError for an unknown kind, or effects that a case of that kind cannot have; ImportError without the
     engine's package.
     """
-    known = effects_of(kind)
+    known = effects_of(kind, engine)
     number = {"none": 0, "two": 2}.get(kind, 1)
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     given = (effect,) if isinstance(effect, str) else None if effect is None else tuple(effect)
@@ -145,12 +146,9 @@ def _attempt(
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
     passive = regime == "passive"
-    two = any("two joints" in needs(name) for name in names)
-    joints = int(rng.choice([2, 3] if two else [1, 2, 3], p=[0.75, 0.25] if two else [0.15, 0.65, 0.2]))
-    horizontal = not passive and not any("gravity" in needs(name) for name in names) and rng.random() < 0.12
-    true_body = random_body(rng, joints, horizontal)
-    body = _measured(rng, true_body) if rng.random() < 0.12 else true_body
-    plan = random_plan(rng, true_body, passive, engine.world)
+    setting = engine.setting
+    true_body, body = setting.bodies(rng, [need for name in names for need in needs(name, engine)], names, passive)
+    plan = random_plan(rng, true_body, passive, engine.world, setting.habits)
     plain = play(engine.world(true_body), engine.world(body), plan)
     if _wild(plain):
         return None
@@ -159,7 +157,7 @@ def _attempt(
     seed = tuple(int(word) for word in rng.integers(2**31, size=4))
     noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
     noise = float(f"{noise:.3g}")
-    style = _style(rng)
+    style = setting.style(rng, names)
     nominal = engine.world(body)
     world = world_with(true_body, present, yardsticks, engine)
     if not world.possible:
@@ -171,19 +169,18 @@ def _attempt(
         "kind": kind,
         "regime": regime,
         "effects": [
-            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed, engine))
+            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed, engine, style), engine)
             for each in present
         ],
-        "body": {key: [link.nominal(key) for link in true_body.links] for key in ("length", "mass", "com", "inertia")}
-        | {"gravity": list(body.gravity), "base": list(body.base)},
+        "body": setting.described(true_body),
         "joints": list(body.joint_names),
         "links": [link.name for link in body.links],
-        "noise": {"keypoint_sd": noise, "encoder_sd": style["encoder"], "law": engine.noise_law(seed)},
+        "noise": {"keypoint_sd": noise, "encoder_sd": style.encoder, "law": engine.noise_law(seed)},
     }
     other = None
     if kind != "none" and rng.random() < 0.3 and "external_push" not in names:
         again = replace(
-            random_plan(rng, true_body, passive, engine.world),
+            random_plan(rng, true_body, passive, engine.world, setting.habits),
             frame_rate=plan.frame_rate,
             command_rate=plan.command_rate,
         )
@@ -197,15 +194,6 @@ def _attempt(
     return Case(recording, other, body, regime, struck, answer)
 
 
-def _measured(rng: np.random.Generator, body: Body) -> Body:
-    """The body as its file has it: masses and what follows known to 2 %, and said so."""
-    off = {
-        key: [link.nominal(key) * float(np.exp(0.02 * rng.standard_normal())) for link in body.links]
-        for key in ("mass", "com", "inertia")
-    }
-    return replace(body.with_values(**off), uncertainty=dict.fromkeys(off, 0.02))
-
-
 def _wild(trajectory: Trajectory) -> bool:
     return not np.isfinite(trajectory.q).all() or bool((np.ptp(trajectory.q, axis=0) > 2 * np.pi).any())
 
@@ -216,24 +204,15 @@ def _unambiguous(trajectory: Trajectory) -> bool:
     return bool((np.abs(trajectory.q[first]) < np.pi).all())
 
 
-def _style(rng: np.random.Generator) -> dict:
-    """What the recording has besides: the base's keypoint, encoders, missing frames."""
-    return {
-        "base": bool(rng.random() < 0.5),
-        "encoder": float(f"{10 ** rng.uniform(-3.5, -2.5):.2g}") if rng.random() < 0.15 else None,
-        "missing": float(rng.uniform(0.01, 0.05)) if rng.random() < 0.3 else 0.0,
-    }
-
-
 def _record(
     real: Trajectory,
     plan: Plan,
-    body: Body,
+    body: Body | Tree,
     regime: str,
     present: Sequence[Present],
     noise: float,
     seed: Sequence[int],
-    style: dict,
+    style: Style,
     name: str,
     engine: Engine,
 ) -> Recording:
@@ -242,15 +221,17 @@ def _record(
     when = stated / pace(present)
     rng = np.random.default_rng([*seed, 0])
     points = engine.film(real, when, seen_by_camera(present), noise, seed)
-    points = np.round(points if style["base"] else points[:, 1:], 7)
+    points = np.round(points if style.base else points[:, 1:], 7)
     angles = None
-    if style["encoder"]:
+    if style.encoder:
         true = np.stack([np.interp(when, real.time, column) for column in real.q.T], axis=-1)
-        angles = np.round(true + style["encoder"] * rng.standard_normal(true.shape), 7)
-    lost = rng.random(len(stated)) < style["missing"]
+        angles = np.round(true + style.encoder * rng.standard_normal(true.shape), 7)
+    lost = rng.random(len(stated)) < style.missing
     lost[0] = False
     points[lost] = np.nan
-    names = body.keypoint_names if not style["base"] else (body.base_keypoint, *body.keypoint_names)
+    names = (body.base_keypoint, *body.keypoint_names) if style.base and isinstance(body, Body) else body.keypoint_names
+    if not style.filmed:
+        points, names = points[:, :0], ()
     joints = body.joint_names if regime == "commanded" or angles is not None else ()
     if regime != "commanded":
         return Recording(stated, points, names, angles=angles, joint_names=joints, name=name)
@@ -274,7 +255,9 @@ def _record(
     )
 
 
-def planned(kind_counts: Mapping[str, int], seed: int) -> list[tuple[str, int, str, str | None]]:
+def planned(
+    kind_counts: Mapping[str, int], seed: int, engine: str = MUJOCO.name
+) -> list[tuple[str, int, str, str | None]]:
     """(name, seed, kind, effect) of so many cases of each kind; arguments of `make_case` but for the name.
 
     Effects take turns in a random order, so that each is met as often as the others. Names are numbers in an order
@@ -282,7 +265,7 @@ def planned(kind_counts: Mapping[str, int], seed: int) -> list[tuple[str, int, s
     """
     plan: list[tuple[int, str, str | None]] = []
     for kind, count in kind_counts.items():
-        known = effects_of(kind)
+        known = effects_of(kind, engine)
         rng = np.random.default_rng([seed, KINDS.index(kind), 7])
         turns: list[str] = []
         for number in range(count):

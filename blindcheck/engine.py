@@ -1,26 +1,29 @@
 """What plays reality: worlds, mechanisms, and the camera that films them. `ENGINES` has them by name.
 
-Engines share names, places, units and usual sizes of effects (`effects.EFFECTS`), bodies, motions and answers.
+Engines of a kind of bodies share names, places, units and usual sizes of effects, bodies, motions and answers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from invdyn.blindcheck import camera
-from invdyn.blindcheck.effects import EFFECTS, MECHANISMS
+from invdyn.blindcheck.effects import EFFECTS, MECHANISMS, Injected
+from invdyn.blindcheck.in_space import effects as in_space
+from invdyn.blindcheck.in_space.bodies import SPACE
+from invdyn.blindcheck.in_space.world import World as WorldInSpace
 from invdyn.blindcheck.pinocchio import camera as second_camera
 from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
 from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
 from invdyn.blindcheck.pinocchio.unlisted import UNLISTED as OTHER_UNLISTED
 from invdyn.blindcheck.scene import Scene
+from invdyn.blindcheck.setting import PLANE, Setting
 from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.unlisted_effects import UNLISTED
-from invdyn.models import Body
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Engine:
     Attributes:
         name: for the command line and in the answers.
         package: that plays it; its module is imported under `module`.
+        setting: the kind of bodies, and what their cases have in common.
+        effects: those of the catalogue that it plays, by name.
         world: a body → a world that mechanisms change and that then runs: see `simulator.World`.
         draw: (generator, effect, scene, place, strength) → the effect's parameters.
         mechanisms: effect → what installs it, called with a world, a place unless it is of the whole arm, and the
@@ -42,7 +47,9 @@ class Engine:
     name: str
     package: str
     module: str
-    world: Callable[[Body], Any]
+    setting: Setting
+    effects: Mapping[str, Injected]
+    world: Callable[[Any], Any]
     draw: Callable[[np.random.Generator, str, Scene, int, float], dict]
     mechanisms: Mapping[str, Callable[..., None]]
     unlisted: Mapping[str, Callable[..., dict]]
@@ -59,11 +66,39 @@ def _usual(rng: np.random.Generator, name: str, s: Scene, place: int, strength: 
     return EFFECTS[name].size(rng, s, place, strength)
 
 
-MUJOCO = Engine("mujoco", "mujoco", "mujoco", World, _usual, MECHANISMS, UNLISTED, camera.film, lambda seed: "normal")
+def _sized_in_space(rng: np.random.Generator, name: str, s: Scene, place: int, strength: float) -> dict:
+    return in_space.EFFECTS[name].size(rng, s, place, strength)
+
+
+MUJOCO = Engine(
+    "mujoco",
+    "mujoco",
+    "mujoco",
+    PLANE,
+    EFFECTS,
+    World,
+    _usual,
+    MECHANISMS,
+    UNLISTED,
+    camera.film,
+    lambda seed: "normal",
+)
+IN_SPACE = replace(
+    MUJOCO,
+    name="mujoco-in-space",
+    setting=SPACE,
+    effects=in_space.EFFECTS,
+    world=WorldInSpace,
+    draw=_sized_in_space,
+    mechanisms={name: effect.install for name, effect in in_space.EFFECTS.items() if effect.install is not None},
+    unlisted=in_space.UNLISTED,
+)
 PINOCCHIO = Engine(
     "pinocchio",
     "pin",
     "pinocchio",
+    PLANE,
+    EFFECTS,
     SecondWorld,
     drawn_form,
     FORMS,
@@ -71,5 +106,5 @@ PINOCCHIO = Engine(
     second_camera.film,
     second_camera.noise_law,
 )
-ENGINES = {engine.name: engine for engine in (MUJOCO, PINOCCHIO)}
+ENGINES = {engine.name: engine for engine in (MUJOCO, PINOCCHIO, IN_SPACE)}
 """By name; the first is the default."""

@@ -9,8 +9,8 @@ down here, once, and nowhere else:
     gravity_tilt      ≡ camera_roll           the base at the origin, no encoders
     actuator_delay    ≡ camera_latency        all joints alike, no encoders
     camera_scale      ≡ lens_distortion       one link, the base at the origin: its tip stays on one circle
-    armature          ≡ inertial_error        first joint, its link, no gravity: both are its inertia about the joint,
-                      ≡ payload, actuator_gain           and with one link those too
+    armature          ≡ inertial_error        first joint, its link, no gravity, or in space an upright axis: both are
+                      ≡ payload, actuator_gain           its inertia about the joint; and with one link those too
     armature          ≡ payload, inertial_error, clock_rate      passive, one link: all are its period, as far
                                                                as each can change it
 
@@ -74,7 +74,7 @@ def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
         return one and at_origin
     if not any(body["gravity"]) and one and answer["regime"] == "commanded":
         return names <= {"armature", "inertial_error", "payload", "actuator_gain"}
-    if not any(body["gravity"]) and names == {"armature", "inertial_error"}:
+    if (not any(body["gravity"]) or body.get("upright")) and names == {"armature", "inertial_error"}:
         first = answer.get("links", [None])[0]
         return at_first(truth) and at_first(found) and all(e.get("link") in (None, first) for e in (truth, found))
     if one and answer["regime"] == "passive":

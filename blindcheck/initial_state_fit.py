@@ -6,7 +6,7 @@ Windows of an eighth of the period come first, then twice as long ones from the 
 shooting's way to a long horizon (Bock, 1983). On a motion that is unstable, straight lines over a whole period mislead
 from anywhere but next to the best state.
 
-Shapes: T frames, K joints, W windows. SI units, radians.
+Shapes: T frames, K joints, O points or other things seen, W windows. SI units, radians.
 """
 
 from collections.abc import Callable
@@ -14,33 +14,38 @@ from functools import partial
 
 import numpy as np
 
-from invdyn.blindcheck.motion import pendulum_frequency, replay
+from invdyn.blindcheck.motion import replay
 from invdyn.blindcheck.simulator import Trajectory, World
-from invdyn.models import Body
+from invdyn.blindcheck.stretched import pendulum_frequency
+from invdyn.models import Body, Tree
 
 EARLY = 0.1
 """s before the first frame from which the world is replayed: longer than any delay, and nobody saw what was before."""
 NUDGE = 1e-4
 """rad, of the differences by which the effect of another starting state is measured."""
 STEPS = 10
-"""Gauss–Newton steps at most, for windows of one length."""
+"""Gauss–Newton steps at most, for windows of one length, unless said otherwise."""
 DOUBLED = 3
-"""How often the windows' length doubles, up to a period."""
+"""How often the windows' length doubles, up to a period, unless said otherwise."""
 
 
 def unlike_any_start(
     true: Trajectory,
-    body: Body,
+    body: Body | Tree,
     world: Callable[[], World],
     film: Callable[[Trajectory], np.ndarray],
     seen: np.ndarray,
     frames: np.ndarray,
     noise: float,
+    steps_at_most: int | None = None,
+    doubled: int | None = None,
 ) -> np.ndarray:
-    """Tips ``seen`` (T, K, 2) at ``frames`` (T,), less what ``world`` makes of the best states to start from.
+    """Tips ``seen`` (T, O, d) at ``frames`` (T,), less what ``world`` makes of the best states to start from.
 
-    In units of the ``noise``, m; NaN where it whirls away. States are looked for from the ``true`` ones on.
+    In units of the ``noise``, m; NaN where it whirls away. States are looked for from the ``true`` ones on,
+    in so many steps (`STEPS`), with windows ``doubled`` so often (`DOUBLED`).
     """
+    most, lengths = steps_at_most or STEPS, DOUBLED if doubled is None else doubled
     true = _from(true, frames[0] - EARLY)
     hz = pendulum_frequency(body)
     interval = np.diff(true.command_time).mean()
@@ -61,24 +66,24 @@ def unlike_any_start(
         return np.zeros((windows(steps, true.time).max() + 1, len(units)))
 
     # restarts fall on rows of the command, and those of long windows on those of short ones
-    steps = max(1, round(min(2.0, 1 / hz) / interval / 2**DOUBLED))
+    steps = max(1, round(min(2.0, 1 / hz) / interval / 2**lengths))
     while not np.isfinite(misfit(steps, started(steps))).any() and steps > 1:  # whirls at once without the effect
         steps //= 2
     shift = started(steps)
     best = misfit(steps, shift)
-    for doubled in range(DOUBLED + 1):
-        rest = misfit(steps, shift) if doubled else best
-        if doubled and not np.isfinite(rest).any():
+    for longer in range(lengths + 1):
+        rest = misfit(steps, shift) if longer else best
+        if longer and not np.isfinite(rest).any():
             break
-        best, shift = _fitted(partial(misfit, steps), shift, rest, windows(steps, frames))
+        best, shift = _fitted(partial(misfit, steps), shift, rest, windows(steps, frames), most)
         steps, shift = 2 * steps, shift[::2]
     return best
 
 
 def _fitted(
-    misfit: Callable[[np.ndarray], np.ndarray], shift: np.ndarray, rest: np.ndarray, window: np.ndarray
+    misfit: Callable[[np.ndarray], np.ndarray], shift: np.ndarray, rest: np.ndarray, window: np.ndarray, most: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest misfits (T, K, 2) and their shifts (W, units), from a shift and its misfits ``rest``.
+    """The smallest misfits (T, O, d) and their shifts (W, units), from a shift and its misfits ``rest``.
 
     ``window`` (T,) is that of each frame.
     """
@@ -86,7 +91,7 @@ def _fitted(
     damping, slopes = np.zeros(len(shift)), None
     going = set(np.unique(window).tolist())
     rest, shift = rest.copy(), shift.copy()
-    for _ in range(STEPS):
+    for _ in range(most):
         if slopes is None:
             slopes = np.stack([rest - misfit(shift + unit) for unit in np.eye(units)], axis=-1)
         tried, hoped, misled = shift.copy(), {}, False

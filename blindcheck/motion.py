@@ -6,19 +6,21 @@ Bodies reach from 5 cm, a mouse's limb of some ten grams, to 1.8 m, an industria
 
     u = τ_nominal(θ_d, θ̇_d, θ̈_d) + K_p (θ_d − θ) + K_d (θ̇_d − θ̇)
 
-with θ_d a sum of three sines for each joint; the recording has the u that was given to the motors. Shapes: K joints,
-C command rows. SI units, radians.
+with θ_d a sum of three sines for each joint; the recording has the u that was given to the motors. Where these are
+position servos, u = S θ_d is the torque that their targets ask for by themselves. Shapes: K joints, C command rows. SI
+units, radians.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from invdyn.blindcheck.simulator import Trajectory, World
-from invdyn.models import Body, Link
+from invdyn.blindcheck.stretched import EARTH, pendulum_frequency
+from invdyn.models import Body, Link, Tree
 
-EARTH = 9.81
 NAMES = (("base", "tip"), ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))  # keypoints of 1, 2, 3 links
 FRAME_RATES = (30.0, 50.0, 60.0, 100.0, 120.0, 200.0)  # Hz
 LEAD = 0.4  # s that reality runs before the recording begins: longer than any delay
@@ -48,20 +50,12 @@ def random_body(rng: np.random.Generator, joints: int, horizontal: bool) -> Body
     return Body("arm", links, (0.0, 0.0) if horizontal else (0.0, -EARTH), base)
 
 
-def pendulum_frequency(body: Body) -> float:
-    """Hz, of the body hanging straight from its first joint, under 9.81 m/s² whatever acts."""
-    lengths, masses, coms, inertias = (
-        np.array([link.nominal(key) for link in body.links]) for key in ("length", "mass", "com", "inertia")
-    )
-    r = np.cumsum(lengths) - lengths + coms
-    return float(np.sqrt(EARTH * (masses * r).sum() / (inertias + masses * r**2).sum()) / (2 * np.pi))
-
-
 @dataclass(frozen=True)
 class Plan:
     """How one recording goes. `amplitude`, `frequency`, `phase` (K, 3) and `centre` (K,) make θ_d; gains (K,).
 
-    A passive plan lets the body go at angles `centre` with velocities `release`, and commands nothing.
+    A passive plan lets the body go at angles `centre` with velocities `release`, and commands nothing. Of position
+    servos `targeted` (K,) has the stiffnesses S, N·m/rad.
     """
 
     duration: float
@@ -75,6 +69,7 @@ class Plan:
     damping: np.ndarray
     release: np.ndarray
     passive: bool
+    targeted: np.ndarray | None = None
 
     def desired(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """θ_d, θ̇_d, θ̈_d, each (C, K)."""
@@ -85,26 +80,60 @@ class Plan:
         return q, qd, -(self.amplitude * omega**2 * np.sin(angle)).sum(-1)
 
 
-def random_plan(rng: np.random.Generator, body: Body, passive: bool, made: Callable[[Body], World] = World) -> Plan:
-    """A motion for a body, in worlds as `made`. Frames at least 20 for each period of its pendulum."""
-    joints, natural = body.num_joints, pendulum_frequency(body)
-    rates = [rate for rate in FRAME_RATES if rate >= 20 * natural]
-    frame_rate = float(rng.choice(rates or FRAME_RATES[-1:]))
-    faster = [n for n in (1, 1, 1, 2, 5) if n * frame_rate <= 500]
+@dataclass(frozen=True)
+class Habits:
+    """How bodies of a kind are moved.
+
+    Attributes:
+        posture: (generator, body, whether it is passive, worlds) → the angles (K,) about which it moves, rad.
+        frame_rates: Hz, to choose from.
+        seconds: shortest and longest recording.
+        size: smallest and largest sum of a joint's three amplitudes, rad.
+    """
+
+    posture: Callable[..., np.ndarray]
+    frame_rates: Sequence[float] = FRAME_RATES
+    seconds: tuple[float, float] = (4.0, 10.0)
+    size: tuple[float, float] = (0.5, 1.3)
+
+
+def planar_posture(rng: np.random.Generator, body: Body, passive: bool, made: Callable) -> np.ndarray:
+    """Hanging more often than not; a passive one so that it swings and does not whirl."""
+    joints = body.num_joints
     hanging = passive or rng.random() < 0.6
     down = -np.pi / 2 if body.gravity[1] else rng.uniform(-np.pi, np.pi)
     first = down + rng.uniform(-1.0, 1.0) if hanging else rng.uniform(-np.pi, np.pi)
     centre = np.array([first, *rng.uniform(-1.2, 1.2, joints - 1)])
-    if passive:  # let go from where it falls, but so that it swings and does not whirl
+    if passive:
         centre = np.array([down + rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.9), *rng.uniform(-0.6, 0.6, joints - 1)])
-    size = rng.dirichlet([2.0, 2.0, 2.0], joints) * rng.uniform(0.5, 1.3, (joints, 1))
+    return centre
+
+
+IN_THE_PLANE = Habits(planar_posture)
+
+
+def random_plan(
+    rng: np.random.Generator,
+    body: Body | Tree,
+    passive: bool,
+    made: Callable[[Any], Any] = World,
+    habits: Habits = IN_THE_PLANE,
+) -> Plan:
+    """A motion for a body, in worlds as `made`. Frames at least 20 for each period of its pendulum."""
+    joints, natural = body.num_joints, pendulum_frequency(body)
+    rates = [rate for rate in habits.frame_rates if rate >= 20 * natural]
+    frame_rate = float(rng.choice(rates or habits.frame_rates[-1:]))
+    faster = [n for n in (1, 1, 1, 2, 5) if n * frame_rate <= 500]
+    centre = habits.posture(rng, body, passive, made)
+    size = rng.dirichlet([2.0, 2.0, 2.0], joints) * rng.uniform(*habits.size, (joints, 1))
     frequency = np.sort(natural * np.exp(rng.uniform(np.log(0.2), np.log(1.1), (joints, 3))), axis=1)
     command_rate = frame_rate * (1 if passive else int(rng.choice(faster)))
     # what a joint's motor feels with all other joints free; a held command allows only so fast a loop
     inertia = 1 / np.linalg.inv(made(body).inertia(centre)).diagonal()
     bandwidth = min(2 * np.pi * natural * rng.uniform(1.0, 2.5), 0.3 * command_rate)
+    servos = [] if passive else [parts.servo for parts in body.joint_parts if parts is not None and parts.servo]
     return Plan(
-        duration=round(rng.uniform(4.0, 10.0), 1),
+        duration=round(rng.uniform(*habits.seconds), 1),
         frame_rate=frame_rate,
         command_rate=command_rate,
         centre=centre,
@@ -115,6 +144,7 @@ def random_plan(rng: np.random.Generator, body: Body, passive: bool, made: Calla
         damping=1.4 * inertia * bandwidth,
         release=rng.normal(0.0, 0.5, joints) * natural,
         passive=passive,
+        targeted=np.array([servo.stiffness for servo in servos]) if servos else None,
     )
 
 
@@ -136,6 +166,8 @@ def play(world: World, nominal: World, plan: Plan, pace: float = 1.0) -> Traject
         still = np.zeros(len(plan.centre))
         return world.run(time, lambda row, t, q, qd: still, plan.centre, plan.release)
     q_d, qd_d, qdd_d = plan.desired(time)
+    if (stiffness := plan.targeted) is not None:
+        return world.run(time, lambda row, t, q, qd: stiffness * q_d[row], q_d[0], qd_d[0])
     known = nominal.inverse(q_d, qd_d, qdd_d)
 
     def policy(row: int, t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:

@@ -32,7 +32,6 @@ from invdyn.blindcheck.cases import make_case, planned
 from invdyn.blindcheck.commitment import Locked, Sealed, digest, read_commitment
 from invdyn.blindcheck.confined import Confined
 from invdyn.blindcheck.engine import ENGINES, MUJOCO
-from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.methods import Ours, Theirs
 from invdyn.blindcheck.page import write_page
 from invdyn.blindcheck.score import Scores, score
@@ -126,7 +125,7 @@ class BlindRun:
         making, cases, sealed = (self.folder / name for name in (".making", "cases", "sealed.json"))
         nonce = nonce_of(self.seed)
         locked = Locked(self.folder / ".locked", nonce)
-        jobs = {name: job for name, *job in planned(self.counts, self.seed)}
+        jobs = {name: job for name, *job in planned(self.counts, self.seed, self.engine)}
         answers = {}
         for path in (path for folder in (making, cases) if folder.exists() for path in sorted(folder.iterdir())):
             answer = locked.get(path.name, _label(jobs.get(path.name), path, self.engine))
@@ -169,10 +168,11 @@ class BlindRun:
         before, found = digest(self.folder / "diagnoses"), self._read("diagnoses")
         answers = self._sealed.open_to(self.folder / "answers.json")
         if oracle and self.command is None:
+            known = ENGINES[self.engine].effects
             told = {
-                name: tuple(e for e in CATALOGUE if e not in {each["effect"] for each in answer["effects"]})
+                name: tuple(e for e in known if e not in {each["effect"] for each in answer["effects"]})
                 for name, answer in answers.items()
-                if answer["effects"] and {each["effect"] for each in answer["effects"]} <= set(CATALOGUE)
+                if answer["effects"] and {each["effect"] for each in answer["effects"]} <= set(known)
             }
             told = {name: rest for name, rest in told.items() if answers[name]["kind"] != "leave_one_out"}
             done = {name for name in told if (self.folder / "oracle" / name / "took.json").exists()}

@@ -7,12 +7,14 @@ what the effect does to the recording grows in proportion, at least to begin wit
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.motion import Plan, pendulum_frequency
+from invdyn.blindcheck.motion import Plan
 from invdyn.blindcheck.simulator import Trajectory, World
-from invdyn.models import Body
+from invdyn.blindcheck.stretched import pendulum_frequency, reach
+from invdyn.models import Body, Tree
 
 NONIDEAL = 0.4
 """Share of friction, tissue and lenses that are not ideal."""
@@ -20,12 +22,12 @@ NONIDEAL = 0.4
 
 @dataclass(frozen=True)
 class Scene:
-    """A body, its motion without the effect, and the yardsticks that follow; (K,) by joint.
+    """A body, planar or a tree, its motion without the effect, and the yardsticks that follow; (K,) by joint.
 
     `torque`, `peak`: rms and largest torque, N·m; `speed` rad/s; `inertia` kg·m² of the joint with what it carries.
     """
 
-    body: Body
+    body: Any
     plan: Plan
     motion: Trajectory
     torque: np.ndarray
@@ -36,14 +38,14 @@ class Scene:
     @property
     def reach(self) -> float:
         """Length of the outstretched body, m."""
-        return sum(link.nominal("length") for link in self.body.links)
+        return reach(self.body)
 
 
-def scene(body: Body, plan: Plan, motion: Trajectory, made: Callable[[Body], World] = World) -> Scene:
+def scene(body: Body | Tree, plan: Plan, motion: Trajectory, made: Callable[[Any], Any] = World) -> Scene:
     """The yardsticks of a motion; a passive one's torque is the load of gravity."""
     some = slice(None, None, max(1, len(motion.time) // 500))
     still = np.zeros_like(motion.q[some])
-    torque = made(body).inverse(motion.q[some], still, still) if plan.passive else motion.command
+    torque = made(body).inverse(motion.q[some], still, still) if plan.passive else motor_torque(body, motion)
     return Scene(
         body=body,
         plan=plan,
@@ -53,6 +55,16 @@ def scene(body: Body, plan: Plan, motion: Trajectory, made: Callable[[Body], Wor
         speed=np.sqrt((motion.qd**2).mean(axis=0)),
         inertia=made(body).inertia(plan.centre).diagonal(),
     )
+
+
+def motor_torque(body: Body | Tree, motion: Trajectory) -> np.ndarray:
+    """What motors give in a motion, N·m (C, K): their commands, less what servos answer to angles and velocities."""
+    torque, each = motion.command, (len(motion.time) - 1) // (len(motion.command) - 1)
+    for k, parts in enumerate(body.joint_parts):
+        if parts is not None and (servo := parts.servo) is not None:
+            torque = torque.copy()
+            torque[:, k] -= servo.stiffness * motion.q[::each, k] + servo.damping * motion.qd[::each, k]
+    return torque
 
 
 def sign(rng: np.random.Generator) -> float:

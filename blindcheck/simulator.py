@@ -74,19 +74,22 @@ class World:
     """
 
     def __init__(self, body: Body):
-        self.mujoco = _mujoco()
-        self.num_joints = body.num_joints
-        self.base = np.array(body.base)
-        self.gravity = np.array([*body.gravity, 0.0])
+        self._start(body.num_joints, np.array(body.base), np.array([*body.gravity, 0.0]))
         self.segments = [
             Segment(f"joint{k}", length, mass, com, inertia, k, k)
             for k, (length, mass, com, inertia) in enumerate(map(_numbers, body.links))
         ]
+
+    def _start(self, num_joints: int, base: np.ndarray, gravity: np.ndarray) -> None:
+        """Begin without segments and mechanisms."""
+        self.mujoco = _mujoco()
+        self.num_joints, self.base, self.gravity = num_joints, base, gravity
         self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
         self._spec_hooks: list[Callable] = []
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
         self.model: Any = None
+        self.longest: float | None = None  # s, of steps, where it is not `LONGEST_STEP`
 
     def on_spec(self, change: Callable) -> None:
         """Register `change(spec)`, called with the MjSpec just before it is compiled."""
@@ -119,26 +122,35 @@ class World:
         spec.option.tolerance = 1e-12
         spec.option.iterations = 100
         spec.option.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
+        self._build(spec)
+        for change in self._spec_hooks:
+            change(spec)
+        self.model = spec.compile()
+        self.data = mj.MjData(self.model)
+        self._rollout = mj.rollout.Rollout(nthread=0)
+
+    def _build(self, spec: Any) -> None:
+        """Put the segments into a specification."""
         parent, offset = spec.worldbody, [*self.base, 0.0]
         for segment in self.segments:
             parent = parent.add_body(name=segment.hinge, pos=offset)
             parent.mass, parent.ipos, parent.explicitinertial = segment.mass, [segment.com, 0.0, 0.0], True
             # about x and y nothing turns; all three alike satisfies the triangle inequality
             parent.inertia = [max(segment.inertia, 1e-14)] * 3
-            joint = parent.add_joint(name=segment.hinge, type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
-            # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
-            # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
-            joint.solref_friction, joint.solimp_friction = [2 * LONGEST_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
-            joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
-            if segment.actuated:
-                motor = spec.add_actuator(name=segment.hinge, target=segment.hinge)
-                motor.trntype = mj.mjtTrn.mjTRN_JOINT
+            self._hinge(spec, parent, segment.hinge, [0.0, 0.0, 1.0], segment.actuated)
             offset = [segment.length, 0.0, 0.0]
-        for change in self._spec_hooks:
-            change(spec)
-        self.model = spec.compile()
-        self.data = mj.MjData(self.model)
-        self._rollout = mj.rollout.Rollout(nthread=0)
+
+    def _hinge(self, spec: Any, parent: Any, name: str, axis: Sequence[float], actuated: bool) -> None:
+        """Put a hinge between a body and what carries it, and a motor of the same name, if it has one."""
+        mj = self.mujoco
+        joint = parent.add_joint(name=name, type=mj.mjtJoint.mjJNT_HINGE, axis=axis)
+        # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
+        # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
+        joint.solref_friction, joint.solimp_friction = [2 * LONGEST_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+        joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
+        if actuated:
+            motor = spec.add_actuator(name=name, target=name)
+            motor.trntype = mj.mjtTrn.mjTRN_JOINT
 
     def run(
         self,
@@ -157,7 +169,7 @@ class World:
         if self.model is None:
             self.compile()
         model, data = self.model, self.data
-        per_row, step, time = even_steps(command_time, LONGEST_STEP)
+        per_row, step, time = even_steps(command_time, self.longest or LONGEST_STEP)
         model.opt.timestep, total = step, len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
         self.mujoco.mj_resetData(model, data)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
-from invdyn.blindcheck.motion import between, pendulum_frequency
+from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.simulator import Segment, World
+from invdyn.blindcheck.stretched import pendulum_frequency
 
 
 def position_friction(world: World, rng: np.random.Generator, scene: Scene, joint: int) -> dict:

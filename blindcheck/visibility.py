@@ -4,7 +4,8 @@ Noise-free tips with and without the effect, in units of the noise: d′ = √Σ
 an effect of the dynamics, the world without it replays the same commands. Once in a pendulum's period it is set back to
 the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
 for: nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
-the body could show counts. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
+the body could show counts; in space all that an effect of the observation changes. Encoders count where a setting says
+so. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
 from invdyn.blindcheck.motion import frame_times
 from invdyn.blindcheck.scene import Scene
+from invdyn.blindcheck.setting import Style
 from invdyn.blindcheck.simulator import Trajectory
 from invdyn.models import Body
 
@@ -31,6 +33,7 @@ def visibility(
     noise: float,
     seed: Sequence[int],
     engine: Engine = MUJOCO,
+    style: Style | None = None,
 ) -> tuple[float, float]:
     """(d′, rms of the change in units of the noise) of one of the effects that are present in `real`."""
     rest, stated = [e for e in present if e is not each], frame_times(s.plan)
@@ -38,19 +41,32 @@ def visibility(
     def tips(trajectory: Trajectory, effects: Sequence[Present], sd: float = 0.0) -> np.ndarray:
         return engine.film(trajectory, stated / pace(effects), seen_by_camera(effects), sd, seed)[:, 1:]
 
+    def shown(trajectory: Trajectory, effects: Sequence[Present]) -> np.ndarray:
+        points = tips(trajectory, effects)
+        if style is None or style.encoder is None or not style.counted:
+            return points
+        # angles as so many metres as they are as well known
+        told = [np.interp(stated / pace(effects), trajectory.time, column) for column in trajectory.q.T]
+        angles = np.stack(told, -1) * (noise / style.encoder)
+        flat = points.reshape(len(stated), -1) if style.filmed else points[:, :0, 0]
+        return np.concatenate([flat, angles], -1)[..., None]
+
     if each.name == "varying_noise":
         quiet, loud = (tips(real, effects, noise) - tips(real, effects) for effects in (rest, present))
         ratio = (loud / quiet) ** 2
         change = np.sqrt(ratio - 1 - np.log(ratio))
     elif regime == "unknown_torque" and each.name not in OBSERVATIONS:
         change = np.zeros(1)
-    elif regime == "unknown_torque" and each.name != "timestamp_jitter":  # no torque makes one frame alone jump
+    elif regime == "unknown_torque" and each.name != "timestamp_jitter" and isinstance(s.body, Body):
+        # no torque makes one frame alone jump
         change = _misfit(tips(real, present), s.body, noise)
     elif each.name in OBSERVATIONS and each.name != "clock_rate":
         change = (tips(real, present) - tips(real, rest)) / noise
     else:
-        world, camera = partial(world_with, s.body, rest, s, engine), partial(tips, effects=rest)
-        change = unlike_any_start(_told(each, real), s.body, world, camera, tips(real, present), stated, noise)
+        world, camera = partial(world_with, s.body, rest, s, engine), partial(shown, effects=rest)
+        change = unlike_any_start(
+            _told(each, real), s.body, world, camera, shown(real, present), stated, noise, *engine.setting.thorough
+        )
     known = change[np.isfinite(change)]
     return float(np.sqrt((known**2).sum())), float(np.sqrt((known**2).mean())) if known.size else 0.0
 

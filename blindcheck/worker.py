@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Thread
 
-from invdyn.models import Body, BodyError
+from invdyn.models import Body, BodyError, load_body
 from invdyn.recordings import InputError, Recording, read_keypoint_csv, write_text
 
 
@@ -22,11 +22,11 @@ def diagnose_case(case: Path, out: Path, without: Iterable[str] = ()) -> None:
     from invdyn.diagnosis.diagnose import diagnose
 
     public = json.loads((case / "case.json").read_text(encoding="utf-8"))
-    body = Body.from_toml(case / "body.toml")
+    body = load_body(case / "body.toml")
+    base = body.base_keypoint if isinstance(body, Body) else None
 
     def read(name: str) -> Recording:
-        joints = body.joint_names
-        return read_keypoint_csv(case / name, keypoints=body.keypoint_names, joints=joints, base=body.base_keypoint)
+        return read_keypoint_csv(case / name, keypoints=body.keypoint_names, joints=body.joint_names, base=base)
 
     found = diagnose(
         read("recording.csv"),

@@ -33,6 +33,9 @@ def blind(
     engine: Annotated[
         str, typer.Option(help="What plays reality: mujoco or pinocchio, each with forms of effects of its own.")
     ] = "mujoco",
+    bodies: Annotated[
+        str, typer.Option(help="plane: chains of one to three links; space: trees of three to seven hinges, by mujoco.")
+    ] = "plane",
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
@@ -56,10 +59,13 @@ def blind(
 
     if method_user is not None and method_command is None:
         raise InputError("--method-user: expected --method-command with it; our own method runs as you do")
+    if bodies not in ("plane", "space") or (bodies == "space" and engine != "mujoco"):
+        raise InputError(f"--bodies: expected plane, or space with mujoco, got {bodies!r} with {engine}")
+    played = engine if bodies == "plane" else f"{engine}-in-space"
     counts = counted(kinds, cases)
     number, hidden = secret_seed(seed, seed_file, 1_000_000)
     keeps = confined(method_user, confine and method_command is not None, [p for p in (out, seed_file) if p])
-    run = BlindRun(out, counts, number, workers, method_command, keeps, engine)
+    run = BlindRun(out, counts, number, workers, method_command, keeps, played)
     run.check()
     if method_command is not None:
         typer.echo(keeps.described())

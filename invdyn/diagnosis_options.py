@@ -71,9 +71,13 @@ class Diagnosed(Recorded):
             if name not in EFFECTS:
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
         if self.calibration:
-            raise InputError(
-                "a diagnosis takes one recording in metres, so far: `invdyn triangulate` makes it of several cameras"
-            )
+            if len(self.recordings) < 2:
+                raise InputError("--calibration is of several cameras: give the tracks of two or more, in pixels")
+            beside = {"--also": self.also, "--held-out": self.held_out, "--map": self.mapping, "--beside": self.beside}
+            if surplus := [option for option, value in beside.items() if value]:
+                raise InputError(
+                    f"{surplus[0]} takes recordings in metres: `invdyn triangulate` makes them of several cameras"
+                )
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
         if self.clock is not None and self.beside is None:
@@ -81,7 +85,8 @@ class Diagnosed(Recorded):
         if self.beside is not None and len(self.numbers) > 1:
             raise InputError("--beside takes one episode of a log, which the camera filmed: --episodes 0")
         given: set[Path] = set()
-        for name in (self.recording, *self.others, *(each for each in (self.held_out, self.beside) if each)):
+        first = () if self.calibration else (self.recording,)
+        for name in (*first, *self.others, *(each for each in (self.held_out, self.beside) if each)):
             if resolved(name) in given:
                 option = {self.held_out: "--held-out", self.beside: "--beside"}.get(name, "--also")
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
@@ -95,7 +100,7 @@ class Diagnosed(Recorded):
     @property
     def files(self) -> list[Path]:
         """What is read, and must not be written over."""
-        names = (self.recording, *self.others, self.body, self.held_out, self.beside)
+        names = (*self.tracked, *self.others, self.body, self.held_out, self.beside, *(self.calibration or ()))
         return [Path(name) for name in names if name is not None]
 
     @property
@@ -120,6 +125,8 @@ class Diagnosed(Recorded):
         from .inputs import is_log, load_body, load_log, load_logs
 
         body = freed(load_body(self.body), self.free)
+        if self.calibration:
+            return self.asked(self.triangulated(), [], body, None)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):
@@ -138,10 +145,24 @@ class Diagnosed(Recorded):
             more = [*rest, *more]
         if self.beside is not None:
             recording = self.joined(recording, self.read(self.beside, body, as_filmed=True), body)
+        return self.asked(recording, more, body, None if self.held_out is None else read(self.held_out))
+
+    def triangulated(self) -> Any:
+        """Points in space of several cameras' tracks."""
+        from .inputs_of_cameras import load_from_cameras
+
+        options = {"fps": self.fps, "format": self.format, "individual": self.individual}
+        found, _ = load_from_cameras(
+            self.recordings, self.calibration or (), self.body, self.frames, (), self.not_of_cameras, **options
+        )
+        return found.points
+
+    def asked(self, recording: Any, more: list, body: Any, held_out: Any) -> dict[str, Any]:
+        """Arguments of `diagnosis.diagnose`."""
         return {
             "recording": [recording, *more] if more else recording,
             "body": body,
-            "held_out": None if self.held_out is None else read(self.held_out),
+            "held_out": held_out,
             "passive": self.passive,
             "without": self.struck,
             "most": self.most,

@@ -87,8 +87,7 @@ class Inference(Recorded):
     @property
     def files(self) -> list[Path]:
         """What is read, and must not be written over."""
-        given = (name.rpartition("=")[2] if self.calibration else name for name in self.recordings)
-        named = [Path(name) for name in (*given, self.body, self.truth) if name is not None]
+        named = [Path(name) for name in (*self.tracked, self.body, self.truth) if name is not None]
         return [*named, *(self.calibration or [])]
 
     @property
@@ -112,14 +111,7 @@ class Inference(Recorded):
                 self.body,
                 self.frames,
                 self.offset or (),
-                {
-                    "--units": self.units,
-                    "--scale": self.scale,
-                    "--base": self.base,
-                    "--plane": self.plane,
-                    "--body-lengths": self.body_lengths,
-                    "--learn-lengths": self.learn_lengths,
-                },
+                self.not_of_cameras | {"--learn-lengths": self.learn_lengths},
                 fps=self.fps,
                 format=self.format,
                 individual=self.individual,

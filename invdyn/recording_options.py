@@ -60,6 +60,22 @@ class Recorded:
             )
         return self.recordings[0]
 
+    @property
+    def tracked(self) -> list[str]:
+        """Files of what was tracked; with a calibration a name may say the camera, "cam1=tracks.csv"."""
+        return [name.rpartition("=")[2] if self.calibration else name for name in self.recordings]
+
+    @property
+    def not_of_cameras(self) -> dict[str, Any]:
+        """Options that tracks of several cameras do not take, with their values."""
+        return {
+            "--units": self.units,
+            "--scale": self.scale,
+            "--base": self.base,
+            "--plane": self.plane,
+            "--body-lengths": self.body_lengths,
+        }
+
     def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording

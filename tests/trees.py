@@ -1,5 +1,6 @@
 """Bodies in space to try the dynamics on, and the same in MuJoCo and Pinocchio."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -49,6 +50,15 @@ def panda():
         (0.735522, (0.010517, -0.004252, 0.061597), (0.012516, 0.010027, 0.004815, -0.000428, -0.001196, -0.000741)),
     ]
     return from_dh("panda", [Row(*row) for row in table], [Inertial(*own) for own in inertials], tip="flange")
+
+
+def twelve_joints() -> Tree:
+    """The Panda, and its first five links again at its end."""
+    links = list(panda().links)
+    for link in panda().links[:5]:
+        joint = dataclasses.replace(link.joint, name=f"{link.joint.name}_again")
+        links.append(dataclasses.replace(link, name=f"{link.name}_again", joint=joint, parent=links[-1].name))
+    return Tree("twelve joints", links)
 
 
 def mobile_arm(driven=False):

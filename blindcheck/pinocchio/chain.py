@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.motion import EARTH
+from invdyn.blindcheck.stretched import EARTH
 from invdyn.models import Body
 
 

@@ -6,10 +6,11 @@ into the world, and returns its parameters as name → (value, unit).
 
 import numpy as np
 
-from invdyn.blindcheck.motion import between, pendulum_frequency
+from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.pinocchio.simulator import World
 from invdyn.blindcheck.scene import Scene
+from invdyn.blindcheck.stretched import pendulum_frequency
 
 
 def position_friction(world: World, rng: np.random.Generator, scene: Scene, joint: int) -> dict:

@@ -12,7 +12,6 @@ twist, and is turned only where twist plays no part: of a stick on which nothing
 Shapes: T rows, K coordinates.
 """
 
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -53,15 +52,14 @@ def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
     return tree, said
 
 
-def warn_of_poles(tree: Tree, path: np.ndarray) -> None:
-    """Say once of each joint that passes ``STEEP``."""
-    for name, most in pitches(tree, path).items():
-        if most > STEEP:
-            warnings.warn(
-                f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
-                "torques are told badly: take a shorter stretch, or give the joint another rotation",
-                stacklevel=3,
-            )
+def poles(tree: Tree, path: np.ndarray) -> list[str]:
+    """A sentence for each joint that passes ``STEEP`` along a path (T, K)."""
+    return [
+        f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
+        "torques are told badly: take a shorter stretch, or give the joint another rotation"
+        for name, most in pitches(tree, path).items()
+        if most > STEEP
+    ]
 
 
 def pitches(tree: Tree, path: np.ndarray) -> dict[str, float]:

@@ -9,6 +9,7 @@
 All of it is a start: :mod:`.marginal_likelihood` then maximises the marginal likelihood.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
-from invdyn.inference.posterior.charts import chosen, warn_of_poles
+from invdyn.inference.posterior.charts import chosen, poles
 from invdyn.inference.posterior.jitter import jitter
 from invdyn.inference.posterior.lengths import with_observed_lengths
 from invdyn.models import (
@@ -199,9 +200,10 @@ def _charted(
         return None if candidates is None else candidates[len(candidates) // 2]
 
     tree, said = chosen(tree, path) if turning else (tree, [])
-    if (own := path(tree)) is not None:
-        warn_of_poles(tree, own)
-    return tree, tuple(said)
+    steep = [] if (own := path(tree)) is None else poles(tree, own)
+    for line in steep:
+        warnings.warn(line, stacklevel=3)
+    return tree, (*said, *steep)
 
 
 def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observation) -> np.ndarray:

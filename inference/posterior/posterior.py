@@ -14,7 +14,7 @@ Layout (dims in brackets; ``chain`` is an independent filter, ``draw`` a smoothe
     constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
                           tracked sites' Jacobian and unseen [time, joint], 1 where no keypoint tells a
                           coordinate (:mod:`.visibility`), which the attribute "unseen" says in words; "charts" says
-                          which joints' frames were turned (:mod:`.charts`)
+                          which joints' frames were turned, and which pass a pole all the same (:mod:`.charts`)
 
 Draws are equally weighted within a chain; chains weigh exp(log_weight). :func:`pooled` resamples
 them to equal weights: what tables and figures use.

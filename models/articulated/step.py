@@ -14,8 +14,10 @@ Shapes: joint quantities (..., K), all hidden states of effects (..., H).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from invdyn.models.articulated.drive import RowDrive
@@ -56,6 +58,15 @@ class Mechanics:
 
     def body_parameters(self) -> Any:
         """The body's numbers; those that follow from others do, effects come last."""
+        learned = torch.is_grad_enabled() or any(value.requires_grad for value in self.parameters.values())
+        return self._followed_numbers() if learned else self._known_numbers
+
+    @cached_property
+    def _known_numbers(self) -> Any:
+        """One object for all rows, by which dynamics know that they have met it."""
+        return self._followed_numbers()
+
+    def _followed_numbers(self) -> Any:
         return self.effects.body(self.parameters, self.body.completed(self.given))
 
     def step(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> list[Tensor]:

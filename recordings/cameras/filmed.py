@@ -42,9 +42,14 @@ class Filmed(Recording):
     def at(self, frames: slice | np.ndarray) -> Self:
         """Some frames, a slice or a mask (T,); times stay. Raises InputError if under 2 remain."""
         assert self.views is not None  # as it was made
-        plain = Recording(**{each.name: getattr(self, each.name) for each in fields(Recording)}).at(frames)
+        plain = self.points.at(frames)
         own = {each.name: getattr(plain, each.name) for each in fields(Recording)}
         return type(self)(**own, views=self.views.at(frames))
+
+    @property
+    def points(self) -> Recording:
+        """The triangulated points alone, as of a recording that is in metres from the first."""
+        return Recording(**{each.name: getattr(self, each.name) for each in fields(Recording)})
 
     def relative_to(self, keypoint: str) -> Recording:
         """Raise InputError: cameras stand where they stand."""

@@ -90,6 +90,14 @@ def test_infer(folder, run):
     assert (folder / "torques.csv").exists()
 
 
+def test_diagnose(folder, run, monkeypatch):
+    """Of the points that are triangulated, with too few rows for a search."""
+    outcome = run("diagnose", *TRACKS, *CALL[:-1], "report", "--passive")
+    assert outcome.exit_code == 0, outcome.output
+    assert "not enough data" in outcome.stdout
+    assert (folder / "report" / "report.html").exists()
+
+
 BAD = {
     "no calibration": (("infer", *TRACKS, "--body", "planar.toml", *CALL[4:]), "expected one recording, got 3"),
     "one camera": (("infer", "cam1.csv", *CALL), "two cameras or more"),
@@ -122,7 +130,12 @@ BAD = {
     "too few rows": (("infer", *TRACKS, *CALL, "--frames", "3:4"), "at least 2 frames"),
     "over the tracks": (("infer", *TRACKS, *CALL[:-1], "cam1.csv"), "overwrite"),
     "over the calibration": (("infer", *TRACKS, *CALL[:-1], "calibration.toml"), "overwrite"),
-    "a diagnosis": (("diagnose", *TRACKS, *CALL[:-1], "report"), "`invdyn triangulate` makes it"),
+    "a diagnosis beside a log": (
+        ("diagnose", *TRACKS, *CALL[:-1], "report", "--held-out", "more.csv"),
+        "`invdyn triangulate` makes them",
+    ),
+    "a diagnosis of one camera": (("diagnose", "cam1.csv", *CALL[:-1], "report"), "two or more"),
+    "a diagnosis over its tracks": (("diagnose", *TRACKS, *CALL[:-1], "cam1.csv"), "cam1.csv"),
     "a diagnosis without calibration": (("diagnose", *TRACKS, *CALL[2:-1], "report"), "expected one recording, got 3"),
 }
 

@@ -196,7 +196,7 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
         (["--held-out", "f.mov"], "f.mov: expected another recording of the same arm for --held-out"),
         (["--tracks", "n.safetensors"], "n.safetensors: this output would overwrite an input"),
         (["--arm", "left"], "f.mov: who is to be tracked?"),
-        (["--calibration", "c.toml"], "a diagnosis takes one recording in metres"),
+        (["--calibration", "c.toml"], "--calibration is of several cameras"),
     ):
         outcome = run(*call, *option)
         assert outcome.exit_code == 2

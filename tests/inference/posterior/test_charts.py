@@ -7,8 +7,8 @@ import pytest
 import torch
 from trees import paper_arm
 
-from invdyn.inference import METHODS, SMCOptions, arm_problem
-from invdyn.inference.posterior.charts import chosen, frame_for, pitches
+from invdyn.inference import METHODS, SMCOptions, arm_problem, infer
+from invdyn.inference.posterior.charts import chosen, frame_for, pitches, poles
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.recordings import Recording
@@ -57,11 +57,29 @@ def test_a_hanging_arm_is_turned_away_from_the_pole(tree):
 def test_coordinates_that_somebody_else_speaks_in_stay_and_the_pole_is_told():
     tree = paper_arm()
     known = {"initial.angle": [0.0, np.pi / 2, 0.0, 0.0], "emission.keypoint_scale": NOISE}
+    known |= {"torque.scale": 1.0, "torque.decay": 1.0}
+    sizes = {"num_filters": 4, "num_draws": 4, "substeps": 1}
     with pytest.warns(UserWarning, match="shoulder: its motion passes a pitch of 80°") as caught:
-        problem = arm_problem(hanging(tree), tree, parameters=known, substeps=1)
-    assert len(caught) == 1
-    assert problem.notes == ()
-    assert problem.model.body == tree
+        idata = infer(hanging(tree), tree, method="laplace", settings=known, **sizes)
+    (told,) = (str(each.message) for each in caught)
+    assert told in summary_text(idata).splitlines()
+    # 4 ° off the vertical at least, so that no rotation was put in between
+    assert idata["constant_data"]["rotation"].values == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))
+
+
+def test_a_joint_that_turns_everywhere_is_turned_once_and_its_pole_is_told():
+    """Directions round three great circles: each axis is some direction's, within 35°, and no chart is good."""
+    around = np.linspace(-np.pi, np.pi, 100)
+    level = np.stack([around, 0 * around], -1)
+    over = [np.stack([np.full(100, yaw), around], -1) for yaw in (0.0, np.pi / 2)]
+    yaw, pitch = np.concatenate([level, *over]).T
+    roll = np.zeros_like(yaw)
+    path = np.stack([yaw, pitch, roll, roll], -1)
+    tree = ball_and_hinge()
+    turned, said = chosen(tree, lambda _: path)  # what would be read off the turned one is as steep
+    assert len(said) == 1
+    assert poles(turned, path) == [line for line in poles(turned, path) if line.startswith("shoulder: its motion")]
+    assert len(poles(turned, path)) == 1
 
 
 def test_a_motion_far_from_the_pole_keeps_the_files_frame():

@@ -1,0 +1,1 @@
+"""Reality in space: trees of hinges that MuJoCo plays, with the effects of the plane that have a meaning there."""

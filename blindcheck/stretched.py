@@ -1,0 +1,57 @@
+"""A body stretched out: how far its links lie from the first joint, how far it reaches, how fast it hangs and swings.
+
+Of a tree each link lies as far out as the way there through the joints is long. SI units.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from invdyn.models import Body, Tree
+
+EARTH = 9.81
+
+
+class Stretched(NamedTuple):
+    """By link (L,): `mass` kg, `far` m from the first joint to the centre of mass, `inertia` kg·m² about that.
+
+    In space the inertia is the mean of the principal moments.
+    """
+
+    mass: np.ndarray
+    far: np.ndarray
+    inertia: np.ndarray
+
+
+def stretched(body: Body | Tree) -> Stretched:
+    """The links of a body, one behind the other."""
+    if isinstance(body, Body):
+        lengths, masses, coms, inertias = (
+            np.array([link.nominal(key) for link in body.links]) for key in ("length", "mass", "com", "inertia")
+        )
+        return Stretched(masses, np.cumsum(lengths) - lengths + coms, inertias)
+    p = body.parameters()
+    far = joints_far(body) + np.linalg.norm(p.com.numpy(), axis=-1)
+    return Stretched(p.mass.numpy(), far, p.inertia[:, :3].mean(-1).numpy())
+
+
+def joints_far(tree: Tree) -> np.ndarray:
+    """How long the way from the first joint to each link's is, m (L,)."""
+    steps, far = np.linalg.norm(tree.parameters().position.numpy(), axis=-1), np.zeros(len(tree.links))
+    for link, parent in enumerate(tree.parents):
+        far[link] = far[parent] + steps[link] if parent >= 0 else 0.0
+    return far
+
+
+def reach(body: Body | Tree) -> float:
+    """Length of the outstretched body, m; of a tree to its farthest site."""
+    if isinstance(body, Body):
+        return float(sum(link.nominal("length") for link in body.links))
+    far, sites = joints_far(body), iter(np.linalg.norm(body.parameters().sites.numpy(), axis=-1))
+    return float(max(far[place] + next(sites) for place, link in enumerate(body.links) for _ in link.points))
+
+
+def pendulum_frequency(body: Body | Tree) -> float:
+    """Hz, of the body hanging straight from its first joint, under 9.81 m/s² whatever acts."""
+    mass, far, inertia = stretched(body)
+    return float(np.sqrt(EARTH * (mass * far).sum() / (inertia + mass * far**2).sum()) / (2 * np.pi))
