@@ -43,7 +43,7 @@ def test_prose_is_no_formula():
 
 
 def test_a_picture_shows_the_effect_of_the_formula(script):
-    """A camera's roll has a mean of 0 and no quantiles written down; a gain has a form of its own, the forgotten gear."""
+    """A camera's roll has a mean of 0 and no quantiles written down; a gain has another form, a forgotten gear."""
     for name, least, most in (("camera_roll", 2e-3, 2e-2), ("actuator_gain", 1e-2, 0.2)):
         apart = np.abs(script._seen(script.arm_with(EFFECTS[name])) - script.ideal_path())
         assert least < apart.max() < most, name
