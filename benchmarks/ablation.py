@@ -40,6 +40,7 @@ from invdyn.simulate import random_arm, record
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
+    "_several": ("search", "sets of up to four as a whole, from a beam"),
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_promising": ("forward_step", "add: the best of the screen"),

@@ -41,19 +41,16 @@ from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-WIDTH = (10, 4, 5, 5)
-"""Candidates refined when the first, second, … effect is sought."""
 
-
-def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Screen every effect that may join ``base``, refine and keep the best."""
+def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, width: int) -> list[Screened]:
+    """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
     known = problem.regime != "unknown_torque"
     alone = known and not others(base)
     screened, best = screened_with(problem, found, base, alone)
     found.first = found.first or best
-    refine_promising(problem, found, base, best, WIDTH[min(len(others(base)), len(WIDTH) - 1)])
+    refine_promising(problem, found, base, best, width)
     refine_kin(problem, found, len(base.effects) + 1)
     least = -np.inf if known else idle(screened)
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
@@ -65,6 +62,7 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
                 break
             attempt(_scan, problem, found, base, effect)
     refine_searchable(problem, found, base, free, least)
+    return screened
 
 
 def screened_with(

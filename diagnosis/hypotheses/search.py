@@ -7,7 +7,8 @@ first of these moves that it has not made, which may make another one the best:
 
     drop    each effect of a set, from the set's path and values (:func:`.swap_step.reduce`)
     add     an effect, also to the best single one that a set has overtaken: all that may join are screened, the most
-            promising refined (:mod:`.forward_step`)
+            promising refined (:mod:`.forward_step`); where no first one is enough, also sets of up to four as a whole,
+            from a beam (:mod:`.beam_search`)
     swap    each effect for a better one, along the path of the set (:func:`.swap_step.exchange`)
 
 After each of them the neighbours of what it found follow, exact twins, wider and narrower laws, softer forms, others
@@ -33,20 +34,26 @@ from torch import Tensor
 
 from invdyn.diagnosis.budget import SEARCH, Spent
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led
+from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.forward_step import extend, screened_with
+from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import attempt, refine_promising
+from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_promising
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
+from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.beam_search import together
+from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 
-INSTEAD = 2
-"""Candidates refined instead of stray detections."""
+WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
+"""Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
+candidates refined instead of stray detections."""
 
 Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
 """Refines what a base leads to, into the pool."""
@@ -97,7 +104,7 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
     best = found.ranked[0]
     if not known:
         if not best.effects:
-            yield extend, best
+            yield _grow, best
         return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
@@ -105,11 +112,28 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
     if single is not None and len(others(best)) > 1:
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
-            yield extend, single
+            yield _grow, single
     if len(best.effects) < found.most and not (exchange in made and best.complete):
-        yield extend, best
+        yield _grow, best
     if best.effects:
         yield exchange, best
+
+
+def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Add an effect; where the first of all is not enough, also several.
+
+    Enough is what leaves nothing, by effects that are what they are called.
+    """
+    screened = extend(problem, found, base, _width(base))
+    if base.effects or problem.regime == "unknown_torque":
+        return
+    if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
+        _several(problem, found, screened)
+
+
+def _width(base: FittedHypothesis) -> int:
+    """Candidates that are refined beside a base."""
+    return WIDTH[min(len(others(base)), len(WIDTH) - 1)]
 
 
 def _begun(
@@ -155,3 +179,18 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     refine_promising(problem, tried, none, screened, INSTEAD)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
+
+
+def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
+    """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
+    common, none = unknowns(problem, ()), found.pool[""].log_evidence
+    for sets in together(problem, problem.model, found.path, screened, common, found.candidates, SETS):
+        if len(sets[0].effects) > found.most:
+            break
+        for each in sets:
+            top = found.top
+            limits = {"enough": top - TOO_FAR_BEHIND, "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - none))}
+            found.add(attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits))
+        refine_kin(problem, found, len(sets[0].effects))
+        if found.ranked[0].complete:
+            break

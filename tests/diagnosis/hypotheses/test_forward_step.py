@@ -27,7 +27,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     monkeypatch.setattr(module, "refine_barred", lambda *_: asked.append("barred"))
     monkeypatch.setattr(module, "idle", lambda _: none.log_evidence + 500.0)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
-    extend(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    extend(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, 1)
     assert asked[0] == ("barred" if left else 500)
     assert set(asked[left:]) == {-TOO_FAR_BEHIND if left else 500}
 
@@ -52,7 +52,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_promising", refined)
     monkeypatch.setattr(module, "refine_kin", lambda *_: None)
-    extend(bound, pool, none)
+    extend(bound, pool, none, 1)
     assert pool.ranked[0].complete
     assert ("backlash" in tried) is looked
 
@@ -83,7 +83,7 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     astray = replace(base, effects=(EFFECTS["outliers"]().bound(PENDULUM),), log_evidence=base.log_evidence + strays)
     better = replace(base, effects=(spring.bound(PENDULUM),), log_evidence=base.log_evidence + ahead)
     found = HypothesisPool(considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
-    extend(bound, found, base)
+    extend(bound, found, base, 1)
     enough = [least for name, least in tried if name == "backlash"]  # others that join the base gain less than a nat
     assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
 
