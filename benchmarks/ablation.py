@@ -41,16 +41,11 @@ ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
     "_several": ("search", "sets of up to four as a whole, from a beam"),
-    "shortened": ("search", "shorter sub-steps where a force jumps"),
-    "_look": ("search", "every effect on what is seen, in the end"),
     "reduce": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
-    "_beside_play": ("swap_step", "the same, beside play"),
     "refine_promising": ("forward_step", "add: the best of the screen"),
-    "refine_clearing": ("forward_step", "those that would leave little to a small residual"),
     "refine_barred": ("forward_step", "those that gain less than a torque could"),
     "_scan": ("forward_step", "from several values, where no screen tells the size"),
-    "_from_base": ("shortlist", "once more from the base's path, where the way was lost"),
     "softer": ("shortlist", "the softer form of what would need implausible values"),
     "refine_play": ("profile_likelihood", "play, by paths of its own"),
     "_refine_moved": ("moves", "neighbour: a push at another moment"),
@@ -93,8 +88,6 @@ QUICK_EFFECTS = {
     }.items()
 }
 KINDS = ("twin", "wider", "narrower", "alike")
-GONE: dict[str, Callable] = {"shortened": lambda problem, *_: problem}
-"""What stands in for a rule that is gone, where that is not None."""
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
 
@@ -153,7 +146,7 @@ class Watch:
 def without_it(name: str, rule: Callable) -> Callable:
     """What stands in for a rule that is gone."""
     if name not in KINDS:
-        return GONE.get(name, lambda *_, **__: None)
+        return lambda *_, **__: None
     return lambda *given: None if given[-1].kind == name else rule(*given)
 
 

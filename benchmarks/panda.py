@@ -15,6 +15,7 @@ errors of torque over joints, N·m, and the share of true torques in the 90 % in
 and seconds of CPU of ours on one thread. A tenth of the rows at each end does not count: filters end badly there.
 
     python benchmarks/panda.py [--seeds 3] [--noise 1e-4 1e-3] [--seconds 2] [--torque matern32] [--method laplace]
+                               [--results FILE]
 """
 
 import argparse
@@ -22,13 +23,13 @@ import sys
 import tempfile
 import time
 import warnings
-from itertools import product
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pandas as pd
 import torch
+from kept import kept
 
 from invdyn.inference import METHODS, infer, pooled
 from invdyn.inference.methods.differentiate import derivatives, winter_cutoff
@@ -130,16 +131,22 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--torque", choices=sorted(TORQUE_PROCESSES), default="ornstein_uhlenbeck")
     parser.add_argument("--method", choices=sorted(METHODS), default="smc")
+    parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
-    rows = []
-    for noise, seed in product(arguments.noise, range(arguments.seeds)):
-        torque = TORQUE_PROCESSES[arguments.torque]()
-        rows.append(score(panda(), seed, noise, arguments.seconds, torque, arguments.method))
-        print(pd.DataFrame(rows[-1:]).to_string(index=False, header=len(rows) == 1, float_format="{:.4g}".format))
-    print("\nmeans")
-    print(pd.DataFrame(rows).groupby("noise, rad").mean().to_string(float_format="{:.4g}".format))
+    process, method, seconds = arguments.torque, arguments.method, arguments.seconds
+    print(f"{seconds:g} s of encoders at {RATE} Hz, {process}, {method}, {arguments.seeds} seeds\n")
+    for number, noise in enumerate(arguments.noise):
+        rows = []
+        for seed in range(arguments.seeds):
+            case = f"{process} {method} {seconds:g} {noise:g} {seed}"
+            make = partial(score, panda(), seed, noise, seconds, TORQUE_PROCESSES[process](), method)
+            rows.append(kept(arguments.results, case, make))
+        if not number:
+            print(f"| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
+        means = np.mean([list(row.values()) for row in rows], 0)
+        print(f"| {' | '.join(f'{value:.3g}' for value in means)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -179,13 +179,13 @@ def diagnose(
 def _searched(
     bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST_EFFECTS
 ) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The problem in sub-steps short enough, along the data's path and for all that was found, and the search."""
+    """The problem in sub-steps short enough along the data's path, and the search."""
     try:
         with diverging():
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
             found = search(bound, path, stray, without, workers, most)
-            return bound.in_substeps(max(cause.model.substeps for cause in found.pool.values())), found
+            return bound, found
     except Diverged as error:
         raise cannot_follow(bound) from error
 

@@ -3,17 +3,14 @@
 Screened along the base's path; the first effect of all along the simulation's own, too. Beside those that the screen
 ranks (:mod:`.shortlist`):
 
-- those whose parameters are searched (:mod:`.noise`). What changes the scatter is searched with each screen. Play comes
-  after it, alone or beside an effect that does not stick: where no other effect explains the gap, or a small one, and
-  beside a base far behind the best set, if it may make that good;
-- with the first effect, those that would leave little to a small residual, and from several values those that no screen
-  tells the size of (``Effect.scan``).
+- those whose parameters are searched (:mod:`.noise`): what changes the scatter, and play,
+- with the first effect, from several values, those that no screen tells the size of (``Effect.scan``).
 
 With unknown torque only what the camera shows is refined (:func:`.shortlist.refine_promising`): if it gains more than
 what a torque imitates, or where errors of prediction show that something is left whatever the torque does.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import product
 
@@ -32,7 +29,6 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     attempt,
     idle,
     refine_barred,
-    refine_clearing,
     refine_promising,
 )
 from invdyn.diagnosis.hypotheses.swap_step import free_beside
@@ -54,35 +50,18 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
     alone = known and not others(base)
     screened, best = screened_with(problem, found, base, alone)
     found.first = found.first or best
-    # What changes the scatter need not wait for what else explains the gap: how much that is worth, the screen says.
-    promised = found.top if base.complete or not known else max(found.top, best[0].log_evidence)
-    least = -np.inf if known else idle(screened)
-    gears, scatter = _searchable(problem, found, base, free)
-    early = [*(gears if base.complete and not found.explained else []), *scatter] if base.complete or known else []
-    refine_promising(
-        problem, found, base, best, width, _sought(problem, base, early, max(promised - TOO_FAR_BEHIND, least))
-    )
+    refine_promising(problem, found, base, best, width)
     refine_kin(problem, found, len(base.effects) + 1)
+    least = -np.inf if known else idle(screened)
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
         refine_barred(problem, found, base, best)
         least = -np.inf
     if alone:
-        if not found.ranked[0].complete:
-            refine_clearing(problem, found, base, best)
         for effect in (e for e in free if e.scan):
             if found.ranked[0].complete:
                 break
             attempt(_scan, problem, found, base, effect)
-    if not base.complete:
-        broken = not early or found.top < promised - TOO_FAR_BEHIND / 2
-        # What gains little, play may imitate, or be imitated by; and along the base's path it shows less than it is.
-        plain = found.explained and found.top > base.log_evidence + TOO_FAR_BEHIND
-        enough = max(found.top - TOO_FAR_BEHIND, least)
-        # Where nothing explains the gap, beside a base far behind the best set play takes minutes to gain a few nats.
-        fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
-        geared = _sought(problem, base, [] if plain else gears, enough if found.explained else max(fair, least))
-        late = _sought(problem, base, scatter if broken else [], enough)
-        found.add_all(problem, [*geared, *late])
+    refine_searchable(problem, found, base, free, least)
     return screened
 
 
@@ -126,29 +105,30 @@ def _scan(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothes
         found.add(refine(problem, effects, best.values, best.path, FIRM, **base.searched))
 
 
-def _searchable(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, free: Sequence[Effect]
-) -> tuple[list[Effect], list[Effect]]:
-    """Effects whose parameters are searched that may join ``base``: play, and those that change the scatter alone."""
+def refine_searchable(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, free: Sequence[Effect], least: float
+) -> None:
+    """Search parameters that no column describes beside ``base``: of what changes the scatter alone, and of play.
+
+    Each is given up under ``least`` nats, scatter also far behind the best cause. Play takes minutes: it is looked for
+    beside no effect or one that does not stick, if nothing else explains the gap, or a small one, as what gains little
+    play may imitate, or be imitated by. It must make good a share of what its base is behind.
+    """
     beside = others(base)
-    # Where joints stick, too, play takes minutes; and beside what explains less than stray detections do, they come
-    # first.
     slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime != "unknown_torque"
+    # Beside what explains less than stray detections do, they come first.
     slips = slips and (not beside or base.log_evidence > found.cleaned - TOO_FAR_BEHIND)
-    searched = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
-    gears: list[Effect] = [e for e in searched if isinstance(e, HiddenHinge)]
-    return gears if slips else [], [e for e in searched if e not in gears]
-
-
-def _sought(
-    problem: DiagnosisProblem, base: FittedHypothesis, effects: Sequence[Effect], enough: float
-) -> list[Callable[[], list[FittedHypothesis | None]]]:
-    """Searches of ``effects`` beside ``base``, each given up under ``enough`` nats, for :func:`side_by_side`."""
+    settled = bool(base.effects) and base.complete
+    plain = found.explained and (settled or found.top > base.log_evidence + TOO_FAR_BEHIND)
+    fair = base.log_evidence + SHARE * (found.top - base.log_evidence)
 
     def searched(effect: Effect) -> list[FittedHypothesis | None]:
-        return [attempt(refine_searched, problem, base, effect, enough)]
+        enough = fair if isinstance(effect, HiddenHinge) else found.top - TOO_FAR_BEHIND
+        return [attempt(refine_searched, problem, base, effect, max(enough, least))]
 
-    return [partial(searched, effect) for effect in effects]
+    free = [e for e in free if is_searched(e) and (found.stray or e.name not in MISTAKES)]
+    wanted = [e for e in free if not isinstance(e, HiddenHinge) or (slips and not plain)]
+    found.add_all(problem, [partial(searched, effect) for effect in wanted])
 
 
 def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:

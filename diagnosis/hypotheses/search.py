@@ -10,7 +10,6 @@ first of these moves that it has not made, which may make another one the best:
             promising refined (:mod:`.forward_step`); where no first one is enough, also sets of up to four as a whole,
             from a beam (:mod:`.beam_search`)
     swap    each effect for a better one, along the path of the set (:func:`.swap_step.exchange`)
-    look    at every effect of the observation beside the best single one, if something is left after all
 
 After each of them the neighbours of what it found follow, exact twins, wider and narrower laws, softer forms, others
 that look like it, from values that its own say (:mod:`.moves`).
@@ -41,8 +40,7 @@ from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_every, refine_promising
-from invdyn.diagnosis.hypotheses.substeps import shortened
+from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_promising
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
@@ -57,8 +55,8 @@ WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
 """Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
 candidates refined instead of stray detections."""
 
-Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], DiagnosisProblem | None]
-"""Refines what a base leads to, into the pool, and may say in which sub-steps the search goes on."""
+Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
+"""Refines what a base leads to, into the pool."""
 
 
 def search(
@@ -94,7 +92,7 @@ def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         if move is None or base is None:
             return
         made.add((move, base.key))
-        problem = move(problem, found, base) or problem
+        move(problem, found, base)
 
 
 def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterator[tuple[Move, FittedHypothesis]]:
@@ -119,27 +117,18 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
         yield _grow, best
     if best.effects:
         yield exchange, best
-    if single is not None and found.most > 1 and not best.complete and _look not in made:
-        yield _look, single
 
 
-def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> DiagnosisProblem:
-    """Add an effect; the first of all in shorter sub-steps if it needs them, and where it is not enough also several.
+def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Add an effect; where the first of all is not enough, also several.
 
     Enough is what leaves nothing, by effects that are what they are called.
     """
     screened = extend(problem, found, base, _width(base))
     if base.effects or problem.regime == "unknown_torque":
-        return problem
-    problem = shortened(problem, found)
+        return
     if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
         _several(problem, found, screened)
-    return problem
-
-
-def _look(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Refine every effect on what is seen beside a base."""
-    refine_every(problem, found, base, screened_with(problem, found, base, False)[0])
 
 
 def _width(base: FittedHypothesis) -> int:

@@ -3,13 +3,8 @@
 A refinement costs a hundred times what a screen does. An effect is refined if it may raise the posterior by what the
 screen says, which errs, and if it gains a fair share of what the best one gains.
 
-Where none of those explains the gap, also what would leave less than half of it to a residual next to nothing, whatever
-it gains beside a large one: much of an effect is no straight line, and a large residual takes up what the line leaves.
-
 An effect that would need values beyond what is plausible is refined in its softer form as well, if it has one: they may
 stand for what the ideal form lacks. So is, in :mod:`.moves`, one that leaves something.
-
-A refinement that ends far under its base, which it contains, has lost its way and begins again from the base's path.
 
 With a torque that nobody knows, one must gain more than what that torque could do as well, unless errors of prediction
 show that something is left whatever it does.
@@ -50,9 +45,6 @@ DOUBT, SURE = 5.0, 2.0
 SOFTENED = 0.01
 """Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
 
-FAILED = 20.0
-"""Nats under its base from which on a refinement has lost its way: a cause contains its base."""
-
 
 def refine_promising(
     problem: DiagnosisProblem,
@@ -60,11 +52,10 @@ def refine_promising(
     base: FittedHypothesis,
     screened: Sequence[Screened],
     width: int,
-    besides: Sequence[Callable[[], Sequence[FittedHypothesis | None]]] = (),
 ) -> None:
     """Refine those of the screened effects, added to ``base``, that may raise the posterior, ``width`` at most.
 
-    What else can be found meanwhile, ``besides``, goes side by side with the first of them.
+    The first one alone: it may leave nothing, and spare the others.
     """
     # An effect must raise the posterior, which its prior lowers; the screen errs by some nats.
     nothing, temper = next(s.log_evidence for s in screened if s.effect is None), found.temper
@@ -81,9 +72,7 @@ def refine_promising(
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > RULE.faint]
     promising = promising[:width]
-    # One that gains far more than the next may leave nothing, and spare the others.
-    alone = len(promising) > 1 and promising[1].log_evidence - nothing < HALF * most
-    for first in (0, *range(1 if alone else PAIR, len(promising), PAIR)):
+    for first, last in ((0, 1), *((i, i + PAIR) for i in range(1, len(promising), PAIR))):
         top, complete = found.top, found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
         least = min(most - TOO_FAR_BEHIND, (HALF if complete else SHARE) * most)
@@ -93,44 +82,10 @@ def refine_promising(
         }
         parts = [
             partial(_refined, problem, base, each, limits)
-            for place, each in enumerate(promising[first : 1 if alone and not first else first + PAIR], first)
+            for place, each in enumerate(promising[first:last], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
-        found.add_all(problem, parts if first else [*parts, *besides])
-
-
-def refine_clearing(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
-) -> None:
-    """Refine those added to ``base`` that leave less than half of the gap where the residual is next to nothing."""
-    none = next(s for s in screened if s.effect is None)
-    least = none.by_size[0] + HALF * (none.by_size.max() - none.by_size[0])
-    known = {effect.key for cause in found.pool.values() for effect in cause.effects}
-    clear = [s for s in added(screened) if s.effect.key not in known and s.by_size[0] > least]
-    _refine_beside(problem, found, base, sorted(clear, key=lambda s: -s.by_size[0])[:PAIR])
-
-
-def refine_every(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]
-) -> None:
-    """Refine all of the screened effects on what is seen, added to ``base``, that were not, until one leaves nothing.
-
-    A path with a residual goes along with what the camera makes of the motion, and the screen may see none of it.
-    """
-    seen = [s for s in added(screened) if s.effect.side == "observation"]
-    left = [s for s in seen if key_of((*base.effects, s.effect)) not in found.pool]
-    for first in range(0, len(left), PAIR):
-        _refine_beside(problem, found, base, left[first : first + PAIR])
-        if found.explained:
-            return
-
-
-def _refine_beside(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, some: Sequence[Added]
-) -> None:
-    """Refine some of the screened effects, added to ``base``, side by side."""
-    limits = {"enough": found.top - TOO_FAR_BEHIND}
-    found.add_all(problem, [partial(_refined, problem, base, each, limits) for each in some])
+        found.add_all(problem, parts)
 
 
 def refine_barred(
@@ -160,10 +115,7 @@ def refine_barred(
 def _refined(
     problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
 ) -> list[FittedHypothesis]:
-    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest.
-
-    Where both end far under the base, once more from there.
-    """
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
     refined = []
     for start in (each.values, each.elsewhere):
         if start is None:
@@ -177,22 +129,7 @@ def _refined(
             refined.append(cause)
             if cause.complete:
                 break
-    if refined and max(cause.log_evidence for cause in refined) < base.log_evidence - FAILED:
-        again = attempt(_from_base, problem, base, each, limits)
-        refined += [again] if again is not None else []
     return refined
-
-
-def _from_base(
-    problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
-) -> FittedHypothesis:
-    """``base`` and a screened effect, from the base's own path and with next to nothing of the effect."""
-    none_of_it = {
-        p.name: p.absent for p in each.effect.parameters(problem.model.scale) if p.absent not in (None, np.inf)
-    }
-    values = {f"{each.effect.key}.{name}": value for name, value in (each.values | none_of_it).items()} | base.values
-    effects = (*base.effects, each.effect)
-    return refine(problem, effects, values, base.path, best_size(problem, base), **base.searched, **limits)
 
 
 def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:

@@ -5,18 +5,13 @@ play does, gains what all others lose by it. The error e_t (D,) of row t is the 
 along a path. As an input into the state it changes the whitened innovations by a column w (:mod:`.innovations`), and
 log evidence by ½ |w|² on average; with next to no residual, which would take the error along.
 
-That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`), but
-not always where friction falls with speed: such a motion is unstable, and what is lost at one turn grows until the
-next. What leaves something then may leave nothing in shorter ones.
+That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`).
 """
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import SPIKE, filter_of, whiten
@@ -26,8 +21,6 @@ LOST = 0.5
 """Nats that errors of integration may cost."""
 MOST_TIMES = 2
 """Times as many sub-steps as errors in an angle ask for: |w|² falls by a thousand with that, but on wild paths."""
-SHORTER = (2, 4)
-"""Times as many sub-steps that an effect whose force jumps is refined in, where it leaves something."""
 
 
 def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
@@ -55,22 +48,3 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
         if 0.5 * whiten(problem, about, Columns(error, nothing)).gram[0, 1, 1] <= LOST:
             break
     return problem.in_substeps(count)
-
-
-def shortened(problem: DiagnosisProblem, found: HypothesisPool) -> DiagnosisProblem:
-    """The problem, in shorter sub-steps where the best effect, whose force jumps, leaves something but nothing in them.
-
-    It is kept as it is there, in its ideal form.
-    """
-    best = found.ranked[0]
-    if best.complete or len(best.effects) != 1 or not best.model.effects.abrupt:
-        return problem
-    ideal = [effect for effect in found.candidates if effect.key == best.key]
-    for times in SHORTER:
-        there = problem.in_substeps(times * best.model.substeps_taken)
-        cause = attempt(refine, there, ideal, best.values, found.path, problem.loose)
-        # What leaves something all the same gains little by them, and all that comes after would take as much longer.
-        if cause is not None and cause.complete and cause.log_evidence > best.log_evidence:
-            found.add(cause)
-            return there
-    return problem

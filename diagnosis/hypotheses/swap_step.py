@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import FIRM, lifted
-from invdyn.diagnosis.hypotheses.moves import bared, refine_instead, refine_kin, refine_softer
+from invdyn.diagnosis.hypotheses.moves import bared, refine_kin, refine_softer
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -68,11 +67,8 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
     """
     for old in best.effects:
         rest = tuple(effect for effect in best.effects if effect is not old)
-        if is_searched(old):
-            continue
-        if any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
-            _beside_play(problem, found, best, old)
-            continue
+        if is_searched(old) or any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+            continue  # play leaves no path that a screen could be along
         _, common, point, model = bared(problem, best, old)
         free = free_beside(found, rest, old)
         if best.complete and not rest:
@@ -90,29 +86,6 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
         without_it = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
         refine_promising(problem, found, without_it, near, SWAPS)
     refine_kin(problem, found, len(best.effects))
-
-
-def _beside_play(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis, old: Effect) -> None:
-    """Refine what by itself does as well as ``old`` in its place: play leaves no path that a screen could be along.
-
-    Where that is better, and play is all the rest, play is searched anew beside it.
-    """
-    taken, alone = {effect.key for effect in best.effects}, found.pool.get(old.key)
-    if alone is None:
-        return
-    rest = tuple(effect for effect in best.effects if effect is not old)
-    singles = [c for c in found.pool.values() if len(c.effects) == 1 and c.key not in taken]
-    near = [c for c in singles if c.log_evidence > alone.log_evidence - RULE.few and not is_searched(c.effects[0])]
-    for cause in sorted(near, key=lambda cause: -cause.log_evidence)[:SWAPS]:
-        other = cause.effects[0]
-        own = {p.name: cause.values[f"{other.key}.{p.name}"] for p in other.parameters(problem.model.scale)}
-        refine_instead(problem, found, best, old, other, [own], [best.path])
-        swapped = found.pool.get(key_of((*rest, other)))
-        better = swapped is not None and swapped.log_evidence > best.log_evidence and not swapped.complete
-        if better and len(rest) == 1:
-            found.add(attempt(refine_searched, problem, cause, rest[0], found.top - TOO_FAR_BEHIND))
-        if found.explained:
-            return
 
 
 def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:

@@ -5,8 +5,8 @@ Gaussian around the start (a factor of e^±sd), by Newton's method in a trust re
 is that of the posterior-linearised model (:mod:`.posterior_linearisation`), which on planar arms
 lies within about a nat of the SMC evidence. Gradient and Hessian come by finite differences
 in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised
-over, and run through one backward recursion together. Link lengths are known a hundred times
-better than noise scales: a first-order or quasi-Newton method crawls here.
+over, and run through one backward recursion together. Means that a parameter does not move are fitted once.
+Link lengths are known a hundred times better than noise scales: a first-order or quasi-Newton method crawls here.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
-from invdyn.inference.smoothing.posterior_linearisation import fit_linear, posterior_linearisation
+from invdyn.inference.smoothing.posterior_linearisation import Alike, fit_linear, posterior_linearisation, that_move
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.state_space import StateSpaceModel
 
@@ -160,9 +160,8 @@ class _Objective(Generic[M]):
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and Hessian at φ."""
         model, size = self.at(phi), len(phi)
-        mode = gauss_newton(model, self.observations, start=self.path, max_iterations=15)
-        if self.path is not None and not bool(mode.converged):
-            mode = gauss_newton(model, self.observations)
+        # From the last mode always: begun anew the search may end at another one, and evidences would not compare.
+        mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
         # The mode obeys the dynamics and the posterior's mean does not quite: start from the mode next time.
@@ -173,7 +172,8 @@ class _Objective(Generic[M]):
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
         path = smoother.path.expand(len(shifts), *smoother.path.shape)
         covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
-        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance)
+        moved, seen = self._alike(phi, shifts, path, covariance)
+        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance, moved, seen)
         evidence = solve(linear).log_evidence + linear.log_constant
         middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
         gradient = (up - down) / (2 * STEP)
@@ -183,6 +183,18 @@ class _Objective(Generic[M]):
         precision = 1 / self.sd**2
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
         return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
+
+    def _alike(self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor) -> list[Alike]:
+        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P), of transitions and of emissions."""
+        each = np.zeros((1 + len(self.free), len(phi)))
+        for row, index in zip(each[1:], self.slices, strict=True):
+            row[index] = STEP
+        found = []
+        for told in that_move(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
+            moves = each.T @ np.where(told, 1 / STEP, 0.0)
+            fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
+            found.append(Alike(self.at(phi + fewer), torch.as_tensor(number)))
+        return found
 
 
 def fit(

@@ -8,8 +8,14 @@ transition and the emission are linearised (:mod:`.linearisation`),
     x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
 
 and the linear problem is solved exactly, by one band Cholesky factor a chain (:mod:`.banded`) where the mean is all
-that is asked for, by the recursions of :mod:`.square_root` where factors are. A step that does not raise log p(x, y)
-is repeated with damping rows √μ (x_t − x̄_t)/s.
+that is asked for, by the recursions of :mod:`.square_root` where factors are. A step d that does not raise log p(x, y)
+is corrected to second order: nearly deterministic dynamics are hurt by their own bend, which a touch of torque would
+mend (the Maratos effect; Nocedal & Wright, "Numerical Optimization", 2006, sections 15.6 and 18.3). The linear problem
+is solved once more with what the transition is truly off there, less the slopes' share,
+
+    f(x̄_t + d_t) − x̄_{t+1} − d_{t+1} − (F_t d_t − d_{t+1})     in place of     f(x̄_t) − x̄_{t+1}.
+
+If that does not help, either, the step is repeated with damping rows √μ (x_t − x̄_t)/s.
 
 With the last linearisation come the Laplace-type evidence (exact for linear-Gaussian models) and the
 factors ψ_t that the controlled guide twists by.
@@ -25,8 +31,15 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.smoothing.banded import chain_mean
-from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, deviations, linearise, log_joint
-from invdyn.inference.smoothing.square_root import BackwardFactors, backward, forward_covariance, forward_mean
+from invdyn.inference.smoothing.linearisation import (
+    Deviations,
+    Linearisation,
+    Slopes,
+    deviations,
+    linearise,
+    log_joint,
+)
+from invdyn.inference.smoothing.square_root import BackwardFactors, apply, backward, forward_covariance, forward_mean
 from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
@@ -161,15 +174,14 @@ def _ascend(
     damping, done = np.zeros(batch), np.zeros(batch, dtype=bool)
     for _ in range(max_iterations):
         linear = linear or linearise(model, path, observations, here, slopes)
-        with np.errstate(over="ignore", invalid="ignore"):
-            step = torch.as_tensor(mean_step(linear, damping, scale))
-        # A step that is not finite is refused, and no model is asked about it: one that checks its values would raise.
-        finite = torch.isfinite(step).flatten(-2).all(-1)
-        step = torch.where(finite[..., None, None], step, 0.0)
-        candidate = settled(model, path + step)
-        there = deviations(model, candidate, observations)
-        reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
-        gain = np.where(finite.numpy(), reached - merit, -np.inf)
+        step, candidate, there, reached = _tried(model, observations, path, linear, damping, scale)
+        if (refused := (reached - merit < -tolerance) & ~done).any():
+            _, other, beyond, more = _tried(model, observations, path, _bent(linear, step, there), damping, scale)
+            if (mended := refused & (more > reached)).any():
+                candidate = torch.where(torch.as_tensor(mended)[..., None, None], other, candidate)
+                reached = np.where(mended, more, reached)
+                there = beyond if mended.all() else deviations(model, candidate, observations)
+        gain = reached - merit
         better = (gain >= 0) & ~done
         if better.any():
             path = torch.where(torch.as_tensor(better)[..., None, None], candidate, path)
@@ -183,6 +195,32 @@ def _ascend(
         if done.all():
             break
     return path, torch.as_tensor(merit), torch.as_tensor(done), linear
+
+
+def _tried(
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    linear: Linearisation,
+    damping: np.ndarray,
+    scale: np.ndarray,
+) -> tuple[np.ndarray, Tensor, Deviations, np.ndarray]:
+    """The step from ``path`` that ``linear`` asks for, where it leads, what is off there, and log p(x, y) (…)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = mean_step(linear, damping, scale)
+    # A step that is not finite is refused, and no model is asked about it: one that checks its values would raise.
+    finite = np.isfinite(step).all((-2, -1))
+    step = np.where(finite[..., None, None], step, 0.0)
+    candidate = settled(model, path + torch.as_tensor(step))
+    there = deviations(model, candidate, observations)
+    reached = np.nan_to_num(log_joint(there), nan=-np.inf, neginf=-np.inf)
+    return step, candidate, there, np.where(finite, reached, -np.inf)
+
+
+def _bent(linear: Linearisation, step: np.ndarray, there: Deviations) -> Linearisation:
+    """``linear`` with the transitions' deviations as they are after a ``step`` (…, T, D), less its slopes' share."""
+    a = there.a - (apply(linear.F, step[..., :-1, :]) - step[..., 1:, :])
+    return replace(linear, a=np.where(np.isfinite(a).all((-2, -1), keepdims=True), a, linear.a))
 
 
 def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:

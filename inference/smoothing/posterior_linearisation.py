@@ -14,6 +14,7 @@ which is what lowers the variance of log Ẑ in noisy settings.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,6 +26,11 @@ from invdyn.inference.smoothing.square_root import apply, forward_mean
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
+
+Mean = Callable[[StateSpaceModel, Tensor], Tensor]
+"""From a model and states (…, T, D) to means (…, T, P)."""
+Fits = tuple[Tensor, Tensor, Tensor]
+"""Value, slope and error, as :func:`_regress` has them."""
 
 
 def posterior_linearisation(
@@ -69,21 +75,43 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
     return GaussianSmoother(path, factors, linear, evidence, joint, smoother.converged)
 
 
-def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor) -> Linearisation:
-    """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path."""
-    rows = torch.arange(path.shape[-2])
-    lone, shown = model.lone or ([], [])
-    others = [k for k in range(path.shape[-1]) if k not in set(lone)]
-    # What lone states add is linear: over them there is nothing to fit, and nothing of them in the rest.
-    root = _root(covariance[..., others, :][..., others] if lone else covariance)
-    transition = model.transition
-    predicted, F, V = _regress(
-        lambda x: gaussian_mean(transition(x, rows[1:])), path[..., :-1, :], root[..., :-1, :, :], lone, lone
-    )
-    h, H, error = _regress(lambda x: emission_mean(model, x, rows), path, root, lone, shown)
+@dataclass(frozen=True)
+class Alike:
+    """A model of B parameter sets by fewer, U, that have the same means: a noise scale, say, moves none.
+
+    ``number`` (B,) is that of each set's mean among the U; None where each has its own.
+    """
+
+    model: StateSpaceModel
+    number: Tensor | None = None
+
+    def regressed(self, mean: Mean, centre: Tensor, root: Tensor, lone: Sequence[int], shown: Sequence[int]) -> Fits:
+        """:func:`_regress` of a ``mean`` of the model, over the same N(centre, root rootᵀ) in all sets."""
+        if self.number is None:
+            return _regress(lambda x: mean(self.model, x), centre, root, lone, shown)
+        sets = int(self.number.max()) + 1
+        value, slope, error = _regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], lone, shown)
+        return value[self.number], slope[self.number], error[self.number]
+
+
+def fit_linear(
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    covariance: Tensor,
+    moved: Alike | None = None,
+    seen: Alike | None = None,
+) -> Linearisation:
+    """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path.
+
+    Where N is one and the same in B parameter sets, (B, T, …), ``moved`` and ``seen`` may say which of them have the
+    same transitions' and emissions' means, whose fits are most of the work (:func:`that_move`).
+    """
+    predicted, F, V = _transitions(moved or Alike(model), path, covariance)
+    h, H, error = _emissions(seen or Alike(model), path, covariance)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
-        emission = model.emission(path, rows)
+        emission = model.emission(path, torch.arange(path.shape[-2]))
         whitening, constant = gaussian_rows(emission, observations)
         observations = explained(emission, observations)
     if whitening.ndim == H.ndim - 1:
@@ -99,6 +127,29 @@ def fit_linear(model: StateSpaceModel, observations: Tensor, path: Tensor, covar
     pieces = (F, predicted - path[..., 1:, :], L, whitening @ H, e, m0, constant.sum(-1), V)
     F_, a, L_, E, e_, m0_, log_constant, V_ = (piece.detach().numpy() for piece in pieces)
     return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
+
+
+def that_move(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has."""
+    fits = _transitions(Alike(model), path, covariance), _emissions(Alike(model), path, covariance)
+    moved, seen = (torch.stack([(each != each[:1]).flatten(1).any(1) for each in pieces]).any(0) for pieces in fits)
+    return moved, seen
+
+
+def _transitions(alike: Alike, path: Tensor, covariance: Tensor) -> Fits:
+    rows = torch.arange(1, path.shape[-2])
+    lone, _ = alike.model.lone or ([], [])
+    root = _root_of_others(covariance, lone)[..., :-1, :, :]
+    return alike.regressed(
+        lambda model, x: gaussian_mean(model.transition(x, rows)), path[..., :-1, :], root, lone, lone
+    )
+
+
+def _emissions(alike: Alike, path: Tensor, covariance: Tensor) -> Fits:
+    rows = torch.arange(path.shape[-2])
+    lone, shown = alike.model.lone or ([], [])
+    root = _root_of_others(covariance, lone)
+    return alike.regressed(lambda model, x: emission_mean(model, x, rows), path, root, lone, shown)
 
 
 def _regress(
@@ -133,6 +184,12 @@ def _regress(
     whole[..., others] = slope
     whole[..., list(shown), list(lone)] = change
     return average, whole, error
+
+
+def _root_of_others(covariance: Tensor, lone: Sequence[int]) -> Tensor:
+    """What lone states add is linear: over them there is nothing to fit, and nothing of them in the rest."""
+    others = [k for k in range(covariance.shape[-1]) if k not in set(lone)]
+    return _root(covariance[..., others, :][..., others] if lone else covariance)
 
 
 def _root(covariance: Tensor) -> Tensor:

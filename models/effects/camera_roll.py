@@ -1,4 +1,4 @@
-"""A camera that is not level: the picture turned about the frame's origin."""
+"""A camera that is not level: R(α) p, the picture turned about the frame's origin."""
 
 from collections.abc import Mapping
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""A camera whose scale is off: s p about the frame's origin."""
+"""A camera whose scale is off: p → s p about the frame's origin."""
 
 from pyro.distributions import LogNormal
 from torch import Tensor

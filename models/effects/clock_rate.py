@@ -1,4 +1,4 @@
-"""Frames taken at another rate than stated."""
+"""Frames taken at another rate than stated: their true times are t₀ + (t − t₀)/s."""
 
 from collections.abc import Mapping
 from typing import ClassVar

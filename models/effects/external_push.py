@@ -1,4 +1,4 @@
-"""Someone pushes: a force on a keypoint between two moments, Jᵀ F."""
+"""Someone pushes: a force F on a keypoint between two moments, τ = Jᵀ F."""
 
 import torch
 from pyro.distributions import HalfNormal, Normal, Uniform

@@ -1,4 +1,4 @@
-"""Gravity from another direction: the frame is not level."""
+"""Gravity from another direction, as the frame is not level: R(α) g."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self

@@ -1,4 +1,4 @@
-"""A link whose mass, centre of mass and inertia are not those of the body file."""
+"""A link that is not as its body file says: m + Δm, com + Δcom, I + ΔI."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Self

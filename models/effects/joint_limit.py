@@ -1,4 +1,4 @@
-"""A stop of a joint: a spring and damper past an angle, which push and never pull."""
+"""A stop of a joint, a spring and damper that never pull: ∓max(0, k e ± d θ̇) at a depth e = ±(θ − θ_lim) > 0."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""A tracker that takes one keypoint for another: with probability ρ two of them are exchanged."""
+"""A tracker that takes one keypoint for another: with probability ρ it shows (p_j, p_i) in place of (p_i, p_j)."""
 
 from collections.abc import Sequence
 from itertools import combinations

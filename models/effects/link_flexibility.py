@@ -1,10 +1,8 @@
-"""A link that bends: a hidden hinge with a spring and a damper at half its length.
+"""A link that bends: a hidden hinge ψ at half its length, with a spring and a damper, −k ψ − d ψ̇.
 
 The parts have shares π and 1 − π of length and mass. Their centres lie s apart, and a straight link has the inertia
 that it had as one piece. For a uniform rod s = length/2, and the parts share I − π (1 − π) m s² as π³ to (1 − π)³. For
 a link with less inertia s is smaller. π = ½; only the softer form learns where it bends.
-
-    torque on the hinge = −k ψ − d ψ̇
 
 A spring stiffer than the sub-steps can follow acts as the stiffest that they can; an infinite one is no hinge at all.
 """

@@ -1,4 +1,4 @@
-"""Detections from far away: with probability ρ a keypoint's noise is s wide."""
+"""Detections from far away: (1 − ρ) N(p, σ²) + ρ N(p, σ² + s²), with ρ the share of those that are s off."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A point mass at the tip, of which the body file says nothing."""
+"""A point mass m at the tip t, of which the body file says nothing: the inertia about the joint is I + m t²."""
 
 from collections.abc import Sequence
 from typing import Any, Self

@@ -1,4 +1,4 @@
-"""Frames whose true moments scatter about their time stamps: errors in proportion to speed."""
+"""Frames whose true moments scatter about their time stamps by δ: keypoints at p + δ ṗ + ½ δ² p̈."""
 
 import math
 from collections.abc import Mapping

@@ -45,9 +45,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (friction,)))
     pool = HypothesisPool(considered(bound), {none.key: none}, [], path, stray, aside=path)
 
-    def refined(_, pool, base, best, width, meanwhile):
-        for each in meanwhile:
-            each()
+    def refined(_, pool, base, best, width):
         pool.add(found)
 
     monkeypatch.setattr(module, "TOO_FAR_BEHIND", large)
@@ -101,32 +99,3 @@ def test_load_friction_is_found_from_afar():
     cause = found.pool[friction.key]
     assert cause.complete
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
-
-
-@pytest.mark.parametrize("kept", [True, False])
-def test_the_scatter_is_searched_again_where_the_screen_had_promised_too_much(monkeypatch, kept):
-    """Given up under what the screen promises, less a margin; under what was found, where that is far from it."""
-    bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
-    path = data_path(bound)[0]
-    none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    module, asked = sys.modules[extend.__module__], []
-    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, False, aside=path)
-
-    def refined(_, pool, base, best, width, meanwhile):
-        for each in meanwhile:
-            each()
-        if kept:
-            pool.add(found)
-
-    monkeypatch.setattr(module, "TOO_FAR_BEHIND", 2.0)
-    monkeypatch.setattr(module, "refine_promising", refined)
-    monkeypatch.setattr(module, "refine_clearing", lambda *_: None)
-    monkeypatch.setattr(module, "refine_kin", lambda *_: None)
-    monkeypatch.setattr(module, "_scan", lambda *_: None)
-    monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append((given[2].name, given[3])))
-    extend(bound, pool, none, 1)
-    names = [name for name, _ in asked]
-    enough = [least for name, least in asked if name == "varying_noise"]
-    assert names.count("varying_noise") == names.count("timestamp_jitter") == (1 if kept else 2)
-    assert enough[0] > none.log_evidence
-    assert enough[1:] == ([] if kept else [none.log_evidence - 2.0])

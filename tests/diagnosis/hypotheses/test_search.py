@@ -121,13 +121,13 @@ def parts():
         ("", False, False, 4, ["_grow "]),
         ("a", True, False, 4, ["_grow a", "exchange a"]),  # a small one may be hidden
         ("a", True, True, 4, ["exchange a"]),
-        ("a", False, True, 4, ["_grow a", "exchange a", "_look a"]),
+        ("a", False, True, 4, ["_grow a", "exchange a"]),
         ("a", False, True, 1, ["exchange a"]),
-        ("bc", False, False, 4, ["reduce bc", "_grow a", "_grow bc", "exchange bc", "_look a"]),
+        ("bc", False, False, 4, ["reduce bc", "_grow a", "_grow bc", "exchange bc"]),
         ("bc", True, True, 4, ["reduce bc", "_grow a", "exchange bc"]),  # beside the one, another might do better
         ("ab", True, True, 4, ["reduce ab", "exchange ab"]),
         ("abc", True, True, 4, ["reduce abc", "_grow a", "exchange abc"]),  # and here one might be enough
-        ("abc", False, False, 3, ["reduce abc", "_grow a", "exchange abc", "_look a"]),
+        ("abc", False, False, 3, ["reduce abc", "_grow a", "exchange abc"]),
     ],
 )
 def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swapped, most, moves):
@@ -148,8 +148,8 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
     found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
-    asked, finds = [], {"_grow ": ["a", "b"], "_look a": ["abc"], "reduce abc": ["bc"]}
-    for move in ("reduce", "_grow", "exchange", "_look"):
+    asked, finds = [], {"_grow ": ["a", "b"], "exchange a": ["abc"], "reduce abc": ["bc"]}
+    for move in ("reduce", "_grow", "exchange"):
 
         def made(_, pool, base, move=move):
             asked.append(f"{move} {name[base.key]}")
@@ -158,7 +158,7 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
     _sought(diagnosis_problem(recording_of(), PENDULUM), found)
-    assert asked == ["_grow ", "_grow a", "exchange a", "_look a", "reduce abc", "_grow abc", "exchange abc"]
+    assert asked == ["_grow ", "_grow a", "exchange a", "reduce abc", "_grow abc", "exchange abc"]
 
 
 def add_friction(found, complete):
@@ -180,42 +180,11 @@ def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monke
     module, asked = sys.modules[search.__module__], []
     monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
     monkeypatch.setattr(module, "credible", lambda *_: named)
-    monkeypatch.setattr(module, "shortened", lambda problem, _: problem)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "exchange", "refine_every"):
+    for name in ("_several", "reduce", "exchange"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     search(bound, path, stray, MANY)
     assert ("_several" in asked) is looked
-    assert ("refine_every" in asked) is not complete
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_what_comes_after_is_in_the_sub_steps_that_the_first_effect_took(monkeypatch, known):
-    """An unknown torque takes errors of integration along, and is left in its own."""
-    recording = recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05)
-    bound = diagnosis_problem(recording if known else replace(recording, torques=None), PENDULUM)
-    path, stray = data_path(bound)
-    module, asked = sys.modules[search.__module__], []
-
-    def extend(problem, found, base, _):
-        asked.append((base.key, problem.model.substeps))
-        if not base.effects:
-            add_friction(found, False)
-
-    monkeypatch.setattr(module, "extend", extend)
-
-    def shortened(problem, _):
-        assert known
-        return problem.in_substeps(7)
-
-    monkeypatch.setattr(module, "shortened", shortened)
-    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "exchange", "refine_every"):
-        monkeypatch.setattr(module, name, lambda *_: None)
-    search(bound, path, stray, MANY)
-    own = bound.model.substeps
-    assert own != 7
-    assert asked == ([("", own), ("viscous_friction.pivot", 7)] if known else [("", own)])
 
 
 @pytest.mark.parametrize(

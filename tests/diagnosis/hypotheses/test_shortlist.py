@@ -11,12 +11,8 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
-    FAILED,
-    HALF,
     SOFTENED,
     refine_barred,
-    refine_clearing,
-    refine_every,
     refine_promising,
 )
 from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
@@ -94,64 +90,6 @@ def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined
     assert len(tried) == refined
 
 
-def test_what_would_clear_the_gap_is_refined_whatever_it_gains_beside_a_large_residual(monkeypatch):
-    """But nothing that has been tried, and what leaves most of the gap is not."""
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    shares = {"camera_roll": HALF + 0.1, "camera_latency": HALF - 0.1, "coulomb_friction": 0.9}
-    some = [e for e in considered(bound) if e.name in shares]
-    common, gap = unknowns(bound, ()), 1000.0
-    screened = []
-    for each in screen(bound, bound.model, path, some, common, common.mean):
-        left = gap * (1 - shares[each.effect.name]) if each.effect else gap
-        screened.append(replace(each, log_evidence=0.0, by_size=np.linspace(-left, 0.0, len(each.by_size))))
-    tried = []
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried.append(effects[0].name)
-        return replace(none, effects=effects, log_evidence=none.log_evidence + 10)
-
-    monkeypatch.setattr(sys.modules[refine_clearing.__module__], "refine", refined_one)
-    friction = next(e for e in some if e.name == "coulomb_friction")
-    known = replace(none, effects=(friction,))
-    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
-    refine_clearing(bound, found, none, screened)
-    assert tried == ["camera_roll"]
-    assert "camera_roll" in found.pool
-
-
-@pytest.mark.parametrize("explaining", ["camera_latency", None])
-def test_every_effect_on_what_is_seen_is_refined_whatever_the_screen_says_until_one_leaves_nothing(
-    monkeypatch, explaining
-):
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    spike = np.arange(len(none.by_size)) == 0
-    none = replace(none, by_size=np.where(spike, -1e4, 0.0))
-    names = ("camera_yaw", "camera_roll", "camera_latency", "clock_rate", "camera_scale", "payload")
-    some = [e for e in considered(bound) if e.key in names]
-    common = unknowns(bound, ())
-    screened = screen(bound, bound.model, path, some, common, common.mean)
-    screened = [replace(s, log_evidence=-1e3 * names.index(s.effect.name) if s.effect else 0.0) for s in screened]
-    screened = sorted(screened, key=lambda s: -s.log_evidence)
-    tried = []
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried.append(effects[0].name)
-        done = effects[0].name == explaining
-        sizes = np.where(spike == done, 0.0, -1e4)
-        return replace(none, effects=effects, log_evidence=none.log_evidence + 1e3 * done, by_size=sizes)
-
-    monkeypatch.setattr(sys.modules[refine_every.__module__], "refine", refined_one)
-    known = replace(none, effects=(next(e for e in some if e.name == "camera_yaw"),))
-    found = HypothesisPool(considered(bound), {"": none, known.key: known}, [], path, stray)
-    refine_every(bound, found, none, screened)
-    # By twos; what was refined before is not again, and what changes the motion the screen sees.
-    assert tried == ["camera_roll", "camera_latency"] + ([] if explaining else ["clock_rate", "camera_scale"])
-
-
 @pytest.mark.parametrize("plausible", [True, False])
 def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch, plausible):
     """A stop from values as deep, a friction from a short settling time; the others have no such form."""
@@ -191,31 +129,3 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
             assert list(expected) == [*ideal, *softer]
             assert size >= SOFTENED
         assert (effect.key in found.pool) == (plausible or bool(softer))
-
-
-@pytest.mark.parametrize(("under", "again"), [(FAILED - 1, False), (FAILED + 1, True)])
-def test_what_ends_under_its_base_begins_again_from_there(monkeypatch, under, again):
-    """Along the base's path and with nothing of the effect; a limit that is absent at infinity as the screen has it."""
-    bound = diagnosis_problem(recording_of(), PENDULUM)
-    path, stray = data_path(bound)
-    none = replace(refine(bound, (), {}, path, LOOSE), path=path + 0.0)
-    some = [e for e in considered(bound) if e.name in ("coulomb_friction", "actuator_saturation")]
-    common = unknowns(bound, ())
-    screened = screen(bound, bound.model, path, some, common, common.mean)
-    screened = [replace(s, log_evidence=1e3 if s.effect else 0.0, elsewhere=None) for s in screened]
-    tried = {e.name: [] for e in some}
-
-    def refined_one(problem, effects, values, path, size, **given):
-        tried[effects[0].name].append((values, path))
-        first = len(tried[effects[0].name]) == 1
-        return replace(none, effects=effects, log_evidence=none.log_evidence + (-under if first else 10.0))
-
-    monkeypatch.setattr(sys.modules[refine_promising.__module__], "refine", refined_one)
-    found = HypothesisPool(some, {"": none}, [], path, stray)
-    refine_promising(bound, found, none, screened, 9)
-    for name, calls in tried.items():
-        assert [path is none.path for _, path in calls] == [False] + [True] * again
-        if again:
-            (value,) = calls[1][0].values()
-            assert value == (0.0 if name == "coulomb_friction" else calls[0][0]["actuator_saturation.pivot.limit"])
-            assert max(c.log_evidence for c in found.pool.values() if c.effects) == none.log_evidence + 10.0

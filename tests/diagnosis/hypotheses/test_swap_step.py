@@ -113,41 +113,6 @@ def test_what_is_left_of_two_that_were_searched_is_searched_anew():
     assert left.log_evidence == pytest.approx(one.log_evidence, abs=0.5)
 
 
-def test_beside_play_what_does_as_well_alone_takes_a_place_and_play_is_searched_anew(monkeypatch):
-    """No screen is along a path with play: drag that is nearly as good by itself as viscous friction is tried."""
-    bound = diagnosis_problem(recorded(), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE, rounds=1)
-    names = ("viscous_friction", "quadratic_drag", "coulomb_friction", "backlash")
-    viscous, drag, dry, play = (next(e for e in considered(bound) if e.name == name) for name in names)
-
-    def cause(gain, *effects):
-        values = {f"{e.key}.{p.name}": 0.1 for e in effects for p in e.parameters(bound.model.scale)}
-        left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
-        return replace(none, effects=effects, log_evidence=none.log_evidence + gain, noise=values, by_size=left)
-
-    best = cause(90.0, viscous, play)
-    causes = [none, cause(50.0, viscous), cause(49.0, drag), cause(40.0, dry), best]
-    found = HypothesisPool(considered(bound), {c.key: c for c in causes}, [], path, stray)
-    tried, searched = [], []
-
-    def refined(problem, effects, values, path, size, **kept):
-        tried.append((key_of(effects), values[f"{drag.key}.drag"]))
-        return cause(100.0, *effects)
-
-    def play_searched(problem, base, effect, enough):
-        searched.append((base.key, effect.key))
-        return cause(150.0, *base.effects, effect)
-
-    monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.moves"], "refine", refined)
-    monkeypatch.setattr(sys.modules[exchange.__module__], "refine_searched", play_searched)
-    monkeypatch.setattr(sys.modules[exchange.__module__], "refine_kin", lambda *_: None)
-    exchange(bound, found, found.ranked[0])
-    assert tried == [(key_of((play, drag)), 0.1)]  # dry friction is ten nats behind
-    assert searched == [(drag.key, play.key)]
-    assert found.ranked[0].log_evidence == none.log_evidence + 150
-
-
 def test_the_path_of_one_leads_to_another_that_is_like_it():
     """Where only Stribeck's friction has arrived, dry friction is tried again."""
     bound = diagnosis_problem(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)

@@ -11,6 +11,9 @@ from scipy.optimize import minimize
 
 from invdyn.inference import Free, fit
 from invdyn.inference.fitting.marginal_likelihood import _Objective
+from invdyn.inference.smoothing import posterior_linearisation
+from invdyn.inputs import load_body
+from invdyn.simulate import paper_arm, record
 
 F64 = torch.float64
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
@@ -150,6 +153,31 @@ def test_where_the_evidence_is_not_convex_no_parameter_is_wider_than_its_prior(c
     hessian = _Objective(start, torch.as_tensor(y), free, found.path).hessian(found.phi)
     assert np.linalg.eigvalsh(hessian).min() < 1 / 0.3**2
     assert all(found.log_sd[name] <= sd * (1 + 1e-9) for name, sd in prior.items())
+
+
+def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(monkeypatch):
+    """Scales move no mean, λ and masses the transitions', lengths all: of 45 sets of eight φ, so many are different."""
+    model = paper_arm(load_body("paper_planar_arm"), num_frames=12)
+    recording, _ = record(model, 0)
+    rows = torch.as_tensor(recording.keypoints.reshape(12, -1))
+    free = [Free("torque.scale"), Free("torque.decay"), Free("emission.keypoint_scale", tied=True)]
+    free += [Free("body.mass", entries=(1,)), Free("body.length")]
+    phi = 0.1 * np.arange(8.0)
+    fitted = []
+    regress = posterior_linearisation._regress
+
+    def counted(mean, centre, *others):
+        fitted.append(len(centre) if centre.ndim == 3 else 0)
+        return regress(mean, centre, *others)
+
+    monkeypatch.setattr(posterior_linearisation, "_regress", counted)
+    shared = _Objective(model, rows, free, None)._expand(phi)
+    each = 1 + len(free)
+    assert fitted[-4:] == [each, each, 1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
+    monkeypatch.setattr(_Objective, "_alike", lambda *_: (None, None))
+    for one, other in zip(shared, _Objective(model, rows, free, None)._expand(phi), strict=True):
+        # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
 
 def test_unknown_parameters_are_refused(chain, y):

@@ -87,6 +87,18 @@ def test_stiff_dynamics(noise):
     assert_stationary(model, y, smoother)
 
 
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_the_bend_of_stiff_dynamics_is_no_reason_for_small_steps(noise):
+    """From kinematics, without a homotopy: damped steps alone would need 160 and more."""
+    torch.manual_seed(1)
+    model = arm(100, noise, stiff=1e-5, parameters={"noise.velocity": 1e-4})
+    truth, y = model.simulate()
+    smoother = gauss_newton(model, y, start=model.initial_paths(y)[0], max_iterations=20)
+    assert bool(smoother.converged)
+    assert smoother.log_joint > model.log_joint(truth, y)
+    assert_stationary(model, y, smoother)
+
+
 def test_from_a_start_that_is_far_off():
     model = arm(60, 0.005)
     _, y = model.simulate()
@@ -121,14 +133,15 @@ def test_a_whole_step_that_is_hardly_a_difference_ends_the_search(monkeypatch):
 
     for name in looked:
         counted(name)
-    assert torch.equal(steps_from(away, 1, 1e-6)[0], away)  # a whole step is a loss from there
+    with monkeypatch.context() as uncorrected:  # a whole step is a loss from there
+        uncorrected.setattr(room, "_bent", lambda linear, *_: linear)
+        assert torch.equal(steps_from(away, 1, 1e-6)[0], away)
     path, steps, slopes = steps_from(away, 10, 1e9)
     assert torch.equal(path, away)
     assert (steps, slopes) == (1, 1)
     path, steps, slopes = steps_from(away, 10, 1e-6)
     assert not torch.equal(path, away)
-    assert steps == 10
-    assert slopes < 10  # none for steps that were refused
+    assert slopes < steps <= 10  # none for steps that were refused
 
 
 @pytest.mark.parametrize("rows", [2_000, pytest.param(10_000, marks=pytest.mark.slow)])
