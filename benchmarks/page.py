@@ -25,7 +25,7 @@ COMMANDS = {
     "spatial_paper": "spatial_paper.py --turned --results build/spatial_paper.jsonl",
     "spatial_paper_turned": "spatial_paper.py --noise --turned .1 --no-planar --results build/spatial_paper.jsonl",
     "mouse": "mouse.py --out build/mouse --shown 0:60",
-    "panda": "panda.py --seconds 1 --seeds 2 --results build/panda.jsonl",
+    "panda": "panda.py --seconds 1 --seeds 1 --results build/panda.jsonl",
     "cost": "cost.py",
     "calibration": "calibration.py",
     "dfki_torque": "dfki_torque.py",

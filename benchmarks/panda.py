@@ -24,6 +24,7 @@ import tempfile
 import time
 import warnings
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -129,24 +130,26 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--noise", type=float, nargs="+", default=[1e-4, 1e-3])
     parser.add_argument("--seconds", type=float, default=2.0)
-    parser.add_argument("--torque", choices=sorted(TORQUE_PROCESSES), default="ornstein_uhlenbeck")
+    usual = ["ornstein_uhlenbeck", "matern32"]
+    parser.add_argument("--torque", nargs="+", choices=sorted(TORQUE_PROCESSES), default=usual)
     parser.add_argument("--method", choices=sorted(METHODS), default="smc")
     parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
-    process, method, seconds = arguments.torque, arguments.method, arguments.seconds
-    print(f"{seconds:g} s of encoders at {RATE} Hz, {process}, {method}, {arguments.seeds} seeds\n")
-    for number, noise in enumerate(arguments.noise):
+    method, seconds, begun = arguments.method, arguments.seconds, False
+    print(f"{seconds:g} s of encoders at {RATE} Hz, {method}, {arguments.seeds} seeds\n")
+    for process, noise in product(arguments.torque, arguments.noise):
         rows = []
         for seed in range(arguments.seeds):
             case = f"{process} {method} {seconds:g} {noise:g} {seed}"
             make = partial(score, panda(), seed, noise, seconds, TORQUE_PROCESSES[process](), method)
             rows.append(kept(arguments.results, case, make))
-        if not number:
-            print(f"| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
+        if not begun:
+            print(f"| torque process | {' | '.join(rows[0])} |\n|{'---|' * (len(rows[0]) + 1)}")
+            begun = True
         means = np.mean([list(row.values()) for row in rows], 0)
-        print(f"| {' | '.join(f'{value:.3g}' for value in means)} |", flush=True)
+        print(f"| {process} | {' | '.join(f'{value:.3g}' for value in means)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -199,6 +199,7 @@ for result, color, label in (
     right.plot(range(1, 65), torch.softmax(evidence, 0).numpy(), ".-", color=color, label=label)
 left.set(title="log Ẑ of each filter, less the best estimate", xlabel="filter, best first", ylabel="nat")
 left.set_yscale("symlog", linthresh=1)
+left.set_yticks([1, 0, -1, -10, -100, -1000], ["1", "0", "−1", "−10", "−100", "−1000"])
 right.set(title="its outer weight (all alike: 1/64)", xlabel="filter, best first")
 right.axhline(1 / 64, color=GREY, linewidth=0.8, dashes=(4, 2))
 left.legend()

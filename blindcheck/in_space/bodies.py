@@ -172,7 +172,7 @@ def style(rng: np.random.Generator, names: Sequence[str]) -> Style:
 def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[[Tree], World]) -> np.ndarray:
     """Anywhere, or about the Panda's usual pose; a passive body is let go beside where it hangs."""
     anywhere = rng.uniform(-1.2, 1.2, body.num_joints)
-    if np.allclose(body.parameters().position[1].numpy(), 0.0):
+    if np.allclose(body.parameters().position[1].numpy(), 0.0):  # as no random tree's second joint is
         anywhere = np.array(PANDA_MIDDLE) + rng.uniform(-0.3, 0.3, body.num_joints)
     if not passive:
         return anywhere

@@ -162,6 +162,8 @@ BAD = {
     "a negative seed": (("--seed", "-1"), "one whole number from 0"),
     "a seed in words": (("--seed", "many"), "one whole number from 0"),
     "a large seed": (("--seed", "9" * 5000), "one whole number from 0"),
+    "no such bodies": (("--bodies", "cubes"), "--bodies: expected plane, or space with mujoco"),
+    "bodies in space by pinocchio": (("--bodies", "space", "--engine", "pinocchio"), "got 'space' with pinocchio"),
     "nothing on standard input": (("--seed", "-"), "standard input: expected a seed"),
     "a user and no method": (("--method-user", "nobody"), "--method-command"),
     "no such user": (("--method-command", "true {out}", "--method-user", "no such"), "expected a user of this machine"),

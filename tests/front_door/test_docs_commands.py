@@ -80,7 +80,7 @@ def test_a_guides_commands_run(name, folder, run, quick_inference):
         outcome = run(*shlex.split(line, comments=True)[1:])
         assert outcome.exit_code == 0, f"{line}: {outcome.stderr}"
     assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
-    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["diagnosis/report.html"], "cluster": ["posterior.nc"]}
+    made = {"deeplabcut": ["arm.nc", "arm.png"], "robot_log": ["found/report.html"], "cluster": ["posterior.nc"]}
     assert all((folder / file).exists() for file in made[name])
 
 

@@ -40,10 +40,8 @@ def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
         assert found.exit_code == 0, f"{line}: {found.stderr}"
     for snippet in blocks(README, "python"):
         exec(compile(snippet, str(README), "exec"), {})
-    assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "diagnosis"} <= {
-        p.name for p in folder.iterdir()
-    }
-    assert (folder / "diagnosis" / "report.html").exists()
+    assert {"posterior.nc", "figure.png", "torques.csv", "comparison", "found"} <= {p.name for p in folder.iterdir()}
+    assert (folder / "found" / "report.html").exists()
     assert "nan" not in capsys.readouterr().out.lower()
 
 

@@ -251,7 +251,7 @@ def test_what_bends_by_much_is_no_stray_detection():
     assert found.pool["outliers"].log_evidence > found.pool[""].log_evidence + 100
     assert found.ranked[0].log_evidence > found.pool["outliers"].log_evidence + 300
     # The screen that the report shows is of single effects, with nothing beside them.
-    assert found.first[0].effect.key == BENDING.key
+    assert BENDING.key in [screened.effect.key for screened in found.first[:2]]
     assert next(s for s in found.first if s.effect is None).log_evidence < found.pool["outliers"].log_evidence - 100
 
 
