@@ -63,7 +63,8 @@ def is_there(line: str) -> bool:
             asked = [extra for word in rest for group in re.findall(r"\[(.*)\]", word) for extra in group.split(",")]
             return bool(asked) and set(asked) <= set(EXTRAS)
         case ["python", script, *rest] if script.endswith(".py"):
-            return all(f'"{option}"' in source(ROOT / script) for option in options(rest))
+            names = {option.replace("--no-", "--") for option in options(rest)}  # --no-x of a flag --x
+            return all(f'"{name}"' in source(ROOT / script) for name in names)
         case ["pytest", place, *_] if place.startswith("tests/"):
             return (ROOT / place).exists()
     return False
