@@ -23,10 +23,12 @@ from invdyn.inference.smoothing.square_root import log_abs_det
 from invdyn.models.observation.missing import explained, gaussian_rows, times
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
-NUDGE, LEAST, JUMP = 3e-8, 0.1, 1e-6
-"""Of every state for its slopes, in its standard deviations at the first row, which count as ``LEAST`` (rad, rad/s,
-N·m) at least: the root of float64's rounding, where that and curvature do equal harm. And as it is, of a model with
-jumps."""
+NUDGE, JUMP = 1e-6, 1e-6
+"""Of every state for its slopes, in its standard deviations at the first row; and as it is, of a model with jumps."""
+WIDE, SLIGHT, LEAST = 12, 3e-8, 0.1
+"""States from which differences are one-sided: half of a work that grows with their square, for seven digits instead of
+ten. The nudge is then near the root of float64's rounding, where that and curvature do equal harm, in standard
+deviations that count as ``LEAST`` (rad, rad/s, N·m) at least."""
 
 
 @dataclass
@@ -129,20 +131,23 @@ Slopes = tuple[Tensor, Tensor]
 def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
     """Slopes of ``model`` along ``path`` (…, T, D) by differences, which take a fraction of a backward pass's time.
 
-    One-sided ones, to seven digits: half the work of central ones, and no step can tell more.
+    Central ones, of an error of ``NUDGE``²; one-sided ones of ``WIDE`` models, and of those with ``jumping`` states,
+    which lie at stops.
     """
     rows = torch.arange(path.shape[-2])
     scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
-    nudges = NUDGE * torch.where(scale > 0, scale, 1.0).clamp_min(LEAST)
+    central = path.shape[-1] < WIDE
+    nudges = torch.where(scale > 0, scale, 1.0)
+    nudges = NUDGE * nudges if central else SLIGHT * nudges.clamp_min(LEAST)
     lone, shown = model.lone or ([], [])
 
     def transition(x: Tensor) -> Tensor:
         return gaussian_mean(model.transition(x, rows[1:]))
 
-    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown)
+    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown, central)
     if model.jumping is not None:
-        nudges = JUMP * torch.ones(path.shape[-1]).to(path)
-    return _differences(transition, path[..., :-1, :], nudges, lone, lone), H
+        nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
+    return _differences(transition, path[..., :-1, :], nudges, lone, lone, central), H
 
 
 def _differences(
@@ -151,6 +156,7 @@ def _differences(
     nudges: Tensor,
     lone: list[int],
     shown: list[int],
+    central: bool,
 ) -> Tensor:
     """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by ``nudges`` (D,) of one argument after the other.
 
@@ -163,8 +169,8 @@ def _differences(
             [steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(lone), nudges[lone][None])]
         )
     steps = steps.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
-    values = function(x + torch.cat([steps, torch.zeros_like(steps[:1])]))
-    change = values[:-1] - values[-1]
+    values = function(x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])]))
+    change = (values[: len(steps)] - values[len(steps) :]) / (1 + central)
     own = (change[: len(others)] / nudges[others].reshape(-1, *[1] * x.ndim)).movedim(0, -1)
     if not lone:
         return own

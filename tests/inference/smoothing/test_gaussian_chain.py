@@ -52,8 +52,8 @@ def test_the_chain_is_the_exact_posterior_of_a_linear_model():
     means, covariances = rts(chain, y)
     mean, covariance = dense(whole)
     blocks = torch.stack([covariance[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(T)])
-    assert mean.reshape(T, 3).numpy() == pytest.approx(means, abs=1e-7)
-    assert blocks.numpy() == pytest.approx(covariances, abs=1e-7)  # as exact as slopes by differences are
+    assert mean.reshape(T, 3).numpy() == pytest.approx(means, abs=1e-9)
+    assert blocks.numpy() == pytest.approx(covariances, abs=1e-9)
     assert smoother.log_evidence.item() == pytest.approx(kalman(chain, y)[0], abs=1e-8)
 
 

@@ -5,6 +5,7 @@ import pytest
 import torch
 from stiff_arm import arm
 
+from invdyn.inference.smoothing import linearisation
 from invdyn.inference.smoothing.linearisation import deviations, emission_mean, log_joint, slopes_along
 from invdyn.inference.variational.affine import jacobian
 from invdyn.models import Keypoints, Matern32, Observation
@@ -29,16 +30,18 @@ def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
 
 
 @pytest.mark.parametrize("batch", [(), (3,)])
-def test_slopes_are_tangents(batch):
-    """Differences beside a backward pass, with an effect on what moves and one on what is seen."""
+@pytest.mark.parametrize(("wide", "digits"), [(12, 7), (1, 5)])
+def test_slopes_are_tangents(batch, wide, digits, monkeypatch):
+    """Differences beside a backward pass, central and one-sided; with an effect on what moves, one on what is seen."""
+    monkeypatch.setattr(linearisation, "WIDE", wide)
     model = arm(30, 0.003).with_effects(EFFECTS["viscous_friction"]("joint1"), EFFECTS["lens_distortion"]())
     path = model.simulate(batch)[0]
     rows, dim = torch.arange(30), model.state_dim
     F, H = slopes_along(model, path)
     _, expected = jacobian(lambda x: gaussian_mean(model.transition(x, rows[1:])), path[..., :-1, :], dim)
-    torch.testing.assert_close(F, expected, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(F, expected, rtol=10**-digits, atol=0.1 * 10**-digits)
     _, expected = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
-    torch.testing.assert_close(H, expected, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(H, expected, rtol=10**-digits, atol=0.1 * 10**-digits)
 
 
 def test_slopes_follow_what_is_driven_through_contacts():
