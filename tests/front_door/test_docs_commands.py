@@ -1,8 +1,7 @@
 """Every block of every page is run, read or parsed: the guides' code and commands, on files as they describe them.
 
 What `run` calls is the command itself. Only the work within is made small: an inference at once, or a search among few
-effects. Films, cameras and labelling have tests of their own (test_films.py, test_cameras.py, test_labelling.py), with
-the same commands on made-up files; here their lines are parsed (test_docs.py).
+effects. The pages on films, cameras and the blind check have a file of their own (test_docs_films.py).
 """
 
 import json
