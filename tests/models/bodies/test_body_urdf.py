@@ -189,7 +189,7 @@ def test_a_turning_base_is_the_odd_one(tmp_path):
     text = text.replace(
         "</robot>", joint("pan", "continuous", "ground", "base", 0.1).replace("0 -1 0", "0 0 1") + "</robot>"
     )
-    with pytest.raises(BodyError, match=r"joint 'pan' turns about \(0, 0, 1\); if it stands still .* fixed"):
+    with pytest.raises(BodyError, match=r"joint 'pan' turns about \(0, 0, 1\): make it a fixed one"):
         read(text, tmp_path)
 
 
