@@ -11,9 +11,10 @@ import pytest
 
 import invdyn.blindcheck.cases as cases
 import invdyn.blindcheck.initial_state_fit as starts
-from invdyn.blindcheck.cases import CATALOGUE, KINDS, effects_of, make_case, planned
+from invdyn.blindcheck.cases import KINDS, effects_of, make_case, planned
 from invdyn.blindcheck.commitment import canonical
 from invdyn.blindcheck.engine import MUJOCO
+from invdyn.blindcheck.injected_effects import CATALOGUE
 from invdyn.blindcheck.unlisted_effects import UNLISTED
 from invdyn.models import Body
 from invdyn.recordings import read_keypoint_csv

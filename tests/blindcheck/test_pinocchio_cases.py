@@ -75,5 +75,5 @@ def test_a_run_says_its_engine_and_knows_its_own(tmp_path):
     assert BlindRun(tmp_path / "run", {"none": 1}, 13, engine="pinocchio").make() == sealed  # goes on
     with pytest.raises(InputError, match="another engine"):
         BlindRun(tmp_path / "run", {"none": 1}, 13).make()
-    with pytest.raises(InputError, match="--engine: expected one of mujoco, pinocchio, got 'bullet'"):
+    with pytest.raises(InputError, match="--engine: expected one of mujoco, pinocchio, mujoco-in-space, got 'bullet'"):
         BlindRun(tmp_path / "other", {"none": 1}, 13, engine="bullet").check()

@@ -28,16 +28,6 @@ def rubbing():
     return recording, SEARCHED(diagnosis_problem(recording, PENDULUM), MANY, 1)
 
 
-def test_the_setting_has_the_shortest_sub_steps_of_what_was_found(monkeypatch):
-    """So has another recording, on which a cause that needs them is tried."""
-    recording, (bound, found) = rubbing()
-    best = found.ranked[0]
-    finer = replace(best, model=bound.in_substeps(4 * bound.model.substeps).model)
-    monkeypatch.setattr(ROOM, "search", lambda *_: replace(found, pool=found.pool | {best.key: finer}))
-    there, _ = SEARCHED(diagnosis_problem(recording, PENDULUM), MANY, 1)
-    assert there.model.substeps == 4 * bound.model.substeps
-
-
 def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     """They are scored beside the confirmation, with the cause that is likely: SMC may name another."""
     recording, searched = rubbing()

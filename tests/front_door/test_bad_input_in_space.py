@@ -134,4 +134,6 @@ def test_bad_recordings_of_bodies_in_space(text, options, said, tmp_path, refuse
 
 def test_space_for_a_body_in_the_plane(tmp_path, refused, folder):
     (tmp_path / "rec.csv").write_text(HEADER + "".join(f"{0.03 * n:.2f},1,{n},2,0,{n},3\n" for n in range(3)))
-    refused("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", said="pass two of the file's axes")
+    refused(
+        "infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", said="name the file's axes that point right and up"
+    )
