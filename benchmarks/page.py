@@ -23,7 +23,8 @@ PAGE = ROOT / "benchmarks" / "README.md"
 COMMANDS = {
     "planar_paper": "planar_paper.py",
     "spatial_paper": "spatial_paper.py --turned --results build/spatial_paper.jsonl",
-    "spatial_paper_turned": "spatial_paper.py --noise --turned .1 .01 .003 --no-planar --results build/spatial_paper.jsonl",
+    "spatial_paper_turned": "spatial_paper.py --noise --turned .1 .01 .003 --no-planar "
+    "--results build/spatial_paper.jsonl",
     "mouse": "mouse.py --out build/mouse --shown 0:60",
     "panda": "panda.py --seconds 1 --seeds 1 --results build/panda.jsonl",
     "cost": "cost.py",

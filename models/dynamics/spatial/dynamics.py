@@ -8,7 +8,9 @@ each: where they do not, or where a gradient of them is asked for, a program tha
 """
 
 import math
+import pickle
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain
 from typing import NamedTuple
 
@@ -72,9 +74,13 @@ class SpatialDynamics(Dynamics):
         self._programs: dict[tuple, Program] = {}
         self._seen: _Body | None = None
         self._known: dict[tuple, tuple[TreeParameters, list]] = {}
-        self._compiled = Compiled(compile_after) if is_there() else None
+        self._compiled, self._after = Compiled(compile_after) if is_there() else None, compile_after
         if not rotors:
             self._check_inertia()
+
+    def __reduce__(self) -> tuple:
+        """By its tree: programs are traced anew, once for all copies that come to a process."""
+        return _restored, (pickle.dumps(self.tree), self._after)
 
     def operations(self, method: str) -> int:
         """Number of operations of a method's program for one state of the tree as it stands."""
@@ -272,6 +278,12 @@ class SpatialDynamics(Dynamics):
                 )
             D, own = D[resists], own[resists]
             D = D - D[:, :, k, None] * D[:, k, None, :] / D[:, k, k, None, None]
+
+
+@lru_cache(maxsize=16)
+def _restored(tree: bytes, compile_after: float) -> SpatialDynamics:
+    """Dynamics of a pickled tree, whose inertia was checked where it was pickled."""
+    return SpatialDynamics(pickle.loads(tree), compile_after, rotors=True)
 
 
 TURNED = {"cos": torch.cos, "sin": torch.sin}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 
 import pytest
 import torch
@@ -176,6 +177,16 @@ def test_a_coordinate_that_nothing_resists(link, said):
         SpatialDynamics(Tree("b", [link]))
     assert "\n" not in str(caught.value)
     SpatialDynamics(Tree("b", [link]), rotors=True)
+
+
+def test_a_copy_for_another_process_is_as_good():
+    """Whatever was traced and compiled before; copies of one tree share what they trace."""
+    tree = paper_arm()
+    dynamics, p, state = SpatialDynamics(tree, compile_after=0), tree.parameters(), random_state(4, 3, batch=(9,))
+    expected = dynamics.forward(*state, p)
+    one, other = (pickle.loads(pickle.dumps(dynamics)) for _ in range(2))
+    assert one is other
+    assert torch.equal(one.forward(*state, p), expected)
 
 
 def test_wrong_shapes_are_refused():
