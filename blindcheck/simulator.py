@@ -89,7 +89,6 @@ class World:
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
         self.model: Any = None
-        self.longest: float | None = None  # s, of steps, where it is not `LONGEST_STEP`
 
     def on_spec(self, change: Callable) -> None:
         """Register `change(spec)`, called with the MjSpec just before it is compiled."""
@@ -169,7 +168,7 @@ class World:
         if self.model is None:
             self.compile()
         model, data = self.model, self.data
-        per_row, step, time = even_steps(command_time, self.longest or LONGEST_STEP)
+        per_row, step, time = even_steps(command_time, self._longest_step(restart is not None))
         model.opt.timestep, total = step, len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
         self.mujoco.mj_resetData(model, data)
@@ -192,7 +191,13 @@ class World:
                 first = i + lost[0]
                 qpos[first:], qvel[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
                 break
-        return self._trajectory(time, qpos, qvel, joint_of, command_time, rows)
+        points, heading = self._seen(time, qpos)
+        moved = qpos @ joint_of.T, qvel @ joint_of.T
+        return Trajectory(time, *moved, points, heading, np.asarray(command_time), rows)
+
+    def _longest_step(self, replayed: bool) -> float:
+        """Of a run, s; ``replayed`` says that it is taken back to another one's path again and again."""
+        return LONGEST_STEP
 
     def _advance(self, first: int, time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,)."""
@@ -252,15 +257,8 @@ class World:
         self.mujoco.mj_fullM(self.model, self.data, full)
         return full
 
-    def _trajectory(
-        self,
-        time: np.ndarray,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        joint_of: np.ndarray,
-        command_time: np.ndarray,
-        rows: np.ndarray,
-    ) -> Trajectory:
+    def _seen(self, time: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Base and tips (N+1, P, 2) at positions (N+1, S), and the headings of the links that have tips."""
         angle = np.cumsum(qpos, axis=1)
         lengths = np.array([segment.length for segment in self.segments])
         steps = lengths[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -269,8 +267,7 @@ class World:
         points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
         if self.base_shift is not None:
             points = points + self.base_shift(time)[:, None]
-        q, qd = qpos @ joint_of.T, qvel @ joint_of.T
-        return Trajectory(time, q, qd, points, angle[:, tips], np.asarray(command_time), rows)
+        return points, angle[:, tips]
 
 
 def _numbers(link: Link) -> tuple[float, float, float, float]:

@@ -126,7 +126,7 @@ class Diagnosed(Recorded):
 
         body = freed(load_body(self.body), self.free)
         if self.calibration:
-            return self.asked(self.triangulated(), [], body, None)
+            return self.arguments(self.triangulated(), [], body, None)
 
         def read(name: str, frames: str = ":") -> Any:
             if self.mapping is not None or is_log(name):
@@ -145,7 +145,7 @@ class Diagnosed(Recorded):
             more = [*rest, *more]
         if self.beside is not None:
             recording = self.joined(recording, self.read(self.beside, body, as_filmed=True), body)
-        return self.asked(recording, more, body, None if self.held_out is None else read(self.held_out))
+        return self.arguments(recording, more, body, None if self.held_out is None else read(self.held_out))
 
     def triangulated(self) -> Any:
         """Points in space of several cameras' tracks."""
@@ -157,7 +157,7 @@ class Diagnosed(Recorded):
         )
         return found.points
 
-    def asked(self, recording: Any, more: list, body: Any, held_out: Any) -> dict[str, Any]:
+    def arguments(self, recording: Any, more: list, body: Any, held_out: Any) -> dict[str, Any]:
         """Arguments of `diagnosis.diagnose`."""
         return {
             "recording": [recording, *more] if more else recording,

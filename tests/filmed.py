@@ -10,6 +10,29 @@ SHOULDER = np.array([20.0, 12.0])
 LENGTHS = 10.0, 9.0  # px
 
 
+BODY = """name = "stick"
+gravity = [0.0, -9.81]
+base = [{base[0]}, {base[1]}]
+[[links]]
+name = "upper"
+joint = "shoulder"
+tip = "elbow"
+length = {length[0]}
+mass = 0.1
+[[links]]
+name = "lower"
+joint = "elbow"
+tip = "wrist"
+length = {length[1]}
+mass = 0.1
+"""
+
+
+def stick(scale):
+    """The stick's body file, of so many metres a pixel."""
+    return BODY.format(base=scale * SHOULDER * [1, -1], length=scale * np.array(LENGTHS))
+
+
 def joints(time):
     """Angles (T, 2) rad from hanging at times (T,) s, as slow sines, and the joints (T, 2, 2) px, v down."""
     time = np.asarray(time)

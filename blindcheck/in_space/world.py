@@ -5,7 +5,6 @@ piece's frame is the link's of :class:`invdyn.models.Tree`. A position servo's c
 asks for by itself, S θ_d; MuJoCo's actuator adds −S θ − D θ̇. SI units, radians.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck import simulator
-from invdyn.blindcheck.simulator import LONGEST_STEP, Policy, Trajectory
+from invdyn.blindcheck.simulator import LONGEST_STEP
 from invdyn.models import Tree
 from invdyn.models.bodies.inertia import six, tensor
 
@@ -104,35 +103,17 @@ class World(simulator.World):
                 body.add_site(name=name, pos=at)
             bodies.append(body)
 
-    def run(
-        self,
-        command_time: np.ndarray,
-        policy: Policy,
-        q: Sequence[float] | np.ndarray,
-        qd: Sequence[float] | np.ndarray,
-        restart: tuple[Trajectory, float] | None = None,
-    ) -> Trajectory:
-        """As in the plane. A replay for d′ of a world in which nothing jumps takes longer steps."""
-        if self.model is None:
-            self.compile()
+    def _longest_step(self, replayed: bool) -> float:
+        """A replay for d′ of a world in which nothing jumps takes longer steps."""
         smooth = not self._step_hooks and not self.model.dof_frictionloss.any()
-        self.longest = REPLAYED if restart is not None and smooth else LONGEST_STEP
-        return super().run(command_time, policy, q, qd, restart)
+        return REPLAYED if replayed and smooth else LONGEST_STEP
 
-    def _trajectory(
-        self,
-        time: np.ndarray,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        joint_of: np.ndarray,
-        command_time: np.ndarray,
-        rows: np.ndarray,
-    ) -> Trajectory:
-        """`points` are the world's origin and the sites (N+1, S+1, 3); `heading` runs on from joint to joint."""
+    def _seen(self, time: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The world's origin and the sites (N+1, P+1, 3); headings run on from joint to joint."""
         points = np.full((len(time), len(self._sites) + 1, 3), np.nan)
         points[:, 0] = 0.0
         for row in np.flatnonzero(np.isfinite(qpos).all(1)):
             self.data.qpos[:] = qpos[row]
             self.mujoco.mj_kinematics(self.model, self.data)
             points[row, 1:] = self.data.site_xpos[self._sites]
-        return Trajectory(time, qpos, qvel, points, np.cumsum(qpos, axis=1), np.asarray(command_time), rows)
+        return points, np.cumsum(qpos, axis=1)

@@ -7,11 +7,8 @@ clock, in a frame and to a scale that need not be the body's:
 
 The offset is where what this leaves, as a share of the keypoints' variance, is least: over a grid of all offsets at
 which half of the shorter one is shared, then by Brent's method. Frames that lie far off count for no more than three
-medians. How surely, stretches of the film tell, that err each in its own way: with the misfit f_b(o) of stretch b,
-
-    sd² = B/(B − 1) Σ_b f_b′² / (Σ_b f_b″)²
-
-(the sandwich estimator with stretches as clusters: Liang & Zeger, Biometrika 73, 1986).
+medians. How surely, stretches of the film tell, that err each in its own way, by the sandwich estimator that sets
+cameras' clocks (:mod:`invdyn.recordings.cameras.synchronise`), with stretches as its clusters.
 
 Shapes: F frames, S sites of d coordinates.
 """
@@ -26,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
-from invdyn.recordings.cameras.synchronise import Clock
+from invdyn.recordings.cameras.synchronise import Clock, spread
 
 SHARED = 0.5
 """Of the shorter of the two, that they must have together."""
@@ -138,6 +135,4 @@ def _sd(places: Callable[[np.ndarray], np.ndarray], film: Recording, offset: flo
         terms, _ = _misfits(places(film.time - by), film.keypoints)
         return np.array([np.nansum(part) for part in np.array_split(terms, BLOCKS)])
 
-    before, here, after = (misfits(offset + side * step) for side in (-1, 0, 1))
-    slope, bend = (after - before) / (2 * step), (after + before - 2 * here).sum() / step**2
-    return float(np.sqrt(BLOCKS / (BLOCKS - 1) * (slope**2).sum()) / bend) if bend > 0 else np.inf
+    return spread(misfits, offset, step)

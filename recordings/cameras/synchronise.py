@@ -139,11 +139,16 @@ def _sd(some: Calibration, seen: Seen, offset: float, scale: float, step: float,
         terms = trust * np.log1p(np.square(off).sum(-1) / (FREEDOM * scale**2))
         return 0.5 * (FREEDOM + 2) * np.nansum(terms.reshape(-1, points, len(some)), axis=(0, 2))
 
+    return float(np.hypot(spread(misfits, offset, step), FINEST * step))
+
+
+def spread(misfits: Callable[[float], np.ndarray], offset: float, step: float) -> float:
+    """Sd, s, of an offset at which misfits (P,) of clusters are least together; infinite where nothing tells."""
     before, here, after = (misfits(offset + side * step) for side in (-1, 0, 1))
     slope, bend = (after - before) / (2 * step), (after + before - 2 * here).sum() / step**2
-    if points < 2 or bend <= 0:
+    if len(here) < 2 or bend <= 0:
         return np.inf
-    return float(np.hypot(np.sqrt(points / (points - 1) * np.square(slope).sum()) / bend, FINEST * step))
+    return float(np.sqrt(len(here) / (len(here) - 1) * np.square(slope).sum()) / bend)
 
 
 def _smooth(track: Recording, names: tuple[str, ...], at: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:

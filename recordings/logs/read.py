@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..beside import TOGETHER
 from ..errors import InputError, about
 from ..recording import Recording
 from .lerobot import read_lerobot
@@ -21,8 +22,6 @@ LOG_FORMATS: dict[str, Callable[[Path, str | None], list[Episode]]] = {
     "mcap": read_mcap,
     "ros2": read_bag,
 }
-TOGETHER = 1e-6
-"""s between rows that are one."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """What the pages say is what the program does: commands parse, the files shown are read, links lead somewhere."""
 
-import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
-from pages import PAGES, ROOT, blocks, commands
+from pages import PAGES, ROOT, blocks, commands, script
 
 from invdyn.cli import app
 from invdyn.inputs import load_body, load_recording
@@ -67,8 +66,8 @@ def _body(folder: Path) -> Path:
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_code():
-    script = _script(ROOT / "docs" / "architecture_picture.py")
-    assert script.PICTURE.read_text(encoding="utf-8") == script.drawn(), "run python docs/architecture_picture.py"
+    picture = script("docs/architecture_picture.py")
+    assert picture.PICTURE.read_text(encoding="utf-8") == picture.drawn(), "run python docs/architecture_picture.py"
 
 
 def test_each_picture_of_a_page_is_made_by_a_script():
@@ -80,15 +79,8 @@ def test_each_picture_of_a_page_is_made_by_a_script():
     assert {name for name in kept if f'"{name}"' not in text} == set()
 
 
-def _script(path: Path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    return script
-
-
 def test_each_table_of_the_benchmarks_has_a_script_and_a_place():
-    page = _script(ROOT / "benchmarks" / "page.py")
+    page = script("benchmarks/page.py")
     text = page.PAGE.read_text("utf-8")
     for name, command in page.COMMANDS.items():
         assert (ROOT / "benchmarks" / command.split()[0]).exists(), name
@@ -98,7 +90,7 @@ def test_each_table_of_the_benchmarks_has_a_script_and_a_place():
 
 
 def test_a_table_is_what_a_script_prints_between_bars():
-    page = _script(ROOT / "benchmarks" / "page.py")
+    page = script("benchmarks/page.py")
     printed = "4 cores\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\nload 3\n| c |\n|---|\n| 4 |\n"
     first, second = "| a | b |\n|---|---|\n| 1 | 2 |", "| c |\n|---|\n| 4 |"
     assert page.tables(printed) == f"**4 cores**\n\n{first}\n\n**load 3**\n\n{second}"

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filmed import joints, swinging
+from filmed import joints, stick, swinging
 from pages import ROOT, commands
 from scenes import ring
 from scenes import swinging as moving
@@ -25,22 +25,6 @@ from invdyn.recordings import Recording, write_keypoint_csv
 from invdyn.recordings.cameras import project, write_calibration
 from invdyn.recordings.cameras.intrinsics import Intrinsics
 from invdyn.recordings.tracking import blazepose, training
-
-STICK = """name = "stick"
-base = [0.02, -0.012]
-[[links]]
-name = "upper"
-joint = "shoulder"
-tip = "elbow"
-length = 0.01
-mass = 0.1
-[[links]]
-name = "lower"
-joint = "elbow"
-tip = "wrist"
-length = 0.009
-mass = 0.1
-"""
 
 
 def run_all(run, page, monkeypatch, folder):
@@ -68,7 +52,7 @@ def test_films(tmp_path, monkeypatch, run, quick_inference):
         swinging(tmp_path / "film.mov", frames)
         (tmp_path / "film.mov").rename(tmp_path / f"{name}.mp4")
     for name in ("arm", "forearm"):
-        (tmp_path / f"{name}.toml").write_text(STICK)
+        (tmp_path / f"{name}.toml").write_text(stick(0.001))
 
     def label(server):
         times = np.arange(110) / 30

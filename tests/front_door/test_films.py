@@ -4,7 +4,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from filmed import NAMES, joints, picture, swinging
+from filmed import NAMES, joints, picture, stick, swinging
 from PIL import Image
 
 from invdyn.inference import load_posterior, pooled
@@ -126,27 +126,11 @@ def test_the_checkpoint_of_another_run(folder, run):
     assert outcome.stderr.startswith("error: kept: the checkpoint of another run: seed 0 there, 3 here")
 
 
-BODY = """name = "stick"
-gravity = [0.0, -9.81]
-base = [0.2, -0.12]
-[[links]]
-name = "upper"
-joint = "shoulder"
-tip = "elbow"
-length = 0.10
-mass = 0.1
-[[links]]
-name = "lower"
-joint = "elbow"
-tip = "wrist"
-length = 0.09
-mass = 0.1
-"""
 INFER = ("infer", "f.mov", "--body", "arm.toml", "--network", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
 
 
 def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
-    (folder / "arm.toml").write_text(BODY)
+    (folder / "arm.toml").write_text(stick(0.01))
     outcome = run(*INFER, "--method", "laplace", "--film", "arm.gif", "--filters", "2", "--particles", "8")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.splitlines()[-1] == "tracks     arm.tracks.csv"
@@ -159,7 +143,7 @@ def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
 
 
 def test_infer_keeps_what_was_tracked(folder, run, quick_inference, monkeypatch):
-    (folder / "arm.toml").write_text(BODY)
+    (folder / "arm.toml").write_text(stick(0.01))
     assert run(*INFER, "--checkpoint", "kept").exit_code == 0
     first = (folder / "arm.tracks.csv").read_bytes()
     assert {path.suffix for path in (folder / "kept.tracking").iterdir()} == {".json", ".safetensors"}
@@ -173,7 +157,7 @@ def test_infer_keeps_what_was_tracked(folder, run, quick_inference, monkeypatch)
 
 
 def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
-    (folder / "arm.toml").write_text(BODY)
+    (folder / "arm.toml").write_text(stick(0.01))
     given = []
 
     def diagnose(**arguments):
@@ -234,8 +218,8 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
     ],
 )
 def test_bad_films_are_one_line(folder, run, contents, call, message):
-    (folder / "arm.toml").write_text(BODY)
-    (folder / "other.toml").write_text(BODY.replace("wrist", "hand"))
+    (folder / "arm.toml").write_text(stick(0.01))
+    (folder / "other.toml").write_text(stick(0.01).replace("wrist", "hand"))
     before = contents(folder)
     outcome = run(*call)
     assert outcome.exit_code == 2, outcome.output

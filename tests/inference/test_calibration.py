@@ -1,23 +1,17 @@
 """The machinery of benchmarks/calibration.py: ranks that are uniform, and are seen not to be; a small calibration."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
+from pages import script
 from scipy.stats import kstest, norm
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "calibration.py"
 PRIOR, NOISE, DRAWS, SIMULATIONS = 1.0, 0.5, 40, 400
 """Of a conjugate example: x ~ N(0, PRIOR²), y ~ N(x, NOISE²)."""
 
 
 @pytest.fixture(scope="module")
 def calibration():
-    spec = importlib.util.spec_from_file_location("calibration", FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("benchmarks/calibration.py")
 
 
 def conjugate_ranks(calibration, widen=1.0, shift=0.0, seed=0, proposal=None):
