@@ -109,6 +109,21 @@ def test_learned_scalars_of_a_tree_are_parameters():
     assert all(store._params[name].grad.abs() > 0 for name in store)
 
 
+def test_a_body_is_kept_for_all_rows_unless_it_is_learned(both):
+    """One that is learned may change in place, and each backward pass wants it anew."""
+    for model in both:
+        with torch.no_grad():
+            assert model.body_parameters() is model.body_parameters()
+        mass = model.parameters["body.mass"].clone().requires_grad_()
+        learning, state = model.replace(**{"body.mass": mass}), torch.ones(model.state_dim, dtype=F64)
+        for _ in range(2):
+            learning.transition_mean(state, 1).sum().backward()
+        with torch.no_grad():
+            before = learning.transition_mean(state, 1)
+            mass += 1.0
+            assert not torch.equal(learning.transition_mean(state, 1), before)
+
+
 def test_what_a_stick_leaves_out_follows_given_numbers():
     tree = stick_arm()
     model = ArmModel(tree, TIME, parameters={"body.mass": [2.0, 0.6]})
