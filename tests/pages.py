@@ -6,8 +6,19 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-WRITTEN = ("docs/reference/cli.md", "docs/reference/effects.md", "docs/reference/api")
-"""Pages that the site's build writes from the code."""
+
+
+def script(path: str) -> Any:
+    """The module of a script of the repository, such as "docs/sentences.py"."""
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+WRITTEN = script("docs/sentences.py").WRITTEN
 PAGES = [
     page
     for page in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
@@ -31,13 +42,3 @@ def commands(page: Path) -> list[str]:
     """Its lines that call invdyn, continued lines joined."""
     lines = [line for block in blocks(page, "") for line in block.replace("\\\n", " ").splitlines()]
     return [line for line in lines if line.startswith("invdyn ")]
-
-
-def script(path: str) -> Any:
-    """The module of a script of the repository, such as "docs/sentences.py"."""
-    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

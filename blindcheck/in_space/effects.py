@@ -15,7 +15,7 @@ from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.stretched import stretched
 
-IN_THE_PLANE = (
+PLANAR_ONLY = (
     "external_push",
     "base_motion",
     "link_flexibility",
@@ -98,7 +98,7 @@ _OWN = {
     ),
 }
 
-EFFECTS = {name: _OWN.get(name, each) for name, each in effects.EFFECTS.items() if name not in IN_THE_PLANE}
+EFFECTS = {name: _OWN.get(name, each) for name, each in effects.EFFECTS.items() if name not in PLANAR_ONLY}
 """Those of the catalogue, by name."""
 
 UNLISTED = {name: each for name, each in unlisted_effects.UNLISTED.items() if name != "sloshing_payload"}

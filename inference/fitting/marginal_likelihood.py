@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
-from invdyn.inference.smoothing.posterior_linearisation import Alike, fit_linear, posterior_linearisation, that_move
+from invdyn.inference.smoothing.posterior_linearisation import Alike, fit_linear, moved_means, posterior_linearisation
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.observation.missing import is_gaussian
 from invdyn.models.state_space import StateSpaceModel
@@ -214,7 +214,7 @@ class _Objective(Generic[M]):
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP
         found = []
-        for told in that_move(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
+        for told in moved_means(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
             moves = each.T @ np.where(told, 1 / STEP, 0.0)
             fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
             found.append(Alike(self.at(phi + fewer), torch.as_tensor(number)))

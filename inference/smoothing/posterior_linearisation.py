@@ -105,7 +105,7 @@ def fit_linear(
     """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path.
 
     Where N is one and the same in B parameter sets, (B, T, …), ``moved`` and ``seen`` may say which of them have the
-    same transitions' and emissions' means, whose fits are most of the work (:func:`that_move`).
+    same transitions' and emissions' means, whose fits are most of the work (:func:`moved_means`).
     """
     predicted, F, V = _transitions(moved or Alike(model), path, covariance)
     h, H, error = _emissions(seen or Alike(model), path, covariance)
@@ -129,7 +129,7 @@ def fit_linear(
     return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
 
 
-def that_move(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+def moved_means(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
     """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has."""
     fits = _transitions(Alike(model), path, covariance), _emissions(Alike(model), path, covariance)
     moved, seen = (torch.stack([(each != each[:1]).flatten(1).any(1) for each in pieces]).any(0) for pieces in fits)
