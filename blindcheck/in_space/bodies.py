@@ -7,7 +7,8 @@ is like Franka's Panda: the joints of its data sheet (Denavit and Hartenberg's m
 interface specifications", 2017), masses in the proportions that Gaz and others identified (IEEE RA-L 4, 2019).
 
 Two bodies in five that a case allows have position servos, as stiff as hold the arm level with .05 to .2 rad of error,
-but for joints that would swing faster than at 10 Hz.
+but for joints that would swing faster than at 10 Hz. One body in three that a case allows has damping of its own, which
+its file says. Of one in eight the file's masses are 2 % off, and it says so.
 SI units, radians.
 """
 
@@ -23,12 +24,13 @@ from invdyn.blindcheck.effects.parts import set_part
 from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.motion import Habits, between
 from invdyn.blindcheck.setting import Setting, Style
-from invdyn.blindcheck.stretched import EARTH, reach, stretched
+from invdyn.blindcheck.stretched import EARTH, pendulum_frequency, reach, stretched
 from invdyn.models import Tree
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
 from invdyn.models.bodies.inertia import six
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.scalars import nominal, prior
 from invdyn.models.bodies.spatial_link import SpatialLink
 
 JOINTS, SHARES = (3, 4, 5, 6, 7), (0.4, 0.25, 0.2, 0.05, 0.1)
@@ -36,6 +38,9 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 """Of a link that runs along x: a roll, a pitch, a yaw."""
 MOTORS = {"actuator_gain", "actuator_saturation", "actuator_deadzone", "hot_motor"}
 """Effects that mean something else of a servo."""
+DAMPED = {"viscous_friction", "drifting_friction"}
+"""Effects whose size is another one where the joint is damped already."""
+MEASURED = 0.02
 FASTEST_SERVO = 10.0
 """Hz, of a joint with its servo's spring."""
 SETTLED = 12
@@ -121,20 +126,45 @@ def _panda_like(rng: np.random.Generator) -> Tree:
 
 def with_servos(rng: np.random.Generator, tree: Tree) -> Tree:
     """Position servos at all joints: as stiff as carries what hangs on them, but no faster than `FASTEST_SERVO`."""
-    mass, far, inertia = stretched(tree)
     posture = rng.uniform(-1.0, 1.0, tree.num_joints)
     turning = 1 / np.linalg.inv(World(tree).inertia(posture)).diagonal()
     links = []
-    for place, link in enumerate(tree.links):
-        carried = [k for k in range(len(tree.links)) if place in _inwards(tree, k)]
-        arm = np.maximum(far[carried] - far[place], 0.0) + np.sqrt(inertia[place] / mass[place])
-        load = EARTH * float((mass[carried] * arm).sum())
-        stiffness = min(load / rng.uniform(0.05, 0.2), turning[place] * (2 * np.pi * FASTEST_SERVO) ** 2)
-        damping = 2 * rng.uniform(0.3, 0.7) * np.sqrt(stiffness * turning[place])
+    for link, load, inertia in zip(tree.links, _loads(tree), turning, strict=True):
+        stiffness = min(load / rng.uniform(0.05, 0.2), inertia * (2 * np.pi * FASTEST_SERVO) ** 2)
+        damping = 2 * rng.uniform(0.3, 0.7) * np.sqrt(stiffness * inertia)
         gains = float(f"{stiffness:.4g}"), float(f"{damping:.4g}")
         motor = Motor("position", gain=gains[0], stiffness=gains[0], damping=gains[1])
-        links.append(replace(link, parts=JointParts(motor=motor)))
+        links.append(replace(link, parts=replace(link.parts or JointParts(), motor=motor)))
     return replace(tree, links=links)
+
+
+def with_damping(rng: np.random.Generator, tree: Tree) -> Tree:
+    """Damping at all joints: at the pace of the hanging body it takes some per cent of what hangs on them."""
+    pace = 2 * np.pi * pendulum_frequency(tree)
+    damping = [float(f"{between(rng, 0.01, 0.05) * load / pace:.4g}") for load in _loads(tree)]
+    links = [
+        replace(link, parts=replace(link.parts or JointParts(), damping=each))
+        for link, each in zip(tree.links, damping, strict=True)
+    ]
+    return replace(tree, links=links)
+
+
+def _measured(rng: np.random.Generator, tree: Tree) -> Tree:
+    """The tree as its file has it: masses known to 2 %, and said so."""
+    off = [float(f"{nominal(link.mass) * np.exp(MEASURED * rng.standard_normal()):.4g}") for link in tree.links]
+    links = [replace(link, mass=prior(mass, MEASURED * mass)) for link, mass in zip(tree.links, off, strict=True)]
+    return replace(tree, links=links)
+
+
+def _loads(tree: Tree) -> list[float]:
+    """By joint, N·m: what hangs on it, held level."""
+    mass, far, inertia = stretched(tree)
+    loads = []
+    for place in range(len(tree.links)):
+        carried = [k for k in range(len(tree.links)) if place in _inwards(tree, k)]
+        arm = np.maximum(far[carried] - far[place], 0.0) + np.sqrt(inertia[place] / mass[place])
+        loads.append(EARTH * float((mass[carried] * arm).sum()))
+    return loads
 
 
 def _inwards(tree: Tree, link: int) -> list[int]:
@@ -145,11 +175,13 @@ def _inwards(tree: Tree, link: int) -> list[int]:
 
 
 def bodies(rng: np.random.Generator, needs: Sequence[str], names: Sequence[str], passive: bool) -> tuple[Tree, Tree]:
-    """A random tree; its file says what it is."""
+    """A random tree, and what its file says."""
     tree = random_tree(rng, int(rng.choice(JOINTS, p=SHARES)))
     if rng.random() < 0.4 and not passive and not MOTORS & set(names):
         tree = with_servos(rng, tree)
-    return tree, tree
+    if rng.random() < 1 / 3 and not DAMPED & set(names):
+        tree = with_damping(rng, tree)
+    return tree, _measured(rng, tree) if rng.random() < 1 / 8 else tree
 
 
 def style(rng: np.random.Generator, names: Sequence[str]) -> Style:
@@ -204,6 +236,7 @@ def described(body: Tree) -> dict:
         "base": [0.0, 0.0, 0.0],
         "upright": bool(np.allclose(np.cross(first, gravity), 0.0)),
         "parents": list(body.parents),
+        "damping": [0.0 if parts is None else parts.damping for parts in body.joint_parts],
         "servos": any(parts is not None and parts.servo is not None for parts in body.joint_parts),
     }
 

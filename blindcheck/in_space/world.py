@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck import simulator
+from invdyn.blindcheck.effects.parts import set_part
 from invdyn.blindcheck.simulator import LONGEST_STEP
 from invdyn.models import Tree
 from invdyn.models.bodies.inertia import six, tensor
@@ -35,6 +36,7 @@ class Piece:
     joint: int
     sites: dict[str, np.ndarray]
     servo: tuple[float, float] | None = None
+    damping: float = 0.0
     actuated: bool = True
 
 
@@ -69,6 +71,7 @@ class World(simulator.World):
                     joint=place,
                     sites={name: next(sites) for name in link.points},
                     servo=None if servo is None else (servo.stiffness, servo.damping),
+                    damping=0.0 if parts is None else parts.damping,
                 )
             )
 
@@ -95,6 +98,7 @@ class World(simulator.World):
             body.mass, body.ipos, body.fullinertia = piece.mass, piece.com, six(piece.inertia)
             body.explicitinertial = True
             self._hinge(spec, body, piece.hinge, piece.axis, piece.actuated)
+            set_part(spec.joint(piece.hinge), {"damping": piece.damping})
             if piece.servo is not None:
                 motor = spec.actuator(piece.hinge)
                 motor.biastype = self.mujoco.mjtBias.mjBIAS_AFFINE
