@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from invdyn.models import Body, Link
+from invdyn.models.bodies.mujoco_warnings import kept_warnings
 
 LONGEST_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
 FASTEST = 300.0  # rad/s; beyond it the run has diverged
@@ -185,7 +186,8 @@ class World:
             if i % per_row == 0:
                 rows[i // per_row] = policy(i // per_row, time[i], joint_of @ qpos[i], joint_of @ qvel[i])
             after = slice(i + 1, end + 1)
-            qpos[after], qvel[after] = self._advance(i, time[i:end], rows[i // per_row])
+            with kept_warnings(self.mujoco):  # of what is thrown off, and NaN from there on
+                qpos[after], qvel[after] = self._advance(i, time[i:end], rows[i // per_row])
             lost = np.flatnonzero(~(np.abs(qvel[i : end + 1]).max(1) < FASTEST))
             if len(lost):
                 first = i + lost[0]

@@ -16,6 +16,7 @@ from scipy.signal import savgol_filter
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
+from invdyn.models.bodies.mujoco_warnings import kept_warnings
 from invdyn.recordings import InputError, Recording
 
 WINDOW = 1.0
@@ -100,8 +101,8 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
             windows, running = windows + 1, True
         data.ctrl[:], data.qfrc_applied[:] = given.control[row], given.applied[row]
         model.opt.timestep = (time[row + 1] - time[row]) / parts
-        for _ in range(parts):
-            mujoco.mj_step(model, data)
+        with kept_warnings(mujoco):  # a simulation that is thrown off shows in the error
+            mujoco.mj_step(model, data, parts)
         off[row + 1] = data.qpos[at] - signs * (angle[row + 1] - zeros)
     seen = np.isfinite(off)
     if seen.sum() < len(hinges):

@@ -17,6 +17,7 @@ import numpy as np
 
 from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
+from invdyn.models.bodies.mujoco_warnings import kept_warnings
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole
@@ -69,13 +70,9 @@ def _engine(where: str) -> Any:
 
 @contextmanager
 def _own_warnings(mujoco: Any, where: str) -> Iterator[None]:
-    """MuJoCo's warnings as ours: by itself it writes them to a log in the folder where one happens to be."""
-    before, said = mujoco.get_mju_user_warning(), list[str]()
-    mujoco.set_mju_user_warning(said.append)
-    try:
+    """MuJoCo's warnings as ours."""
+    with kept_warnings(mujoco) as said:
         yield
-    finally:
-        mujoco.set_mju_user_warning(before)
     for line in dict.fromkeys(said):
         warnings.warn(f"{where}: MuJoCo: {' '.join(str(line).split())}", UserWarning, stacklevel=5)
 

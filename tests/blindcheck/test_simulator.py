@@ -82,12 +82,15 @@ def test_a_replay_starts_again_from_the_true_state():
     assert real.time[0] <= -LEAD
 
 
-def test_a_run_that_diverges_is_nan_and_no_more():
+def test_a_run_that_diverges_is_nan_and_no_more(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
     body = random_body(np.random.default_rng(0), 2, False)
     time = np.arange(100) * 0.01
     real = World(body).run(time, lambda row, t, q, qd: 1e4 * np.ones(2), [0.0, 0.0], [0.0, 0.0])
     assert np.isfinite(real.q[0]).all()
     assert np.isnan(real.q[-1]).all()
+    assert not list(tmp_path.iterdir())  # no log of MuJoCo's
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
