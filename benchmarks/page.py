@@ -38,7 +38,6 @@ COMMANDS = {
     "walker": "walker.py",
     "simulated_cameras": 'simulated_cameras.py --cases two three four hidden clock "two, points" "four, points" '
     "--results build/simulated_cameras.jsonl",
-    "simulated_clock": "simulated_cameras.py --cases two three clock --results build/simulated_cameras.jsonl",
     "tracking_dfki": "tracking.py dfki",
     "tracking_people": "tracking.py people",
     "vsmc_bound": "vsmc.py bound",
