@@ -45,7 +45,6 @@ RULES = {
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_promising": ("forward_step", "add: the best of the screen"),
     "refine_barred": ("forward_step", "those that gain less than a torque could"),
-    "_scan": ("forward_step", "from several values, where no screen tells the size"),
     "softer": ("shortlist", "the softer form of what would need implausible values"),
     "refine_play": ("profile_likelihood", "play, by paths of its own"),
     "_refine_moved": ("moves", "neighbour: a push at another moment"),

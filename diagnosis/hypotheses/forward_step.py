@@ -1,10 +1,7 @@
 """One more effect beside a base: every one that may join it screened, the most promising refined and kept.
 
 Screened along the base's path; the first effect of all along the simulation's own, too. Beside those that the screen
-ranks (:mod:`.shortlist`):
-
-- those whose parameters are searched (:mod:`.noise`): what changes the scatter, and play,
-- with the first effect, from several values, those that no screen tells the size of (``Effect.scan``).
+ranks (:mod:`.shortlist`) come those whose parameters are searched (:mod:`.noise`): what changes the scatter, and play.
 
 With unknown torque only what the camera shows is refined (:func:`.shortlist.refine_promising`): if it gains more than
 what a torque imitates, or where errors of prediction show that something is left whatever the torque does.
@@ -12,17 +9,13 @@ what a torque imitates, or where errors of prediction show that something is lef
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
 
 import numpy as np
-import torch
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
-from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import (
     SHARE,
     TOO_FAR_BEHIND,
@@ -56,11 +49,6 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
         refine_barred(problem, found, base, best)
         least = -np.inf
-    if alone:
-        for effect in (e for e in free if e.scan):
-            if found.ranked[0].complete:
-                break
-            attempt(_scan, problem, found, base, effect)
     refine_searchable(problem, found, base, free, least)
     return screened
 
@@ -83,26 +71,6 @@ def screened_with(
         return screened, _aside(screened, other)
     screened = screen_in_halves(found.workers, problem, model, path, straight, common, point, few)
     return screened, screened
-
-
-def _scan(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, effect: Effect) -> None:
-    """Refine an effect whose slope near its absence says little, from the best of its values, if that gains enough.
-
-    From each, and all combinations of several parameters, it is expanded once on a path of its own, led there.
-    """
-    effects, tried = (*base.effects, effect), []
-    model, parts = problem.model.with_effects(*effects), effect.scan.values()
-    for point in product(*parts):
-        values = base.values | {f"{effect.key}.{n}": v for n, v in zip(effect.scan, point, strict=True)}
-        given = {f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
-        there = model.replace(**{name: value for name, value in given.items() if name in model.parameters})
-        path = led(problem, there, lifted(model, base.path), FIRM)
-        tried.append(refine(problem, effects, values, path, FIRM, rounds=1, **base.searched))
-    best = max(tried, key=lambda cause: cause.log_evidence)
-    fair = max(base.log_evidence, SHARE * base.log_evidence + (1 - SHARE) * (found.top - TOO_FAR_BEHIND))
-    found.add(best)
-    if best.log_evidence >= fair:
-        found.add(refine(problem, effects, best.values, best.path, FIRM, **base.searched))
 
 
 def refine_searchable(

@@ -41,28 +41,35 @@ SHORT = 0.03
 
 
 def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
-    """Refine the neighbours of causes with so many effects, from values that follow.
+    """Refine the neighbours of causes with so many effects, from values that follow, and theirs, until none is new.
 
-    And the softer forms of the best few of those that leave something, a residual or errors of prediction that are
+    Then the softer forms of the best few of those that leave something, a residual or errors of prediction that are
     alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
-    as far off as another effect's.
+    as far off as another effect's. What these find has neighbours, too.
     """
-    near = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > found.top - TOO_FAR_BEHIND]
-    for cause in near:
-        for mine in cause.effects:
-            if "moment" in mine.located:
-                _refine_moved(problem, found, cause, mine)
-            for other in _around(problem, found, cause, mine):
-                _follow(problem, found, cause, mine, other)
-    least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
-    if not found.explained:
-        least = min(least, none + HALF * (found.top - none))
-    ideal = [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
-    ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
-    rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
-    rough.sort(key=lambda cause: -cause.log_evidence)
-    for cause in rough[: SOFTER // number]:
-        refine_softer(problem, found, cause)
+    visited: dict[int, FittedHypothesis] = {}
+    while fresh := [c for c in _near(found, number, found.top - TOO_FAR_BEHIND) if id(c) not in visited]:
+        for cause in fresh:
+            visited[id(cause)] = cause
+            for mine in cause.effects:
+                if "moment" in mine.located:
+                    _refine_moved(problem, found, cause, mine)
+                for other in _around(problem, found, cause, mine):
+                    _follow(problem, found, cause, mine, other)
+        least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
+        if not found.explained:
+            least = min(least, none + HALF * (found.top - none))
+        ideal = _near(found, number, least)
+        ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
+        rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
+        rough.sort(key=lambda cause: -cause.log_evidence)
+        for cause in rough[: SOFTER // number]:
+            refine_softer(problem, found, cause)
+
+
+def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
+    """Causes of so many effects with more than the ``least`` log evidence."""
+    return [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
 
 
 def _around(
@@ -87,7 +94,10 @@ def _follow(
         done = cause.complete or (there is not None and there.complete)
     else:
         done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if other.related else ALIKE)
-    done = done or (other.kind == "alike" and cause is not found.ranked[0])
+    if other.kind == "alike":
+        its, own = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
+        # what leaves nothing gives way to what says it in fewer numbers, at most
+        done = done or cause is not found.ranked[0] or (cause.complete and its >= own)
     if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if other.related else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
         refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, other), paths)

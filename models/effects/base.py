@@ -105,10 +105,6 @@ class Effect(ABC):
     """Whether it has a softer form, with more parameters."""
     steady: ClassVar[bool] = False
     """Whether its dry friction, where it has any, is the same at all speeds and loads."""
-    scan: ClassVar[Mapping[str, tuple[float, ...]]] = {}
-    """Values of parameters that a search starts from, one after the other: where joints stick, the change near its
-    absence does not tell how large an effect is."""
-
     forms: ClassVar[tuple[str, ...]] = ()
     """Other readings of the effect, a word each, which comes after the place, as in ``ClockRate("frames")``: under the
     same name, and with a key of their own."""

@@ -30,7 +30,8 @@ class LoadFriction(RegularisedFriction):
 
     longest: ClassVar[float] = ABRUPT / 2
     """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""
-    scan: ClassVar = {"coefficient": (0.08, 0.16, 0.28)}
+    starts: ClassVar = (0.08, 0.16, 0.28)
+    """Values of k from which it is looked for, where another dry friction stands in for it."""
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction per load k, a pure number."""

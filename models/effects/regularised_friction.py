@@ -17,7 +17,7 @@ Real ones rather spring back: see :mod:`.bristles`, which is looked for where th
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
 
 from pyro.distributions import HalfNormal
@@ -57,6 +57,16 @@ class RegularisedFriction(Effect):
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """A short T, which leads on to longer ones."""
         return {**ideal, "settling": SETTLING / 2, "creep": CREEP / 2}
+
+    starts: ClassVar[tuple[float, ...]] = ()
+    """Values of its one level to begin from, in place of another dry friction; the change near its absence tells none,
+    as joints stick."""
+
+    def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Of another dry friction of the joint that has ``starts``."""
+        if not isinstance(other, RegularisedFriction) or other.where != self.where or other.name == self.name:
+            return ()
+        return [{level.name: start} for level in other.levels(scale)[:1] for start in other.starts]
 
     @abstractmethod
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -7,7 +7,7 @@ import pytest
 from pendulum import PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.forward_step import _scan, extend
+from invdyn.diagnosis.hypotheses.forward_step import extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
@@ -86,16 +86,3 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     extend(bound, found, base, 1)
     enough = [least for name, least in tried if name == "backlash"]  # others that join the base gain less than a nat
     assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
-
-
-def test_load_friction_is_found_from_afar():
-    """From the best of several values: where joints stick, the slope near none of it says little."""
-    friction = EFFECTS["load_friction"]("pivot").bound(PENDULUM)
-    bound = diagnosis_problem(recording_of(friction, rows=120, coefficient=0.2), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    found = HypothesisPool([friction], {"": none}, [], path, stray)
-    _scan(bound, found, none, friction)
-    cause = found.pool[friction.key]
-    assert cause.complete
-    assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]

@@ -120,6 +120,22 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
         assert truth.key not in found.pool
 
 
+def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
+    """From several values: where joints stick, the slope near none of it says little."""
+    stand_in, friction = (EFFECTS[name]("pivot").bound(PENDULUM) for name in ("coulomb_friction", "load_friction"))
+    bound = diagnosis_problem(recording_of(friction, rows=120, coefficient=0.2), PENDULUM)
+    path, stray = data_path(bound)
+    none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (stand_in,)))
+    found = HypothesisPool([stand_in, friction], {c.key: c for c in (none, other)}, [], path, stray)
+    refine_kin(bound, found, 1)
+    cause = found.ranked[0]
+    assert cause.key == friction.key
+    assert cause.complete
+    assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
+    assert stand_in.starts_of(EFFECTS["load_friction"]("other"), {}, bound.model.scale) == ()
+    assert friction.starts_of(stand_in, {}, bound.model.scale) == []
+
+
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
