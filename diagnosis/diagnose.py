@@ -123,8 +123,8 @@ def diagnose(
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "
-            f"{'that are unknown' if bound.regime == 'unknown_torque' else 'in it'}, as {bound.problem.recording.name} "
-            f"has, got {other.regime.replace('_', ' ')}: give both with torques, or hide those of both: --hide-torque"
+            f"{'in it' if bound.regime.knows_torque else 'that are unknown'}, as {bound.problem.recording.name} "
+            f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
         )
     report(1, "screen and refine")
     bound, found = _searched(bound, without, workers, most)
@@ -152,7 +152,7 @@ def diagnose(
         weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
-    if bound.regime == "unknown_torque" and weighed.best.effects and unsure:
+    if not bound.regime.knows_torque and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
         weighed = only(bound, found, none, weighed.log_evidence, tolerance)
         shares, there = held(none)
@@ -164,7 +164,7 @@ def diagnose(
     else:
         parts = {key(effect): shares for effect in best.effects}
     report(4, "describe")
-    formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime != "unknown_torque" else None
+    formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime.knows_torque else None
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
@@ -197,7 +197,7 @@ def _followed(
     is not known. None where the torque is unknown, or all that the best cause changes is how the motion is seen.
     """
     moved = any(effect.side == "dynamics" for effect in best.effects)
-    if bound.regime == "unknown_torque" or not (moved or formula):
+    if not bound.regime.knows_torque or not (moved or formula):
         return ()
     whole = formula if best is none else describe(bound, none, none.path)
     return whole.variables if whole else formula.variables if formula else ()

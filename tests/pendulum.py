@@ -7,14 +7,15 @@ import torch
 from oracles import Chain
 
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import DECAY, LOOSE, diagnosis_problem
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, log_prior
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
+LOOSE = COMMANDED.loose
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
 PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
 UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
@@ -79,7 +80,7 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
     """
     p = {name: value.numpy() for name, value in model.parameters.items()}
     dt, steps = 0.02, model.substeps
-    keep = np.exp(-DECAY["passive"] * dt)
+    keep = np.exp(-PASSIVE.decay * dt)
 
     def rate(state, s, torque):
         return np.array([state[1], (torque * (1 - s + s * keep) - damping * state[1]) / INERTIA])
@@ -95,7 +96,7 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
             k4 = rate(state + h * k3, s + 1 / steps, torque)
             state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         columns.append([keep * torque, *state])
-    stationary = p["torque.scale"].item() / np.sqrt(2 * DECAY["passive"])
+    stationary = p["torque.scale"].item() / np.sqrt(2 * PASSIVE.decay)
     noise = [stationary * np.sqrt(1 - keep**2), p["noise.angle"].item(), p["noise.velocity"].item()]
     begun = np.hypot(stationary, p.get("torque.initial_scale", np.zeros(1)).item())
     first = [begun, p["initial.angle_scale"].item(), p["initial.velocity_scale"].item()]
@@ -113,5 +114,5 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
 def at_best(here, cause):
     """A cause's log evidence at its best size, and that size."""
     top = int(cause.by_size.argmax())
-    levels = sizes(here.regime)
+    levels = here.regime.sizes
     return cause.by_size[top] - log_prior(levels)[top], levels[top]

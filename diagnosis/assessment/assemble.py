@@ -30,11 +30,12 @@ from invdyn.diagnosis.assessment.suggested_experiments import separating_experim
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
+from invdyn.diagnosis.problem.regime import regime_of
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models import ArmModel, ArticulatedBody
@@ -108,7 +109,7 @@ def assembled(
         recording=bound.problem.recording.name,
         body=body.name,
         seed=seed,
-        regime=bound.regime,
+        regime=bound.regime.name,
         gap=Gap(
             detected=probability > 0.5 and large,
             probability=probability,
@@ -116,7 +117,7 @@ def assembled(
             residual_torque_rms=_rms(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
             matters=large,
-            tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime != "unknown_torque" else {},
+            tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
         where=where(
             model,
@@ -157,7 +158,7 @@ def assembled(
             observed=_observed(bound),
             keypoint_names=model.observation.tracked_names,
             base=base_of(body),
-            command=None if model.command is None or bound.regime == "passive" else model.command.numpy(),
+            command=None if model.command is None or not bound.regime.commanded else model.command.numpy(),
             angle=angle,
             velocity=qd.numpy(),
             nominal_replay=replays["nominal"],
@@ -191,12 +192,12 @@ def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
 
     Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
     """
-    unknown, body = bound.regime == "unknown_torque", bound.model.body
+    regime, body = bound.regime, bound.model.body
     shown = added(found.first)
-    unseen = {key(s.effect) for s in shown if s.dprime < RULE.faint or (unknown and imitable(s.effect))}
-    if bound.regime != "commanded":
+    unseen = {key(s.effect) for s in shown if s.dprime < RULE.faint or regime.hides(s.effect)}
+    if not regime.commanded:
         everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
-        unseen |= {key(e.bound(body)) for e in everything if e.needs_command or (unknown and imitable(e))}
+        unseen |= {key(e.bound(body)) for e in everything if e.needs_command or regime.hides(e)}
     return unseen
 
 
@@ -265,13 +266,12 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
     """The answer "not enough data"."""
     joints = body.joint_names
     nan = float("nan")
-    known = recording.torques is not None and np.isfinite(recording.torques).any()
     empty = dict.fromkeys(joints, nan)
     return Diagnosis(
         recording=recording.name,
         body=body.name,
         seed=seed,
-        regime="passive" if passive else "commanded" if known else "unknown_torque",
+        regime=regime_of(recording.torques, passive).name,
         gap=Gap(
             False,
             nan,

@@ -30,7 +30,6 @@ from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.backward_simulation import genealogy
@@ -108,7 +107,7 @@ def confirm(
     if before is not None and before.result is not None:
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
-    rest = cause.log_evidence - cause.by_size[top] + log_prior(sizes(problem.regime))[top]
+    rest = cause.log_evidence - cause.by_size[top] + problem.regime.log_prior[top]
     rest += sum(cause.noise_log.values())
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
@@ -194,7 +193,7 @@ def posterior(problem: DiagnosisProblem, cause: FittedHypothesis, confirmed: Con
             confirmed.result,
             method="diagnosis",
             seed=seed,
-            settings={"cause": cause.key, "regime": problem.regime},
+            settings={"cause": cause.key, "regime": problem.regime.name},
         )
     draws = idata["posterior"].sizes["draw"]
     for name, column in zip(unknowns(problem, cause.effects).names, confirmed.values.T, strict=True):

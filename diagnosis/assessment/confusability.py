@@ -16,10 +16,11 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
-from invdyn.diagnosis.sensitivity.whiten import SPIKE, filter_of, linear_of, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 
 
 def change(problem: DiagnosisProblem, screened: Added) -> np.ndarray:

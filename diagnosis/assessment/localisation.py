@@ -6,6 +6,7 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.result import Interval, Where
 from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.regime import Regime
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.effects.base import Effect
 
@@ -30,7 +31,7 @@ def where(
     model: ArmModel,
     causes: Mapping[str, tuple[FittedHypothesis, float]],
     outside: float,
-    regime: str,
+    regime: Regime,
     residual: np.ndarray,
     typical: np.ndarray,
     shifts: np.ndarray,
@@ -58,7 +59,7 @@ def where(
     spread = (
         shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
     )
-    dynamics, observation = (0.0, outside) if regime == "unknown_torque" else (outside, 0.0)
+    dynamics, observation = (outside, 0.0) if regime.knows_torque else (0.0, outside)
     joints, keypoints = dynamics * everywhere, observation * spread
     for cause, probability in causes.values():
         for effect in cause.effects:

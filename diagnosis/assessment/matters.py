@@ -54,7 +54,7 @@ def matters(
     problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
 ) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    if problem.regime == "unknown_torque" or none.kappa > RULE.loud or any(is_noise(effect) for effect in best.effects):
+    if not problem.regime.knows_torque or none.kappa > RULE.loud or any(is_noise(effect) for effect in best.effects):
         return True
     rows = max(round(RULE.worst / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))

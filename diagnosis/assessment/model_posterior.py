@@ -41,7 +41,6 @@ from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
@@ -73,13 +72,12 @@ def _alone(
     errors = prediction_errors(bound, cause)
     if show_more(bound, cause, errors) or not credible(bound, cause):
         return 0.0
-    if bound.regime == "unknown_torque":
+    if not bound.regime.knows_torque:
         return 1.0
     along, chance = along_motion(errors, cause)
     if along > 0.5 + RULE.along + RULE.chance * chance:
         return 0.0
-    levels = sizes(bound.regime)
-    prior = log_prior(levels)
+    levels, prior = bound.regime.sizes, bound.regime.log_prior
     if found.leaves(cause) and best_size(bound, cause) > tolerance:
         return 0.0
     # A torque under the tolerance is nothing to look for a cause of, though "no gap" is less than that.

@@ -8,7 +8,6 @@ gap" where none is; in a few frames, or between detections as far apart as the a
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 
 
 def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
@@ -16,10 +15,10 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
 
     An unknown torque may be of any size, and what is asked there is whether the camera shows something.
     """
-    if problem.regime == "unknown_torque" or found.ranked[0].effects:
+    if not problem.regime.knows_torque or found.ranked[0].effects:
         return None
-    levels = sizes(problem.regime)
-    by_size = found.pool[""].by_size - log_prior(levels)
+    levels = problem.regime.sizes
+    by_size = found.pool[""].by_size - problem.regime.log_prior
     hidden = levels[(levels >= RULE.large) & (by_size > by_size[0] - RULE.out_of_question)]
     if not len(hidden) or by_size.max() > by_size[0] + RULE.out_of_question:
         return None

@@ -12,6 +12,7 @@ import arviz as az
 
 from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.tracks import Tracks
+from invdyn.diagnosis.problem.regime import REGIMES
 
 SCHEMA = 2
 """Of `diagnosis.json`: 2 has all of 1, and adds what of a file changes, what was learned of it, and the budget."""
@@ -231,6 +232,11 @@ class Diagnosis:
     written: Written | None = None
     posture: Posture | None = None
     planar_only: tuple[str, ...] = ()
+
+    @property
+    def knows_torque(self) -> bool:
+        """Whether torques are known, so that any residual is a gap."""
+        return REGIMES[self.regime].knows_torque
 
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""

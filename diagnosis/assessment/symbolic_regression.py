@@ -18,9 +18,10 @@ from torch import Tensor
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import SLAB
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
-from invdyn.diagnosis.sensitivity.whiten import SLAB, Whitened, filter_of, linear_of, whiten
+from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, whiten
 
 MOST_TERMS = 3
 """Terms in a formula."""

@@ -26,7 +26,6 @@ from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import regression
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 
 MOST_STEPS = 50
@@ -108,7 +107,7 @@ def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedH
 
 def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:
     """Log evidence (G,) of another recording's rows and each size of the residual."""
-    levels = sizes(other.regime)
+    levels = other.regime.sizes
     rows = whitened(other, there, there.path, levels, posterior_columns(other, there))
     p = len(there.mean)
     index, unit, far = np.arange(1, p + 1)[None], np.ones((1, p)), np.full((1, p), np.inf)
@@ -116,4 +115,4 @@ def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:
         regression(gram, index, np.zeros(1, int), 0.0 * unit, unit, -far, far, rows.count, log_det).log_evidence[0]
         for gram, log_det in zip(rows.gram, rows.log_det, strict=True)
     ]
-    return np.array(found) + log_prior(levels)
+    return np.array(found) + other.regime.log_prior

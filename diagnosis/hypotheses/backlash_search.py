@@ -26,7 +26,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import grid, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
-from invdyn.diagnosis.sensitivity.whiten import filter_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 
@@ -78,14 +78,14 @@ class Play:
 
     def along_base(self, widths: Sequence[float]) -> list[float]:
         """Log evidence of each width along the base's own path, with the gap as that drives it."""
-        problem, base, levels = self.problem, self.base, sizes(self.problem.regime)
+        problem, base, levels = self.problem, self.base, self.problem.regime.sizes
         common, gained = unknowns(problem, base.effects), []
         for model in map(self.model, widths):
             path = lifted(model, base.path)
             columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
             whitened = whiten(problem, filter_of(problem, model, path, levels), columns)
             evidence = np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)])
-            gained.append(float(logsumexp(evidence + log_prior(levels))) + sum(base.noise_log.values()))
+            gained.append(float(logsumexp(evidence + problem.regime.log_prior)) + sum(base.noise_log.values()))
         return gained
 
     def refined(self, width: float) -> FittedHypothesis:

@@ -30,7 +30,7 @@ def data_path(problem: DiagnosisProblem) -> tuple[Tensor, bool]:
 
     And whether there are any.
     """
-    loose = problem.with_residual(problem.loose)
+    loose = problem.with_residual(problem.regime.loose)
     path = gauss_newton(loose, problem.observations).path
     rows = torch.arange(len(path))
     with torch.no_grad():
@@ -58,7 +58,7 @@ def led(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -
     names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
     for slack in SLACK:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = problem.with_residual(min(max(problem.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
+        quiet = problem.with_residual(min(max(problem.regime.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
         path = gauss_newton_path(quiet, problem.observations, path, ITERATIONS, CLOSE)
         problem.budget.spend(ITERATIONS, loose, len(path))
     return path

@@ -39,7 +39,7 @@ def extend(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothe
     """Screen every effect that may join ``base``, refine and keep the best ``width``; the screen along its path."""
     taken = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in taken]
-    known = problem.regime != "unknown_torque"
+    known = problem.regime.knows_torque
     alone = known and not others(base)
     screened, best = screened_with(problem, found, base, alone)
     found.first = found.first or best
@@ -83,7 +83,7 @@ def refine_searchable(
     play may imitate, or be imitated by. It must make good a share of what its base is behind.
     """
     beside = others(base)
-    slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime != "unknown_torque"
+    slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
     # Beside what explains less than stray detections do, they come first.
     slips = slips and (not beside or base.log_evidence > found.cleaned - TOO_FAR_BEHIND)
     settled = bool(base.effects) and base.complete

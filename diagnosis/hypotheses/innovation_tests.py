@@ -55,7 +55,7 @@ def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.
     With unknown torque under an ample one, which leaves no errors alike by being smoother than its prior is: what is
     then alike in them, no torque can do.
     """
-    size = best_size(problem, cause) * (RULE.ample if problem.regime == "unknown_torque" else 1.0)
+    size = best_size(problem, cause) * (1.0 if problem.regime.knows_torque else RULE.ample)
     rows = whitened(problem, cause, cause.path, [size])
     errors = np.full(problem.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])

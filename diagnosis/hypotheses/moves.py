@@ -16,12 +16,13 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import PASSIVE
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models import ArmModel
@@ -78,10 +79,9 @@ def _around(
     """Neighbours of one of a cause's effects that may take its place."""
     spread = dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
     values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
-    passive, taken = problem.regime == "passive", {effect.key for effect in cause.effects}
+    passive, taken = problem.regime == PASSIVE, {effect.key for effect in cause.effects}
     for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
-        hidden = problem.regime == "unknown_torque" and imitable(other.effect)
-        if other.effect.key not in taken and not hidden:
+        if other.effect.key not in taken and not problem.regime.hides(other.effect):
             yield other
 
 

@@ -11,8 +11,8 @@ from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS, another, log_prior_of, tempered
+from invdyn.diagnosis.problem.regime import COMMANDED
 from invdyn.diagnosis.sensitivity.screen import Screened
-from invdyn.diagnosis.sensitivity.whiten import SLAB, log_prior, sizes
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
@@ -129,9 +129,9 @@ def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
 
     A limb's own torque is always left, and no cause by itself leaves what no cause explains.
     """
-    if not cause.effects or len(cause.by_size) != 1 + len(SLAB):
+    if not cause.effects or len(cause.by_size) != len(COMMANDED.levels):
         return False
-    prior = log_prior(sizes("commanded"))
+    prior = COMMANDED.log_prior
     left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
     return left > RULE.few + RULE.little**2 * gap
 
@@ -139,7 +139,7 @@ def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
 def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[Effect]:
     """Every effect of the catalogue at every place at which it can act in this regime, bound."""
     body = problem.model.body
-    observation, commanded = problem.model.observation, problem.regime == "commanded"
+    observation, commanded = problem.model.observation, problem.regime.commanded
     tracked = list(observation.tracked_names)
     parts = getattr(body, "joint_parts", ())
     servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
@@ -160,9 +160,3 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
 def _told(effect: Effect, servos: set[int]) -> bool:
     """Whether what happens to a command could happen to what the effect's motors are told: ``servos`` get targets."""
     return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
-
-
-def imitable(effect: Effect) -> bool:
-    """Whether an unknown torque could do what the effect does."""
-    seen = type(effect).points is not Effect.points  # a base that shakes takes all points along
-    return (effect.side == "dynamics" and not seen) or effect.name in ("clock_rate", "camera_latency")

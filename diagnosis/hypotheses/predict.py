@@ -20,9 +20,10 @@ from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
-from invdyn.diagnosis.sensitivity.whiten import SPIKE, Whitened, filter_of, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
 
@@ -47,7 +48,7 @@ class Scores:
 
 def best_size(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     """The residual's size that a cause has the highest evidence with."""
-    return float(sizes(problem.regime)[int(cause.by_size.argmax())])
+    return float(problem.regime.sizes[int(cause.by_size.argmax())])
 
 
 def whitened(
@@ -73,7 +74,7 @@ def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarra
     ``unseen`` (T,) are rows that the cause's parameters have not seen: there they are what is known of them and of the
     rows before.
     """
-    quietest = SPIKE if problem.regime != "unknown_torque" else best_size(problem, cause)
+    quietest = SPIKE if problem.regime.knows_torque else best_size(problem, cause)
     columns = None if unseen is None else posterior_columns(problem, cause)
     rows = whitened(problem, cause, cause.path, [best_size(problem, cause), quietest], columns)
     seen, kappa = rows.seen, cause.kappa

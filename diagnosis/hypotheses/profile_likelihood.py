@@ -26,7 +26,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
-from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, seen_as, seen_rows, slopes_along
 from invdyn.models.effects.base import Effect
 
@@ -73,7 +73,7 @@ def _added(
     if values is not None:
         points = [*points, tuple(values[name] for name in names)]
     known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
-    common, levels = unknowns(problem, base.effects), sizes(problem.regime)
+    common, levels = unknowns(problem, base.effects), problem.regime.sizes
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     model, some = base.model.with_effects(effect), _telling(base, levels)
 
@@ -91,7 +91,8 @@ def _added(
         here = model.replace(**given)
         linear = seen_as(moving, seen_rows(here, path, problem.observations), tangents[1])
         whitened = whiten(problem, filter_of(problem, here, path, levels[some], linear), columns)
-        return np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)]) + log_prior(levels)[some]
+        found = [outcome.log_evidence[0] for outcome in expansions(whitened, common, base.mean)]
+        return np.array(found) + problem.regime.log_prior[some]
 
     def score(log_values: np.ndarray) -> float:
         values = np.minimum(np.exp(log_values), most)
@@ -103,7 +104,7 @@ def _added(
         return None
     # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
     # most detections stray; a limb's own torque is as large as it was found.
-    size = float(levels[base.by_size.argmax()]) if problem.regime == "unknown_torque" else FIRM
+    size = FIRM if problem.regime.knows_torque else float(levels[base.by_size.argmax()])
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
     begun = np.log(start)

@@ -29,7 +29,7 @@ from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regression
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
-from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
@@ -83,7 +83,7 @@ def refine(
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
     point = np.clip(point, among.lower, among.upper)
     path = lifted(among.set_in(model, point), path)
-    levels = sizes(problem.regime)
+    levels = problem.regime.sizes
     step = 0.05 * 0.2 * among.sd
     best: FittedHypothesis | None = None
     worth = most_seen = -np.inf
@@ -101,7 +101,7 @@ def refine(
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(problem, filter_of(problem, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
-        by_size = np.array([o.log_evidence[0] for o in outcomes]) + log_prior(levels) + sum(integrated.values())
+        by_size = np.array([o.log_evidence[0] for o in outcomes]) + problem.regime.log_prior + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
             raise Singular("the expansion about these parameters is not finite")

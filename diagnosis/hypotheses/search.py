@@ -82,7 +82,7 @@ def search(
 
 def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     """Make the best cause's next move until it has none left; raises :class:`.Spent` where the budget ends before."""
-    known = problem.regime != "unknown_torque"
+    known = problem.regime.knows_torque
     if known and found.stray:
         _mistaken(problem, found)
     made: set[tuple[Move, str]] = set()
@@ -125,7 +125,7 @@ def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothes
     Enough is what leaves nothing, by effects that are what they are called.
     """
     screened = extend(problem, found, base, _width(base))
-    if base.effects or problem.regime == "unknown_torque":
+    if base.effects or not problem.regime.knows_torque:
         return
     if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
         _several(problem, found, screened)
@@ -146,8 +146,8 @@ def _begun(
         aside = led(usual, problem.model, path, FIRM)
         return aside, attempt(refine, problem, (), {}, aside, FIRM)
 
-    starts: list[Callable[[], Any]] = [partial(attempt, refine, problem, (), {}, path, problem.loose)]
-    if problem.regime != "unknown_torque":
+    starts: list[Callable[[], Any]] = [partial(attempt, refine, problem, (), {}, path, problem.regime.loose)]
+    if problem.regime.knows_torque:
         starts.append(partial(attempt, along_its_own))
     none, *rest = side_by_side(starts, workers, problem.budget)
     if none is None or None in rest:

@@ -18,12 +18,13 @@ import numpy as np
 
 from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool, imitable
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import log_prior_of
+from invdyn.diagnosis.problem.regime import imitable
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
@@ -68,7 +69,7 @@ def refine_promising(
         > bare - doubt
     ]
     most = screened[0].log_evidence - nothing
-    if problem.regime == "unknown_torque":
+    if not problem.regime.knows_torque:
         bar = idle(screened)
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > RULE.faint]
     promising = promising[:width]

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
-from invdyn.diagnosis.sensitivity.whiten import SPIKE, filter_of, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.posterior.initialise import SUBSTEPS
 
 LOST = 0.5
@@ -28,7 +29,7 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
 
     Under an unknown torque, which takes errors along, it stays as it is.
     """
-    if problem.regime == "unknown_torque":
+    if not problem.regime.knows_torque:
         return problem
     model, ends = problem.model, {}
     rows = torch.arange(1, len(path))

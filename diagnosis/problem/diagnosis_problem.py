@@ -1,11 +1,7 @@
 """What is diagnosed: the simulation as a state-space model on the recording's rows, with a residual torque.
 
 The body obeys the simulation exactly, but for an Ornstein–Uhlenbeck torque at every joint, the residual, whose size is
-what a gap in the dynamics is measured by. Three regimes:
-
-    commanded        torques known: the residual is what the simulation lacks
-    passive          torques known to be zero
-    unknown_torque   the residual is the limb's own torque, of any size; only what it cannot imitate shows
+what a gap in the dynamics is measured by. What it stands for depends on what is known of the torques (:mod:`.regime`).
 """
 
 from collections.abc import Sequence
@@ -21,6 +17,7 @@ from invdyn.diagnosis.problem.conventions import check_conventions
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
+from invdyn.diagnosis.problem.regime import Regime, regime_of
 from invdyn.diagnosis.problem.thinned import looked_at
 from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
@@ -31,18 +28,6 @@ from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
-
-REGIMES = ("commanded", "passive", "unknown_torque")
-
-DECAY = {"commanded": 20.0, "passive": 20.0, "unknown_torque": 4.0}
-"""1/s: friction and the like change several times in a swing, a limb's own torque with it."""
-
-FIRMER = 0.3
-"""Of the dynamics' own noise in inference, where torques are known: what that noise can follow is no gap, and play or
-bending is so small. A limb's own torque follows more than that."""
-
-LOOSE, LOOSE_LIMB = 0.3, 3.0
-"""Size of the residual, in typical torques, under which the data's own path is found; a limb's own torque is larger."""
 
 BEGINNING = 0.3
 """Typical torques that motors which act late may still give, where a recording begins, of commands before it."""
@@ -70,7 +55,7 @@ class DiagnosisProblem:
 
     Attributes:
         problem: model with the residual torque at size one typical torque, and observations.
-        regime: one of ``REGIMES``.
+        regime: what is known of the torques.
         uncertain: :func:`.uncertain_numbers`; where the torque is unknown, those of the geometry alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
@@ -78,7 +63,7 @@ class DiagnosisProblem:
     """
 
     problem: Problem
-    regime: str
+    regime: Regime
     uncertain: tuple[Uncertain, ...] = ()
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
@@ -98,11 +83,6 @@ class DiagnosisProblem:
     def usual(self) -> Tensor:
         """(T, O) without what jumps, and with exchanged labels put right: where a first path begins."""
         return _usual(self.model, self.observations, self.starts)
-
-    @property
-    def loose(self) -> float:
-        """Size of the residual under which the data's own path is found."""
-        return LOOSE_LIMB if self.regime == "unknown_torque" else LOOSE
 
     @cached_property
     def typical(self) -> Tensor:
@@ -138,14 +118,14 @@ class DiagnosisProblem:
     def with_residual(self, size: float, model: ArmModel | None = None) -> ArmModel:
         """``model`` with a residual torque of stationary sd ``size`` typical torques, more where it begins."""
         model = model or self.model
-        scale = {"torque.scale": size * np.sqrt(2 * DECAY[self.regime]) * self.typical}
+        scale = {"torque.scale": size * np.sqrt(2 * self.regime.decay) * self.typical}
         return model.replace(**scale, **self.begun)
 
     @cached_property
     def begun(self) -> dict[str, Tensor]:
         """Sd (K,) N·m of what is not known of commanded torques where a recording begins, as a parameter."""
         typical = torch.tensor(self.model.scale.torque, dtype=torch.float64)
-        return {"torque.initial_scale": BEGINNING * typical} if self.regime == "commanded" else {}
+        return {"torque.initial_scale": BEGINNING * typical} if self.regime.commanded else {}
 
 
 def diagnosis_problem(
@@ -154,10 +134,9 @@ def diagnosis_problem(
     """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
     given = [recording] if isinstance(recording, Recording) else recording
     recording, begins = joined([part for each in given for part in looked_at(each)])
-    known = recording.torques is not None and np.isfinite(recording.torques).any()
-    regime = "passive" if passive else "commanded" if known else "unknown_torque"
+    regime = regime_of(recording.torques, passive)
     uncertain = uncertain_numbers(body)
-    if regime == "unknown_torque":
+    if not regime.knows_torque:
         # There only its rough prior would tell of masses: it pulls them down as far as they may go.
         uncertain = tuple(u for u in uncertain if u.quantity in GEOMETRY)
     whole = arm_problem(recording, body, passive=passive, substeps=1)
@@ -168,17 +147,17 @@ def diagnosis_problem(
             f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
         )
     # Rows without an observation only carry commands, which a row takes as they come.
-    torque = OrnsteinUhlenbeck(decay=DECAY[regime], underway=regime == "commanded")
+    torque = OrnsteinUhlenbeck(decay=regime.decay, underway=regime.commanded)
     problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in begins} - {0, seen})
     usual = _usual(problem.model, problem.observations, starts)
     model = _as_seen(problem, usual, regime)
-    if regime == "commanded" and whole.model.command is not None:
+    if regime.commanded and whole.model.command is not None:
         model = model.driven_by(whole.model.time, whole.model.command)
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
-    if regime == "commanded":
+    if regime.commanded:
         _check_torques(recording.name, model, angle, velocity)
     check_conventions(recording.name, model, problem.observations, angle)
     if starts:
@@ -212,7 +191,7 @@ def _usual(model: ArmModel, observations: Tensor, starts: Sequence[int]) -> Tens
     return calm(model.time, relabelled(model, observations), starts)
 
 
-def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
+def _as_seen(problem: Problem, usual: Tensor, regime: Regime) -> ArmModel:
     """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics.
 
     ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
@@ -220,9 +199,7 @@ def _as_seen(problem: Problem, usual: Tensor, regime: str) -> ArmModel:
     model = problem.model
     observation = model.observation
     reach = model.dynamics.reach(model.body_parameters()).item()
-    found = {}
-    if regime != "unknown_torque":
-        found = {name: FIRMER * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
+    found = {name: regime.firmer * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if observation.keypoints:
         sd = torch.as_tensor(noise_at_rest(model.time.numpy(), observation.points(usual).numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)

@@ -16,12 +16,13 @@ from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis
 from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
-from invdyn.diagnosis.report.words import REGIMES, SHORT_SIDES, cause_words, finding_words, key_words, meaning
+from invdyn.diagnosis.report.words import SHORT_SIDES, cause_words, finding_words, key_words, meaning
 from invdyn.recordings.atomic import write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -50,7 +51,7 @@ def render(diagnosis: Diagnosis) -> str:
         answer=answer,
         verdict=verdict(diagnosis),
         details=details(diagnosis),
-        regime=REGIMES.get(diagnosis.regime, diagnosis.regime),
+        regime=REGIMES[diagnosis.regime].phrase,
         tiles=_tiles(diagnosis) if enough else [],
         sides=SHORT_SIDES,
         arm=arm(diagnosis),
@@ -65,7 +66,7 @@ def render(diagnosis: Diagnosis) -> str:
         file_changes=_file_changes(diagnosis),
         faint=plain(RULE.faint, 2),
         clear=plain(CLEAR, 2),
-        hidden_torque=diagnosis.regime == "unknown_torque",
+        hidden_torque=not diagnosis.knows_torque,
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
         visible=_visible(diagnosis),
         screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
@@ -188,7 +189,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         rows.append((label, f"{fixed(value, 3)} nats a frame", what.get(name, "Mean log density of the next frame.")))
     torque = (
         "Torque that the joint must have exerted for the recording to come about, root mean square; before → after."
-        if diagnosis.regime == "unknown_torque"
+        if not diagnosis.knows_torque
         else "Torque that has to be added at the joint so that the simulation follows the recording, root mean square; "
         "before → after the cause is added."
     )

@@ -52,7 +52,7 @@ def alike(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
 def verdict(diagnosis: Diagnosis) -> str:
     """One sentence."""
     answer, probability = kind(diagnosis), percent(diagnosis.gap.probability)
-    hidden = diagnosis.regime == "unknown_torque"
+    hidden = not diagnosis.knows_torque
     if answer == "not_enough_data" and diagnosis.not_enough_data is not None:
         return f"Not enough data to say whether there is a gap: {diagnosis.not_enough_data.strip().rstrip('.')}."
     if answer == "none" and hidden:
@@ -117,7 +117,7 @@ def _beyond(diagnosis: Diagnosis) -> str:
 def _rest(diagnosis: Diagnosis, what: str) -> str:
     """What the best cause leaves, in N·m where torques are known, and that ``what`` explains it: no effect."""
     after, limits = diagnosis.shrinkage.residual_torque_rms_after, diagnosis.gap.tolerated_torque
-    top = None if diagnosis.regime == "unknown_torque" else largest(after)
+    top = largest(after) if diagnosis.knows_torque else None
     if top is None:
         return f"{what} explains the rest"
     rest = f"the rest, {handy(top[1], 'N·m')} at {place_words('joint', top[0])}"
@@ -172,7 +172,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
         )
     if diagnosis.written is not None:
         found += written(diagnosis.written)
-    if diagnosis.regime == "unknown_torque" and answer != "none":
+    if not diagnosis.knows_torque and answer != "none":
         found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
     return found
 
@@ -210,7 +210,7 @@ def _closed(diagnosis: Diagnosis) -> str | None:
     # At the joint where the gap lies: with much noise more may seem to be missing at another.
     at = largest(diagnosis.where.joints)
     top = largest({at[0]: before[at[0]]} if at and at[0] in before else before)
-    if top and diagnosis.regime != "unknown_torque" and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
+    if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
         place = place_words("joint", top[0])
         parts.append(
             f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"

@@ -8,12 +8,6 @@ from invdyn.models.effects.catalogue import EFFECTS
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
 SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "camera’s view"}
 
-REGIMES = {
-    "commanded": "commanded torques known",
-    "passive": "no torque at the joints",
-    "unknown_torque": "torques unknown",
-}
-
 
 def effect_words(effect: str) -> str:
     """An effect's name in a sentence."""

@@ -21,7 +21,7 @@ from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.evidence import learned, regression
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
-from invdyn.diagnosis.sensitivity.whiten import filter_of, log_prior, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
@@ -94,7 +94,7 @@ def together(
         )
         pieces.append(each.columns)
         start += each.columns.g.shape[-1]
-    levels = sizes(problem.regime)
+    levels = problem.regime.sizes
     rest = slopes(model, common, common.mean, 0.05 * common.sd, path)
     whitened = whiten(problem, filter_of(problem, model, path, levels), beside([*pieces, rest]))
     shared = start + np.arange(len(common.names))
@@ -118,7 +118,7 @@ def together(
             regression(gram, index, none, mean, sd, lower, upper, whitened.count, log_det)
             for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
         ]
-        table = np.stack([r.log_evidence for r in results]) + log_prior(levels)[:, None]
+        table = np.stack([r.log_evidence for r in results]) + problem.regime.log_prior[:, None]
         evaluated = []
         for row, members in enumerate(sets):
             effects = tuple(parts[i].screened.effect for i in members)

@@ -16,11 +16,12 @@ from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import SLAB, SPIKE, log_prior
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
-from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, Whitened, filter_of, linear_of, log_prior, products, sizes
+from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, products
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
@@ -228,8 +229,8 @@ def screen(
     for a while; by default those in which it would explain most.
     """
     problem.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
-    levels = sizes(problem.regime)
-    levels = levels[:3] if quiet and problem.regime != "unknown_torque" else levels
+    levels = problem.regime.sizes
+    levels = levels[:3] if quiet and problem.regime.knows_torque else levels
     # What an effect adds is small: half of the sub-steps tell it as well.
     quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, 0.05 * common.sd, path)
@@ -250,7 +251,7 @@ def screen(
         likely = int(none.argmax())
         kappa = float(results[likely].kappa[-1])
         # Beside a limb's own torque; a simulation would have none, were its gap explained.
-        shown = whitened.gram[likely if problem.regime == "unknown_torque" else 0]
+        shown = whitened.gram[0 if problem.regime.knows_torque else likely]
         keys = [h.effect.key for h in found]
         for key in dict.fromkeys(keys):
             mine = [i for i, other in enumerate(keys) if other == key]

@@ -1,9 +1,7 @@
 """Data and columns, whitened about a path for every size of the residual torque.
 
-One Kalman pass (:mod:`.innovations`) under the model linearised about the path. Sizes: the *spike*, a residual far too
-small to matter, says "this cause explains all there is"; the *slab*, sizes spread evenly over the powers of ten up to a
-typical torque, says "something is left that the residual must imitate". A limb's own torque has no spike, and sizes up
-to thirty typical torques.
+One Kalman pass (:mod:`.innovations`) under the model linearised about the path. Sizes are those of the recording's
+regime (:mod:`.regime`).
 
 Shapes: T rows, D states, O observations, J columns, G sizes.
 """
@@ -22,12 +20,6 @@ from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, line
 from invdyn.inference.smoothing.square_root import square
 from invdyn.models import ArmModel
 from invdyn.models.observation.missing import times
-
-SPIKE = 1e-4
-SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
-"""Sizes of the residual torque, in typical torques."""
-LIMB = tuple(np.geomspace(0.03, 30.0, 15))
-"""Those of a limb's own torque, which in fast motions is far above what holds the limb up."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +55,6 @@ LARGE = 2**25
 """Whitened numbers, 256 MB of them, up to which those for all sizes are held at once."""
 LINEARISED, FILTERED = 0.75, 0.2
 """Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
-
-
-def sizes(regime: str) -> np.ndarray:
-    """Sizes of the residual that a regime admits: a limb's own torque is never nothing."""
-    return np.array(LIMB if regime == "unknown_torque" else (SPIKE, *SLAB))
 
 
 def linear_of(problem: DiagnosisProblem, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
@@ -176,10 +163,3 @@ def _gram(w: np.ndarray, groups: Sequence[slice] | None) -> np.ndarray:
         part = w[..., group]
         gram[:, group, group] = np.swapaxes(part, -1, -2) @ part
     return gram
-
-
-def log_prior(levels: np.ndarray) -> np.ndarray:
-    """Log prior weight of each size: half for the spike, where there is one."""
-    if levels[0] == SPIKE:
-        return np.log(np.r_[0.5, np.full(len(levels) - 1, 0.5 / (len(levels) - 1))])
-    return np.full(len(levels), -np.log(len(levels)))

@@ -14,6 +14,7 @@ from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.assemble import _ambiguous, _unseen
 from invdyn.diagnosis.assessment.result import Cause, Finding
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
@@ -82,7 +83,7 @@ def test_torques_in_other_units_are_told_before_anything_is_looked_for(body, tim
     recording = recording_of(body=body, rows=100)
     with pytest.raises(InputError, match=r"expected torques in N·m.*check their unit"):
         diagnose(replace(recording, torques=times * recording.torques), body)
-    assert diagnosis_problem(replace(recording, torques=10 * recording.torques), body).regime == "commanded"
+    assert diagnosis_problem(replace(recording, torques=10 * recording.torques), body).regime == COMMANDED
 
 
 @pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])

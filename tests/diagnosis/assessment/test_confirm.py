@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import kalman
-from pendulum import DAMPING, FRICTION, PENDULUM, at_best, causes, path_of, recorded, wheel, wheel_chain
+from pendulum import DAMPING, FRICTION, LOOSE, PENDULUM, at_best, causes, path_of, recorded, wheel, wheel_chain
 from pyro.infer.smcfilter import SMCFailed
 
 from invdyn.diagnosis.assessment.confirm import confirm, confirm_all, posterior, scaled
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 
 
 def test_smc_evidence_of_a_linear_chain_is_exact():

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import DAMPING, FRICTION, PENDULUM, causes, path_of, recorded
+from pendulum import DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.findings import key
@@ -16,7 +16,7 @@ from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, CannotFollow, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from pendulum import ARM, causes, path_of, recording_of
+from pendulum import ARM, LOOSE, causes, path_of, recording_of
 
 from invdyn.diagnosis.assessment.localisation import MOST_OF, intervals, joints_of, where
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
 from invdyn.models.effects import EFFECTS
 
 TIME = 0.01 * np.arange(400)
@@ -55,7 +56,7 @@ def test_joints_of_effects():
     assert joints["gravity_tilt"] == joints["keypoint_offset.wrist"] == []
 
 
-@pytest.mark.parametrize(("regime", "side"), [("commanded", "dynamics"), ("unknown_torque", "observation")])
+@pytest.mark.parametrize(("regime", "side"), [(COMMANDED, "dynamics"), (UNKNOWN_TORQUE, "observation")])
 def test_what_the_catalogue_lacks_is_a_torque_or_in_the_picture_where_torques_do_what_they_like(regime, side):
     here, none, _ = causes()
     residual, shifts = np.ones((80, 1)), np.zeros(1)
@@ -73,7 +74,7 @@ def test_shares_are_those_of_the_causes():
     found = {e.key: refine(here, (e.bound(ARM),), {}, path, LOOSE) for e in (friction, offset)}
     shares = dict(zip(found, zip(found.values(), (0.6, 0.3), strict=True), strict=True))
     rows, ones = len(here.observations), np.ones(2)
-    said = where(here.model, shares, 0.1, "commanded", np.ones((rows, 2)), ones, ones, np.ones(rows), ())
+    said = where(here.model, shares, 0.1, COMMANDED, np.ones((rows, 2)), ones, ones, np.ones(rows), ())
     assert said.side == pytest.approx({"dynamics": 0.7, "observation": 0.3})
     assert said.joints == pytest.approx({"shoulder": 0.05 / 0.7, "elbow": 0.65 / 0.7})
     assert said.keypoints == pytest.approx({"elbow": 0.0, "wrist": 1.0})

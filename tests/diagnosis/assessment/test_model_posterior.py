@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, recorded, recording_of
+from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.assessment.model_posterior import _alone, only, weigh
 from invdyn.diagnosis.decision import RULE
@@ -20,9 +20,9 @@ from invdyn.diagnosis.hypotheses.innovation_tests import (
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
 from invdyn.diagnosis.problem.unknowns import upper_bound
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -32,7 +32,7 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     """A tenth of the residual that the simulation alone needs; and large gaps forgive more than small ones."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
-    levels = sizes("commanded")
+    levels = COMMANDED.sizes
     needed = replace(none, by_size=np.where(levels == levels[5], 0.0, -1e4), log_evidence=0.0)
     friction = EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
     known = {"names": (f"{friction.key}.damping",), "mean": np.array([0.05]), "covariance": 1e-6 * np.eye(1)}
@@ -59,7 +59,7 @@ def test_a_torque_under_the_tolerance_is_not_left():
     """Of what a user tolerates nothing is left, however surely it is there; and more of what is over it is."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
-    levels, friction = sizes("commanded"), EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
+    levels, friction = COMMANDED.sizes, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)
     needed = replace(none, by_size=np.where(levels == levels[3], 0.0, -1e4), log_evidence=0.0)
     known = {"names": (f"{friction.key}.damping",), "mean": np.array([0.05]), "covariance": 1e-6 * np.eye(1)}
     cause = replace(none, effects=(friction,), log_evidence=50.0, **known)
@@ -113,7 +113,7 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     first = np.arange(len(none.by_size)) == 0
-    prior = log_prior(sizes(bound.regime))
+    prior = bound.regime.log_prior
     pool = HypothesisPool([], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False)
 
     def with_residual(nats):
@@ -201,8 +201,8 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
         arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command[:, None], parameters=parameters)
         recording = record(arm, 1)[0]
     bound = diagnosis_problem(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
-    assert bound.regime == "unknown_torque"
-    none = refine(bound, (), {}, data_path(bound)[0], bound.loose)
+    assert bound.regime == UNKNOWN_TORQUE
+    none = refine(bound, (), {}, data_path(bound)[0], bound.regime.loose)
     pool = HypothesisPool([], {"": none}, [], none.path, False)
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum import MANY, PENDULUM, recorded
+from pendulum import LOOSE, MANY, PENDULUM, recorded
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.power import too_little
@@ -12,8 +12,8 @@ from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED, log_prior
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -54,7 +54,7 @@ def test_in_a_second_it_shows():
 def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
     bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
-    none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), sizes("commanded")
+    none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), COMMANDED.sizes
     none = replace(none, by_size=log_prior(levels) - np.array(loss, dtype=float))
     found = HypothesisPool(considered(bound), {"": none}, [], path, stray)
     assert RULE.out_of_question == 3.0
@@ -72,5 +72,5 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
 def test_an_unknown_torque_may_be_of_any_size():
     bound = diagnosis_problem(replace(film(1000, 0.1), torques=None), PENDULUM)
     path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, bound.loose, rounds=1)
+    none = refine(bound, (), {}, path, bound.regime.loose, rounds=1)
     assert too_little(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray)) is None

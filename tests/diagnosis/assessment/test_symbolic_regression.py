@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from pendulum import ARM, recording_of
+from pendulum import ARM, LOOSE, recording_of
 from pyro.distributions import Normal
 
 from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, describe
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect, Parameter

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, DAMPING, MANY, PENDULUM, causes, path_of, recorded, recording_of
+from pendulum import ARM, DAMPING, LOOSE, MANY, PENDULUM, causes, path_of, recorded, recording_of
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment import transfer as elsewhere
@@ -15,7 +15,7 @@ from invdyn.diagnosis.assessment.transfer import carried, whole_turns_away
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, recording_of
+from pendulum import LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects import ViscousFriction
 from invdyn.models.effects.composition import NotTogether

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, path_of
+from pendulum import LOOSE, PENDULUM, path_of
 
 from invdyn.diagnosis.hypotheses.backlash_search import Play, refine_play, summit
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 

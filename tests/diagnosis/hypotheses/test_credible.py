@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum import PENDULUM, recording_of
+from pendulum import LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
 

@@ -4,14 +4,14 @@ import sys
 from dataclasses import replace
 
 import pytest
-from pendulum import PENDULUM, recorded, recording_of
+from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 
 
@@ -21,7 +21,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     module, asked = sys.modules[extend.__module__], []
     bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, bound.loose, rounds=1)
+    none = refine(bound, (), {}, path, bound.regime.loose, rounds=1)
     monkeypatch.setattr(module, "show_more", lambda *_: left)
     monkeypatch.setattr(module, "refine_promising", lambda *_: None)
     monkeypatch.setattr(module, "refine_barred", lambda *_: asked.append("barred"))

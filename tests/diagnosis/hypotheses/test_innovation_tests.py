@@ -65,7 +65,7 @@ def test_swapped_keypoints_stray_as_one(mistake):
     values = {"rate": 0.05} | ({} if swaps else {"scale": 0.1})
     here = diagnosis_problem(recording_of(truth, ARM, rows=200, **values), ARM)
     path = data_path(diagnosis_problem(recording_of(None, ARM, rows=200), ARM))[0]  # the same motion, without mistakes
-    none = refine(here, (), {}, path, here.loose, rounds=1)
+    none = refine(here, (), {}, path, here.regime.loose, rounds=1)
 
     def cause(*names):
         effects = [EFFECTS[name](*(("elbow", "wrist") if name == "label_swap" else ())).bound(ARM) for name in names]
@@ -86,7 +86,7 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     command, given = torch.sin(2 * arm.time)[:, None], arm.parameters
     arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command, parameters=given)
     here = diagnosis_problem(replace(record(arm, 1)[0], torques=None), PENDULUM)
-    none = refine(here, (), {}, data_path(here)[0], here.loose)
+    none = refine(here, (), {}, data_path(here)[0], here.regime.loose)
     alike, sd = correlation(prediction_errors(here, none))
     assert abs(alike) < 3 * sd
 
@@ -99,7 +99,7 @@ def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     here = diagnosis_problem(recording_of(growing, rows=400, slope=5.0), PENDULUM)
     rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
     here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
-    cause = refine(here, (), {}, data_path(here)[0], here.loose)
+    cause = refine(here, (), {}, data_path(here)[0], here.regime.loose)
     assert loudness(here, cause) == cause.kappa > RULE.loud
     slope = {"effect.varying_noise.slope": torch.tensor([5.0]).double()}
     cause = replace(cause, effects=(growing,), model=cause.model.with_effects(growing).replace(**slope), kappa=4.0)

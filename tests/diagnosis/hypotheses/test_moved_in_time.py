@@ -4,13 +4,13 @@ from functools import cache
 
 import pytest
 import torch
-from pendulum import ARM, path_of
+from pendulum import ARM, LOOSE, path_of
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, PENDULUM, recording_of
+from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm
 
@@ -175,7 +175,11 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
 def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
-    none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
+    none, room, followed = (
+        refine(bound, (), {}, path, LOOSE, rounds=1),
+        sys.modules[refine_kin.__module__],
+        [],
+    )
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
     monkeypatch.setattr(room, "_around", lambda *_: [])
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
@@ -195,7 +199,11 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     """Tissue that rings at 16 Hz leaves no residual torque, which is slower than that."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
-    none, room, followed = refine(bound, (), {}, path, LOOSE, rounds=1), sys.modules[refine_kin.__module__], []
+    none, room, followed = (
+        refine(bound, (), {}, path, LOOSE, rounds=1),
+        sys.modules[refine_kin.__module__],
+        [],
+    )
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
     monkeypatch.setattr(room, "show_more", lambda *_: alike)
     tissue = next(e for e in considered(bound) if e.name == "soft_tissue")

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM, recording_of
+from pendulum import LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
-from invdyn.diagnosis.sensitivity.whiten import log_prior, sizes
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED
 
 
 def pool(**evidence):
@@ -46,7 +46,7 @@ def test_a_single_effect_that_surely_leaves_something_gives_way_to_two_that_leav
     """Beside it another is at work, and that has its prior; not so beside none, nor where a torque is always left."""
     found, letters = pool(none=0.0, a=200.0, ab=204.0)
     none, single, both = sorted(found.pool.values(), key=lambda cause: len(cause.effects))
-    first, prior = np.arange(len(none.by_size)) == 0, log_prior(sizes("commanded"))
+    first, prior = np.arange(len(none.by_size)) == 0, COMMANDED.log_prior
 
     def left(cause, nats):
         return replace(cause, by_size=prior - np.where(first, nats, 0.0))

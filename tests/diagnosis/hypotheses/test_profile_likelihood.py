@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, PENDULUM, causes, path_of, recorded
+from pendulum import ARM, LOOSE, PENDULUM, causes, path_of, recorded
 
 from invdyn.diagnosis.assessment.findings import finding
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import grid, is_noise, log_spread
 from invdyn.diagnosis.problem.unknowns import at_far_end
 from invdyn.diagnosis.sensitivity.whiten import linear_of

@@ -13,6 +13,7 @@ from pendulum import (
     BRAKE,
     DAMPING,
     FRICTION,
+    LOOSE,
     PENDULUM,
     ROD,
     at_best,
@@ -33,11 +34,12 @@ from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, diagnosis_problem
+from invdyn.diagnosis.problem.regime import UNKNOWN_TORQUE
 from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
-from invdyn.diagnosis.sensitivity.whiten import filter_of, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -88,11 +90,11 @@ def test_nobody_knows_the_torque_before_a_recording():
     """Where commands are known the first torque is known less than the residual, whatever the size of that."""
     here = wheel(commanded=True)
     path = path_of(here)
-    chains = [wheel_chain(here.with_residual(size)) for size in sizes(here.regime)]
+    chains = [wheel_chain(here.with_residual(size)) for size in here.regime.sizes]
     first = BEGINNING * here.model.scale.torque[0]
-    np.testing.assert_allclose([c.P[0, 0] for c in chains], first**2 * (1 + (sizes(here.regime) / BEGINNING) ** 2))
+    np.testing.assert_allclose([c.P[0, 0] for c in chains], first**2 * (1 + (here.regime.sizes / BEGINNING) ** 2))
     none = Columns(np.zeros((59, 3, 0)), np.zeros((60, 1, 0)))
-    whitened = whiten(here, filter_of(here, here.model, path, sizes(here.regime)), none)
+    whitened = whiten(here, filter_of(here, here.model, path, here.regime.sizes), none)
     found = -0.5 * whitened.gram[:, 0, 0] - whitened.log_det - 30 * np.log(2 * np.pi)
     exact = [kalman(chain, here.observations.numpy())[0] for chain in chains]
     np.testing.assert_allclose(found, exact, atol=1e-5)
@@ -179,9 +181,9 @@ def test_a_limbs_torque_may_be_far_above_what_holds_it_up():
     weak = replace(PENDULUM, gravity=(0.0, -0.3))
     arm = random_arm(weak, duration=2.0, fps=100, noise=0.002, torque_scale=1.0, commanded=False, seed=3)
     here = diagnosis_problem(record(arm, 3)[0], weak)
-    assert here.regime == "unknown_torque"
+    assert here.regime == UNKNOWN_TORQUE
     cause = refine(here, (), {}, path_of(here), LOOSE)
-    assert sizes(here.regime)[cause.by_size.argmax()] > 1.0
+    assert here.regime.sizes[cause.by_size.argmax()] > 1.0
     assert cause.kappa < 1.1  # 1.5 under a typical torque
 
 
@@ -212,7 +214,7 @@ def test_what_strays_from_a_fast_limb_does_not_bend_the_first_path():
     strays = rng.random(points.shape[:2]) < 0.04
     points[strays] += 0.1 * rng.standard_normal((strays.sum(), 2))
     off, here = off_the_clean_path(recording, points)
-    assert here.regime == "unknown_torque"
+    assert here.regime == UNKNOWN_TORQUE
     assert off < 0.1  # .34 from a start that follows what strays
 
 

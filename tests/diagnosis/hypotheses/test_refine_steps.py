@@ -6,15 +6,15 @@ from functools import cache, partial
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, DAMPING, FRICTION, PENDULUM, causes, path_of, recorded, recording_of
+from pendulum import ARM, DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, recorded, recording_of
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.refine import SETTLED, SHORTER, STEPS, _distance, _promised, _within, refine
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import Regime, log_prior
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
-from invdyn.diagnosis.sensitivity.whiten import log_prior
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -37,11 +37,11 @@ def test_of_rounds_that_are_as_good_the_last_one_counts(monkeypatch):
     here, _, cause = causes()
     rounds = []
 
-    def ever_less(levels):
-        rounds.append(levels)
-        return log_prior(levels) - 0.2 * len(rounds)
+    def ever_less(regime):
+        rounds.append(regime)
+        return log_prior(regime.sizes) - 0.2 * len(rounds)
 
-    monkeypatch.setattr(sys.modules[refine.__module__], "log_prior", ever_less)
+    monkeypatch.setattr(Regime, "log_prior", property(ever_less))
     start = {cause.names[0]: float(cause.mean[0] + 0.5 * cause.sd[0])}
     found = refine(here, cause.effects, start, cause.path, FIRM)
     assert 1 < len(rounds) < 4

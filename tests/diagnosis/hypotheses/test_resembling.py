@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import pytest
 import torch
-from pendulum import ARM, PENDULUM, recording_of
+from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.shortlist import TOO_FAR_BEHIND
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.period_equivalents import equivalents, factor
 from invdyn.simulate import random_arm, record

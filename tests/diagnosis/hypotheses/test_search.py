@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import ARM, MANY, PENDULUM, recording_of
+from pendulum import ARM, LOOSE, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.forward_step import extend
@@ -15,7 +15,7 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.search import INSTEAD, _mistaken, _moves, _sought, search
 from invdyn.diagnosis.hypotheses.swap_step import exchange
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum import PENDULUM, recording_of
+from pendulum import LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
@@ -15,7 +15,7 @@ from invdyn.diagnosis.hypotheses.shortlist import (
     refine_barred,
     refine_promising,
 )
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 

@@ -3,12 +3,12 @@
 from dataclasses import replace
 from functools import cache
 
-from pendulum import ARM
+from pendulum import ARM, LOOSE
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.substeps import MOST_TIMES, finely_stepped
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 

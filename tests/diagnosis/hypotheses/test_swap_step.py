@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM
+from pendulum import LOOSE, PENDULUM
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
@@ -14,7 +14,7 @@ from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce, without
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
@@ -208,7 +208,10 @@ def test_what_takes_the_place_of_a_bending_link_joins_the_set_without_it(monkeyp
     path, stray = data_path(bound)
     friction, bending = EFFECTS["viscous_friction"]("pivot"), EFFECTS["link_flexibility"]("rod")
     push = next(e for e in considered(bound) if e.name == "external_push")
-    none, both = refine(bound, (), {}, path, LOOSE), refine(bound, (friction, bending), {}, path, LOOSE, rounds=2)
+    none, both = (
+        refine(bound, (), {}, path, LOOSE),
+        refine(bound, (friction, bending), {}, path, LOOSE, rounds=2),
+    )
     both = replace(both, log_evidence=none.log_evidence + 100)
     room, bases = sys.modules[exchange.__module__], []
     monkeypatch.setattr(room, "refine_promising", lambda problem, found, base, *_: bases.append(base))

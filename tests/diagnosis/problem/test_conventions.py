@@ -7,6 +7,7 @@ import pytest
 from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED
 from invdyn.recordings import InputError
 
 QUARTER = np.pi / 2
@@ -20,7 +21,7 @@ def mistaken(camera, angle=(1, 1), torque=(1, 1), zero=(0.0, 0.0)):
 
 @pytest.mark.parametrize("camera", [True, False])
 def test_a_log_that_is_right_is_bound(camera):
-    assert diagnosis_problem(mistaken(camera), ARM).regime == "commanded"
+    assert diagnosis_problem(mistaken(camera), ARM).regime == COMMANDED
     assert diagnosis_problem(replace(mistaken(camera), torques=-mistaken(camera).torques), ARM, passive=True)
 
 

@@ -11,7 +11,6 @@ from invdyn.diagnosis.problem.prior import MOST_EFFECTS, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.beam_search import together
 from invdyn.diagnosis.sensitivity.screen import screen
-from invdyn.diagnosis.sensitivity.whiten import sizes
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.backlash import Backlash
@@ -48,7 +47,7 @@ def test_sets_come_by_number_and_the_best_first(sets):
         assert [s.score for s in of_number] == sorted((s.score for s in of_number), reverse=True)
         for each in of_number:
             assert len({effect.key for effect in each.effects}) == len(each.effects) == number
-            assert each.size in sizes(bound.regime)
+            assert each.size in bound.regime.sizes
 
 
 def test_two_at_work_are_among_the_best_pairs(sets):

@@ -9,9 +9,10 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import SLAB, SPIKE
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, spans
-from invdyn.diagnosis.sensitivity.whiten import SLAB, SPIKE, filter_of, linear_of, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 from invdyn.recordings import Recording
 
 LEVELS = np.array([SPIKE, SLAB[0], SLAB[2]])

@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from pendulum import PENDULUM
+from pendulum import LOOSE, PENDULUM
 from pyro.distributions import LogNormal
 from scipy.stats import halfnorm, norm
 from scipy.stats import t as student_t
 
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.problem.diagnosis_problem import LOOSE, DiagnosisProblem, diagnosis_problem
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, prior_sd, unknowns, upper_bound
 from invdyn.diagnosis.sensitivity import sensitivities as candidates

@@ -7,8 +7,9 @@ from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import COMMANDED
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
-from invdyn.diagnosis.sensitivity.whiten import filter_of, products, sizes, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, products, whiten
 
 
 def test_products_within_groups_are_those_of_all():
@@ -16,7 +17,7 @@ def test_products_within_groups_are_those_of_all():
     path = data_path(here)[0]
     rng = np.random.default_rng(0)
     columns = Columns(rng.normal(size=(39, 6, 7)), rng.normal(size=(40, here.observations.shape[-1], 7)))
-    about = filter_of(here, here.model, path, sizes("commanded"))
+    about = filter_of(here, here.model, path, COMMANDED.sizes)
     whole = whiten(here, about, columns)
     assert whole.gram.shape == (7, 8, 8)
     groups = [slice(1, 3), slice(3, 4), slice(4, 6)]  # 6 and 7 behind them
@@ -33,7 +34,7 @@ def test_products_within_groups_are_those_of_all():
 def test_a_column_that_runs_away_is_infinite_without_a_warning():
     """The others are what they are without it; :mod:`.evidence` leaves out what is not finite."""
     here = diagnosis_problem(recording_of(body=ARM, rows=30), ARM)
-    about = filter_of(here, here.model, data_path(here)[0], sizes(here.regime)[:1])
+    about = filter_of(here, here.model, data_path(here)[0], here.regime.sizes[:1])
     rng = np.random.default_rng(0)
     T, D, seen = here.model.num_steps, here.model.state_dim, here.observations.shape[-1]
     g, d = rng.normal(size=(T - 1, D, 2)), rng.normal(size=(T, seen, 2))
@@ -46,7 +47,7 @@ def test_a_column_that_runs_away_is_infinite_without_a_warning():
 def test_products_of_many_numbers_are_those_of_all_sizes_at_once(monkeypatch):
     here = diagnosis_problem(recording_of(body=ARM), ARM)
     path, _ = data_path(here)
-    about = filter_of(here, here.model, path, sizes(here.regime))
+    about = filter_of(here, here.model, path, here.regime.sizes)
     rng = np.random.default_rng(0)
     columns = Columns(rng.normal(size=(len(path) - 1, path.shape[1], 5)), rng.normal(size=(len(path), 4, 5)))
     groups = [slice(1, 3), slice(3, 5)]

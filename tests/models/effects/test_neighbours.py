@@ -12,6 +12,7 @@ from pendulum import ARM, PENDULUM
 from invdyn.models import Joint, SpatialLink, Tree
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.inertias import inertia_of
+from invdyn.models.effects.load_friction import LoadFriction
 from invdyn.models.effects.neighbours import ALLOWED, neighbours
 from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
 from invdyn.simulate import random_arm
@@ -83,13 +84,14 @@ def test_twins_have_the_values_of_each_other():
 
 
 def test_a_law_and_its_special_case_are_neighbours_where_parameters_allow_it():
-    assert around("coulomb_friction.elbow", {"torque": 0.2}) == {
-        ("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]
-    }
+    loaded = {("load_friction.elbow", "alike"): [{"coefficient": start} for start in LoadFriction.starts]}
+    wider = {("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]}
+    assert around("coulomb_friction.elbow", {"torque": 0.2}) == wider | loaded
     values = {"coulomb": 0.1, "static": 0.1 + 2 * ALLOWED * 0.01, "velocity": 1.0}
-    assert around("stribeck_friction.elbow", values) == {}
+    assert around("stribeck_friction.elbow", values) == loaded
     near = values | {"static": 0.1 + 0.5 * ALLOWED * 0.01}
-    assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower")}
+    assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower"), *loaded}
+    assert around("load_friction.elbow", {"coefficient": 0.1}) == {}
 
 
 def test_soft_tissue_may_be_a_link_that_bends():
