@@ -8,7 +8,7 @@ effect, but not from its neighbour's parameters and path (continuation: Allgower
 methods").
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -19,7 +19,7 @@ from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, softer
+from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, fair_chance, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import PASSIVE
@@ -46,7 +46,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
 
     Then the softer forms of the best few of those that leave something, a residual or errors of prediction that are
     alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
-    as far off as another effect's. What these find has neighbours, too.
+    as far off as another effect's. Then what the best one may be taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
     while fresh := [c for c in _near(found, number, found.top - TOO_FAR_BEHIND) if id(c) not in visited]:
@@ -55,7 +55,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
             for mine in cause.effects:
                 if "moment" in mine.located:
                     _refine_moved(problem, found, cause, mine)
-                for other in _around(problem, found, cause, mine):
+                for other in _around(problem, found, cause, mine, ("twin", "wider", "narrower")):
                     _follow(problem, found, cause, mine, other)
         least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
         if not found.explained:
@@ -66,6 +66,10 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
         rough.sort(key=lambda cause: -cause.log_evidence)
         for cause in rough[: SOFTER // number]:
             refine_softer(problem, found, cause)
+        best = found.ranked[0]
+        for mine in best.effects if len(best.effects) == number else ():
+            for other in _around(problem, found, best, mine, ("alike",)):
+                _follow(problem, found, best, mine, other)
 
 
 def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
@@ -74,14 +78,18 @@ def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypoth
 
 
 def _around(
-    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect
+    problem: DiagnosisProblem,
+    found: HypothesisPool,
+    cause: FittedHypothesis,
+    mine: Effect,
+    kinds: Container[str],
 ) -> Iterator[Neighbour]:
-    """Neighbours of one of a cause's effects that may take its place."""
+    """Neighbours, of some ``kinds``, of one of a cause's effects that may take its place."""
     spread = dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
     values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
     passive, taken = problem.regime == PASSIVE, {effect.key for effect in cause.effects}
     for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
-        if other.effect.key not in taken and not problem.regime.hides(other.effect):
+        if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
             yield other
 
 
@@ -97,10 +105,12 @@ def _follow(
     if other.kind == "alike":
         its, own = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
-        done = done or cause is not found.ranked[0] or (cause.complete and its >= own)
+        done = done or (cause.complete and its >= own)
     if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if other.related else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
-        refine_instead(problem, found, cause, mine, *_as_soft(problem, cause, mine, other), paths)
+        form, starts = _as_soft(problem, cause, mine, other)
+        limits = fair_chance(found, found.pool[""]) if other.kind == "alike" else {}
+        refine_instead(problem, found, cause, mine, form, starts, paths, limits=limits)
 
 
 def _own(problem: DiagnosisProblem, effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
@@ -199,17 +209,18 @@ def refine_instead(
     starts: Sequence[Mapping[str, float]],
     paths: Sequence[Tensor],
     size: float | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> None:
     """Refine a cause with another effect in place of one, from one start after the other, until one leaves nothing.
 
-    Under a residual of its own best ``size``, unless another is given.
+    Under a residual of its own best ``size``, unless another is given; given up at :func:`.refine`'s ``limits``.
     """
     effects = (*(e for e in cause.effects if e is not mine), other)
     kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
     size = best_size(problem, cause) if size is None else size
     for path, start in product(paths, starts):
         values = kept | {f"{other.key}.{name}": value for name, value in start.items()}
-        refined = attempt(refine, problem, effects, values, path, size, **cause.searched)
+        refined = attempt(refine, problem, effects, values, path, size, **cause.searched, **(limits or {}))
         found.add(refined)
         if refined is not None and refined.complete:
             break

@@ -40,7 +40,7 @@ from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import SHARE, TOO_FAR_BEHIND, attempt, refine_promising
+from invdyn.diagnosis.hypotheses.shortlist import attempt, fair_chance, refine_promising
 from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
@@ -183,13 +183,12 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
 
 def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
-    common, none = unknowns(problem, ()), found.pool[""].log_evidence
+    common = unknowns(problem, ())
     for sets in together(problem, problem.model, found.path, screened, common, found.candidates, SETS):
         if len(sets[0].effects) > found.most:
             break
         for each in sets:
-            top = found.top
-            limits = {"enough": top - TOO_FAR_BEHIND, "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - none))}
+            limits = fair_chance(found, found.pool[""])
             found.add(attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits))
         refine_kin(problem, found, len(sets[0].effects))
         if found.ranked[0].complete:

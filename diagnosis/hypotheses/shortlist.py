@@ -74,19 +74,21 @@ def refine_promising(
         promising = [s for s in promising if s.log_evidence > bar and s.dprime > RULE.faint]
     promising = promising[:width]
     for first, last in ((0, 1), *((i, i + PAIR) for i in range(1, len(promising), PAIR))):
-        top, complete = found.top, found.ranked[0].complete
+        complete = found.ranked[0].complete
         # Along the path of one that leaves nothing, others get their chance (:func:`.exchange`).
         least = min(most - TOO_FAR_BEHIND, (HALF if complete else SHARE) * most)
-        limits = {
-            "enough": top - TOO_FAR_BEHIND,
-            "doubtful": top - max(TOO_FAR_BEHIND, (1 - SHARE) * (top - base.log_evidence)),
-        }
         parts = [
-            partial(_refined, problem, base, each, limits)
+            partial(_refined, problem, base, each, fair_chance(found, base))
             for place, each in enumerate(promising[first:last], first)
             if place < (1 if complete else 3) or each.log_evidence - nothing >= least
         ]
         found.add_all(problem, parts)
+
+
+def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
+    """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
+    behind = max(TOO_FAR_BEHIND, (1 - SHARE) * (found.top - base.log_evidence))
+    return {"enough": found.top - TOO_FAR_BEHIND, "doubtful": found.top - behind}
 
 
 def refine_barred(
