@@ -101,7 +101,7 @@ def test_rows_and_start():
 
 def test_what_cannot_be_learned_is_told():
     film = filmed(views_of(ring(2)))
-    with pytest.raises(InputError, match="of cameras offset and pose may be learned, got 'lens'"):
+    with pytest.raises(InputError, match="of cameras offset, pose, turn may be learned, got 'lens'"):
         arm_problem(film, rod(), learn_cameras=("lens",))
     points = Recording(film.time, film.keypoints, film.keypoint_names)
     with pytest.raises(InputError, match="is no film of several cameras"):
