@@ -25,7 +25,8 @@ import torch
 from kept import kept
 from walker import tracks
 
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
+from invdyn.inference.fitting.laplace_evidence import fit_at_mode
+from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
@@ -47,8 +48,10 @@ TURN = 0.01
 """rad about each axis, 17 px: how far off a camera's stated orientation may be."""
 TORQUE = {"torque.scale": [60.0, 60.0, 150.0, 5.0, 5.0, 1.0, 2.5], "torque.decay": 4.0}
 """N and N·m: what carries the shoulder bears a trunk's weight; a swinging arm takes some N·m."""
-DRAWS, EACH = 24, 10
+DRAWS, EACH = 16, 15
 """Of what was fitted, and of paths for each."""
+MOST = 12
+"""Steps of the fit."""
 WITHIN = 1.645
 FREE = ("emission.pixel_scale", "emission.bias_scale", "emission.bias_time", "emission.keypoint_scale")
 
@@ -100,13 +103,11 @@ def problem_of(way: str, views: Views) -> tuple[Problem, list[Free]]:
     if way == "points":
         cameras = ()
         recording = Recording(recording.time, recording.keypoints, OWN, recording.confidence)
-    start = {**TORQUE, "initial.angle_scale": 1.0}
+    start = {**TORQUE, "initial.angle_scale": 1.0, **({"camera.turn_scale": TURN} if way == "pixels" else {})}
     problem = arm_problem(recording, arm(), family="student_t", substeps=1, parameters=start, learn_cameras=cameras)
     model = problem.model
     free = [Free(name, tied=True, sd=1.0) for name in FREE if name in model.parameters]
     free += [Free(f"body.{name}", sd=0.3, entries=own) for name, own in model.body.learned.items()]
-    if cameras:
-        free.append(Free("camera.turn_scale", tied=True, sd=0.5))
     return problem, free
 
 
@@ -142,7 +143,7 @@ def answer(way: str, used: Views, rest: Views | None) -> dict:
     """Fit, draw, and what is told of the draws: means and deviations of lengths, angles and torques; errors, px."""
     begun = time.process_time()
     problem, free = problem_of(way, used)
-    found = fit(problem.model, problem.observations, free, max_iterations=25)
+    found = fit_at_mode(problem.model, problem.observations, free, max_iterations=MOST)
     parameters = LogParameters(problem.model, free)
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(found.covariance)
@@ -158,7 +159,8 @@ def answer(way: str, used: Views, rest: Views | None) -> dict:
         paths.append(each)
         points.append(model.dynamics.keypoints(model.split(each)[1], numbers))
         if way == "pixels":
-            turns += [p["camera.turn"]] * EACH
+            memory = model.layout.parted(model.split(each)[0])[2]
+            turns += list(memory[:, 0, model.observation.pixels.alone :].unflatten(-1, (-1, 3)))
             white += [p["emission.pixel_scale"].flatten()] * EACH
             lasting += [p["emission.bias_scale"].flatten()] * EACH
     seconds = time.process_time() - begun
