@@ -43,6 +43,8 @@ def fit_at_mode(
     Raises KeyError for a parameter that the model does not have, ValueError for none, and Diverged when the model has
     no finite density where the search begins.
     """
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
     model.check_names(f.name for f in free)
     if not free:
         raise ValueError("expected parameters to fit, got none")

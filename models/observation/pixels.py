@@ -20,8 +20,8 @@ What is not known of a camera may be learned: by how much its clock runs ahead o
 its pose, off by a rotation vector "camera.turn" (C, 3) rad and "camera.shift" (C, 3) m in its own frame.
 
 Or how it is turned is integrated out: a rotation vector a camera is a state then, ω ~ N(0, "camera.turn_scale" (C,)²)
-about each axis of its frame, by b's law with a time of `STANDS`. All keypoints are off together by that, and for good: as
-errors of a tracker each would be off by its own, and lengths and points of few cameras falsely sure. No camera is held.
+about each axis of its frame, by b's law with a time of `STANDS`. All keypoints are off together by that, and for good:
+as a tracker's errors each would be off by its own, and points of few cameras falsely sure. No camera is held.
 """
 
 from collections.abc import Mapping, Sequence
