@@ -50,7 +50,7 @@ TORQUE = {"torque.scale": [60.0, 60.0, 150.0, 5.0, 5.0, 1.0, 2.5], "torque.decay
 """N and N·m: what carries the shoulder bears a trunk's weight; a swinging arm takes some N·m."""
 DRAWS, EACH = 16, 15
 """Of what was fitted, and of paths for each."""
-MOST = 12
+MOST = 10
 """Steps of the fit."""
 WITHIN = 1.645
 FREE = ("emission.pixel_scale", "emission.bias_scale", "emission.bias_time", "emission.keypoint_scale")

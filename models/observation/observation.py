@@ -205,7 +205,9 @@ class Observation:
     @property
     def alone(self) -> tuple[list[int], list[int]]:
         """Of the M states those that show in one entry of a row each, by number, and these entries."""
-        own, shown, begun = [], [], 0
+        own: list[int] = []
+        shown: list[int] = []
+        begun = 0
         for each in self.remembering:
             own += range(begun, begun + each.alone)
             shown += range(self.part(each).start, self.part(each).start + each.alone)
