@@ -30,7 +30,7 @@ TOLERANCE = 1e-3
 """Nats that a mode's last step gains: differences are of some tenths."""
 LOST = 100.0
 """Nats less within `APART` that no curvature explains."""
-BENDS, RADIUS, ENOUGH = 300.0, 0.15, 0.05
+BENDS, RADIUS, ENOUGH = 300.0, 0.15, 0.01
 """Curvature that the search begins with, of what is told to 6 %, how far a step may go, and nats that end it."""
 
 
@@ -132,7 +132,7 @@ class _Search(Generic[M]):
         return (values[:size] - values[size:]) / (2 * STEP)
 
     def covariance(self, phi: np.ndarray, bends: np.ndarray) -> np.ndarray:
-        """(P, P) by the values' curvature at φ, ``bends`` where a mode is lost; in no direction wider than the prior."""
+        """(P, P) by the values' curvature at φ, ``bends`` where a mode is lost; nowhere wider than the prior."""
         size = len(phi)
         unit = APART * np.eye(size)
         first, second = np.triu_indices(size, 1)

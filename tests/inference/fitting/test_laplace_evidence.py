@@ -34,7 +34,7 @@ def test_of_linear_models_it_is_the_kalman_filters():
     found = fit_at_mode(chain.model(STEPS), torch.as_tensor(y), FREE)
     sd = np.sqrt(np.diagonal(found.covariance))
     assert found.converged
-    assert np.abs(found.phi - best.x).max() < 0.35 * sd.min()  # √(2 × .05 nats) of a deviation
+    assert np.abs(found.phi - best.x).max() < 0.35 * sd.min()  # .06 nats
     prior = 0.5 * ((found.phi / [2.0, 0.7]) ** 2).sum()
     assert found.log_evidence == pytest.approx(-value(found.phi) + prior, abs=1e-6)
     h = APART
