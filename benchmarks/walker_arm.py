@@ -3,8 +3,8 @@
 `multiview_walker` (60 frames/s, 100 frames, MediaPipe). The arm hangs on a shoulder that is carried about. Lengths of
 upper arm and forearm, noise, and what lasts of the tracker's errors are fitted by marginal likelihood; torques' size is
 given. Both ways get the same cameras and tracks, whose left and right are put in order first, each camera by itself.
-Pixels have one thing more: each camera may be turned about its place, by a prior of `TURN`. Triangulated points leave all
-keypoints of a camera off together, by up to 13 px, and half a degree a camera explains that.
+Pixels have one thing more: each camera may be turned about its place, by a prior of `TURN`. Triangulated points leave
+all keypoints of a camera off together, by up to 13 px, and half a degree a camera explains that.
 
 Nobody measured the arm: what counts is that subsets agree with all four cameras within their stated intervals, and that
 a camera that was left out is predicted at the nominal rate. It is turned by an amount nobody knows, and its noise is
