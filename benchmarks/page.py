@@ -36,6 +36,7 @@ COMMANDS = {
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
     "walker": "walker.py",
+    "walker_arm": "walker_arm.py --every 3 --results build/walker_arm.jsonl",
     "simulated_cameras": 'simulated_cameras.py --cases two three four hidden clock "two, points" "four, points" '
     "--results build/simulated_cameras.jsonl",
     "tracking_dfki": "tracking.py dfki",

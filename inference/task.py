@@ -59,6 +59,8 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         clocks, poses = (tuple(range(n, n * len(pixels.camera_names))) for n in (1, 3))
         wanted += [Free("camera.offset", sd=1.0, entries=clocks, unit=CLOCK)]
         wanted += [Free(f"camera.{way}", sd=1.0, entries=poses, unit=unit) for way, unit in POSE.items()]
+        # Three numbers a camera say little of their size.
+        wanted += [Free("camera.turn_scale", tied=True, sd=0.5)]
     return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
 
 

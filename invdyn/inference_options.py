@@ -28,7 +28,7 @@ class Inference(Recorded):
         list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")
     ] = None
     learn_cameras: Annotated[
-        str, typer.Option(help="What to fit of all cameras but the first: offset (of clocks), pose, or both.")
+        str, typer.Option(help="What is not known of cameras: offset (of clocks), pose, or turn about their places.")
     ] = ""
     learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[

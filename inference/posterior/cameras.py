@@ -14,8 +14,8 @@ from invdyn.models.observation.pixels import LEAST, MOST_NOISE
 from invdyn.recordings.cameras import Calibration, Filmed
 from invdyn.recordings.cameras.projection import Lens
 
-LEARNED = ("offset", "pose")
-"""What may be learned of cameras but the first."""
+LEARNED = ("offset", "pose", "turn")
+"""What may be learned of cameras: clocks and poses of all but the first, or how each of them is turned."""
 
 
 def pinhole(calibration: Calibration) -> PinholeCameras:
@@ -61,6 +61,7 @@ def pixels_of(recording: Filmed, sites: list[tuple[int, int]], learn: tuple[str,
         resolution=_resolution(views.calibration, recording.keypoints[:, order]),
         timed="offset" in learn,
         posed="pose" in learn,
+        turned="turn" in learn,
     )
 
 

@@ -93,12 +93,15 @@ def arm_problem(
         hide_torque: ignore the recording's commanded torques.
         passive: the commanded torque is zero.
         truth: to compare with.
-        learn_cameras: what of a film's cameras but the first is not known, "offset", "pose" or both.
+        learn_cameras: what of a film's cameras is not known: "offset" and "pose" of all but the first, or, instead of
+            poses, "turn", how each is turned about its place.
 
     Raises InputError when the recording does not fit the body.
     """
     if unknown := [each for each in learn_cameras if each not in LEARNED]:
-        raise InputError(f"of cameras {' and '.join(LEARNED)} may be learned, got {unknown[0]!r}")
+        raise InputError(f"of cameras {', '.join(LEARNED)} may be learned, got {unknown[0]!r}")
+    if {"pose", "turn"} <= set(learn_cameras):
+        raise InputError("expected pose or turn to be learned of cameras, got both: a pose has the turn in it")
     if learn_cameras and not isinstance(recording, Filmed):
         raise InputError(f"{recording.name} is no film of several cameras, of which something could be learned")
     sites = _sites(recording, body)

@@ -176,7 +176,7 @@ class ArmModel(StateSpaceModel):
     def unconstrained(self) -> frozenset[str]:
         """Parameters that may be negative."""
         mine = {"initial.angle", "initial.velocity", *(f"body.{name}" for name in self.body.signed)}
-        mine |= {name for name in self.parameters if name.startswith("camera.")}
+        mine |= {name for name in self.parameters if name.startswith("camera.") and name != "camera.turn_scale"}
         signed = {name for name, prior in self.priors.items() if name.startswith(PREFIX) and is_signed(prior)}
         return self.torque.unconstrained | mine | signed
 
@@ -323,11 +323,10 @@ class ArmModel(StateSpaceModel):
 
     @property
     def lone(self) -> tuple[list[int], list[int]] | None:
-        """The sensors' own states; see :attr:`.StateSpaceModel.lone`."""
-        if not self.layout.memory:
-            return None
+        """The sensors' own states that show in one entry; see :attr:`.StateSpaceModel.lone`."""
+        own, shown = self.observation.alone
         begun = self.layout.torque + self.layout.hidden
-        return list(range(begun, begun + self.layout.memory)), self.observation.remembered
+        return ([begun + state for state in own], shown) if own else None
 
     @property
     def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say

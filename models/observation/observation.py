@@ -203,10 +203,16 @@ class Observation:
         return [each.strayed(dt, parameters) for each in self.remembering]
 
     @property
-    def remembered(self) -> list[int]:
-        """Which entry of a row each of the M states shows in."""
-        parts = (self.part(each) for each in self.remembering)
-        return [entry for part in parts for entry in range(part.start, part.stop)]
+    def alone(self) -> tuple[list[int], list[int]]:
+        """Of the M states those that show in one entry of a row each, by number, and these entries."""
+        own: list[int] = []
+        shown: list[int] = []
+        begun = 0
+        for each in self.remembering:
+            own += range(begun, begun + each.alone)
+            shown += range(self.part(each).start, self.part(each).start + each.alone)
+            begun += each.states
+        return own, shown
 
 
 class _UncheckedStudentT(StudentT):

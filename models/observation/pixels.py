@@ -18,6 +18,10 @@ cannot see a point, a pixel is of something else, and about anywhere in the pict
 
 What is not known of a camera may be learned: by how much its clock runs ahead of the rows, "camera.offset" (C,) s, and
 its pose, off by a rotation vector "camera.turn" (C, 3) rad and "camera.shift" (C, 3) m in its own frame.
+
+Or how it is turned is integrated out: a rotation vector a camera is a state then, ω ~ N(0, "camera.turn_scale" (C,)²)
+about each axis of its frame, by b's law with a time of `STANDS`. All keypoints are off together by that, and for good:
+as a tracker's errors each would be off by its own, and points of few cameras falsely sure. No camera is held.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,11 +37,14 @@ from invdyn.models.observation.confidence import USUAL_DROP, USUAL_SLOPE, Confid
 from invdyn.models.observation.pinhole import PinholeCameras, moved, project
 from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.view import View
+from invdyn.models.shapes import join
 
 USUAL, USUAL_BIAS, USUAL_TIME = 2.0, 5.0, 0.3
 """px, px and s, where nothing is known of them."""
 LEAST, MOST_NOISE = 0.05, 100.0
 """px that jitter is believed to show."""
+USUAL_TURN, STANDS = 0.01, 1e4
+"""rad, half a degree, that a camera may be turned by, and s in which that changes: a chain of states needs steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +59,7 @@ class Pixels(NoisySensor):
         confidence: (T, C, P) the tracker's, or None.
         resolution: metres that a pixel spans at the keypoints, about: for a start, no part of the likelihood.
         timed, posed: whether clocks, or poses, have parameters.
+        turned: whether ω is there.
         lasting: whether b is there.
         names: of the sites, known once :meth:`bound`; then all ``sites`` are places.
 
@@ -66,6 +74,7 @@ class Pixels(NoisySensor):
     resolution: float = 3e-3
     timed: bool = False
     posed: bool = False
+    turned: bool = False
     lasting: bool = True
     names: tuple[str, ...] = field(default=())
 
@@ -130,6 +139,8 @@ class Pixels(NoisySensor):
             own["camera.offset"] = constant(0.0, cameras)
         if self.posed:
             own |= {f"camera.{name}": constant(0.0, cameras, 3) for name in ("turn", "shift")}
+        if self.turned:
+            own["camera.turn_scale"] = constant(USUAL_TURN, cameras)
         return own
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
@@ -144,8 +155,8 @@ class Pixels(NoisySensor):
             slope, drop = (parameters[f"emission.pixel_confidence_{name}"] for name in ("slope", "drop"))
             scale = self.confidence.widened(scale, slope, drop, t)
         pixels, seen = self.projected(view, parameters)
-        if view.memory is not None:
-            pixels = pixels + view.memory.unflatten(-1, self.shape)
+        if self.lasting and view.memory is not None:
+            pixels = pixels + view.memory[..., : self.alone].unflatten(-1, self.shape)
         anywhere = self.size.to(pixels)
         pixels = torch.where(seen[..., None], pixels, anywhere[:, None] / 2)
         scale = torch.where(seen, scale.unflatten(-1, self.shape[:2]), anywhere.amax(-1, keepdim=True))
@@ -157,6 +168,9 @@ class Pixels(NoisySensor):
         cameras = self.cameras.to(points.device, points.dtype)
         if self.posed:
             cameras = moved(cameras, parameters["camera.turn"], parameters["camera.shift"])
+        if self.turned and view.memory is not None:
+            turn = view.memory[..., self.alone :].unflatten(-1, (-1, 3))
+            cameras = moved(cameras, turn, torch.zeros_like(turn))
         if self.timed:
             # The row's moment, o s earlier by a clock that runs o ahead: to second order, as limbs turn in 20 ms.
             ahead = -parameters["camera.offset"][..., None, None]
@@ -171,22 +185,37 @@ class Pixels(NoisySensor):
 
     # -- what lasts --------------------------------------------------------------------------------
     @property
-    def states(self) -> int:
+    def alone(self) -> int:
         """Numbers of the b, one for each entry of its part of a row, and 0 where nothing lasts."""
         return int(np.prod(self.shape)) if self.lasting else 0
 
+    @property
+    def states(self) -> int:
+        """Those, and three of each camera that may be turned."""
+        return self.alone + 3 * len(self.camera_names) * self.turned
+
     def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Standard deviations (..., states) of the first b, px."""
-        return parameters["emission.bias_scale"].repeat_interleave(2, -1).flatten(-2)
+        """Standard deviations (..., states) of the first b, px, and of turns, rad."""
+        own = [parameters["emission.bias_scale"].repeat_interleave(2, -1).flatten(-2)] if self.lasting else []
+        own += [parameters["camera.turn_scale"].repeat_interleave(3, -1)] if self.turned else []
+        return join(*own)
 
     def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Mean (..., states) of b, ``dt`` (..., 1) s after it was ``memory``, px."""
-        return torch.exp(-dt / parameters["emission.bias_time"]) * memory
+        """Mean (..., states) of them, ``dt`` (..., 1) s after they were ``memory``."""
+        return torch.exp(-self._pace(dt, parameters)) * memory
 
     def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Standard deviations (..., states) of b about that mean, px."""
+        """Standard deviations (..., states) of them about that mean."""
         # 1 − a², without the digits that a difference near 0 would lose
-        return self.begun(parameters) * (-torch.expm1(-2 * dt / parameters["emission.bias_time"])).sqrt()
+        return self.begun(parameters) * (-torch.expm1(-2 * self._pace(dt, parameters))).sqrt()
+
+    def _pace(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """How much of its time has passed for each of the states, (..., states), or for all alike, (..., 1)."""
+        lasts = dt / parameters["emission.bias_time"] if self.lasting else dt[..., :0]
+        if not self.turned:
+            return lasts
+        stands = (dt / STANDS).expand(*dt.shape[:-1], self.states - self.alone)
+        return join(lasts.expand(*lasts.shape[:-1], self.alone), stands)
 
     # -- a start -----------------------------------------------------------------------------------
     def about(self, points: Tensor) -> Tensor:

@@ -67,12 +67,17 @@ class Sensor(Protocol):
 class Remembering(Protocol):
     """What a sensor has beside :class:`Sensor` whose errors last: M states of its own, which nothing else moves.
 
-    Each goes on by itself, and shows in one entry of the sensor's part of a row, its own: so M is n, or 0.
+    Each goes on by itself. The first of them are ``alone``: each is added to one entry of the sensor's part of a row,
+    its own, so that they are n, or 0. The others show in many.
     """
 
     @property
     def states(self) -> int:
         """M."""
+
+    @property
+    def alone(self) -> int:
+        """How many are: n, or 0."""
 
     def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., M) in the first row, about 0."""

@@ -10,6 +10,7 @@ from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
+from .sides import sides_kept
 from .synchronise import Clock, find_offsets
 from .triangulate import Triangulated, triangulate
 from .views import Views, at_one_time, match_names, read_tracks
@@ -38,6 +39,7 @@ __all__ = [
     "read_tracks",
     "reconstruct",
     "reprojection",
+    "sides_kept",
     "triangulate",
     "undistort",
     "write_calibration",

@@ -1,16 +1,21 @@
 """A film of several cameras bound to a body: its rows, and what is fitted of lengths, clocks and poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from scenes import looking, ring
+from scipy.spatial.transform import Rotation
 
 from invdyn.inference import SMCOptions
+from invdyn.inference.fitting.laplace_evidence import fit_at_mode
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
 from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.task import free_parameters
 from invdyn.models import ArmModel, Joint, Keypoints, Learned, Observation, SpatialLink, Tree
 from invdyn.models.observation import pinhole as in_torch
@@ -101,8 +106,10 @@ def test_rows_and_start():
 
 def test_what_cannot_be_learned_is_told():
     film = filmed(views_of(ring(2)))
-    with pytest.raises(InputError, match="of cameras offset and pose may be learned, got 'lens'"):
+    with pytest.raises(InputError, match="of cameras offset, pose, turn may be learned, got 'lens'"):
         arm_problem(film, rod(), learn_cameras=("lens",))
+    with pytest.raises(InputError, match="expected pose or turn to be learned of cameras, got both"):
+        arm_problem(film, rod(), learn_cameras=("turn", "pose"))
     points = Recording(film.time, film.keypoints, film.keypoint_names)
     with pytest.raises(InputError, match="is no film of several cameras"):
         arm_problem(points, rod(), learn_cameras=("pose",))
@@ -119,6 +126,30 @@ def test_a_clock_that_is_20_ms_ahead_is_found():
     assert (np.abs(off) < 3 * sd).all()
 
 
+def test_cameras_that_are_turned_are_integrated_out():
+    """A calibration half a degree off: without turns, what is off for good is taken for what lasts."""
+    views = views_of(ring(3))
+    by = np.random.default_rng(3).normal(0, 0.01, (3, 3))
+    off = tuple(
+        replace(camera, rotation=about @ camera.rotation, translation=about @ camera.translation)
+        for camera, about in zip(views.calibration, Rotation.from_rotvec(by).as_matrix(), strict=True)
+    )
+    told = filmed(replace(views, calibration=Calibration(off, metric=True)))
+    found = {}
+    for learn in ((), ("turn",)):
+        problem = arm_problem(told, rod(), parameters=KNOWN, learn_cameras=learn, substeps=1)
+        found[learn] = gauss_newton(problem.model, problem.observations)
+    assert found[("turn",)].log_evidence > found[()].log_evidence + 10
+    names = {free.name: free for free in free_parameters(problem, tuple(KNOWN))}
+    assert names["camera.turn_scale"].tied
+    own = slice(-4 - 9, -4)  # before two angles and their velocities
+    turn = -found[("turn",)].path[0, own].reshape(3, 3).numpy()  # the cameras as told are turned back
+    sd = found[("turn",)].covariance()[0].diagonal()[own].sqrt().reshape(3, 3).numpy()
+    assert (np.abs(turn - by) < 3 * sd).all()
+    assert (sd < 0.0105).all()
+    assert sd.min() < 0.005  # something was told
+
+
 def test_a_length_is_learned_from_two_cameras():
     problem = arm_problem(filmed(views_of(ring(2))), rod(Learned(0.3)), parameters=KNOWN, substeps=1)
     (free,) = [free for free in free_parameters(problem, tuple(KNOWN)) if free.name == "body.sites"]
@@ -126,6 +157,24 @@ def test_a_length_is_learned_from_two_cameras():
     sd = 0.4 * found.log_sd["body.sites"][0]
     assert sd < 0.01
     assert abs(float(found.model.parameters["body.sites"][0, 0]) - 0.4) < 3 * sd
+
+
+def test_laplace_finds_the_length_too_and_its_slopes_know_that_the_path_moves():
+    """Against evidences that are each fitted from the start."""
+    problem = arm_problem(filmed(views_of(ring(2))), rod(Learned(0.3)), parameters=KNOWN, substeps=1)
+    (free,) = [free for free in free_parameters(problem, tuple(KNOWN)) if free.name == "body.sites"]
+    found = fit_at_mode(problem.model, problem.observations, [free])
+    sd = 0.4 * found.log_sd["body.sites"][0]
+    assert found.converged
+    assert sd < 0.01
+    assert abs(float(found.model.parameters["body.sites"][0, 0]) - 0.4) < 3 * sd
+    parameters = LogParameters(problem.model, [free])
+    around = [
+        float(gauss_newton(parameters.at(torch.as_tensor(found.phi + by)), problem.observations).log_evidence)
+        - 0.5 * float(found.phi[0] + by) ** 2 / free.sd**2
+        for by in (-0.03, 0.0, 0.03)
+    ]
+    assert around[1] > max(around[0], around[2])
 
 
 def test_filters_agree_with_the_gaussian_smoother():

@@ -15,6 +15,7 @@ from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, Sensor, SpatialLink, Tree
 from invdyn.models.observation.missing import observed_log_prob
+from invdyn.models.observation.pixels import STANDS
 from invdyn.models.observation.sensor import Remembering
 from invdyn.recordings.cameras.projection import project
 
@@ -173,12 +174,39 @@ def test_a_pose_that_is_off_is_another_camera():
     )
 
 
+@pytest.mark.parametrize("lasting", [True, False])
+def test_turns_that_are_states_are_cameras_turned_about_their_places(lasting):
+    model = model_of(turned=True, lasting=lasting)
+    x = some_states(model)
+    memory = model.layout.parted(model.split(x)[0])[2]
+    assert memory.shape[-1] == 9 + 12 * lasting
+    turn = memory[:, -9:].unflatten(-1, (3, 3)).numpy()
+    assert 0.003 < turn.std() < 0.03  # rad, .01
+    seen = model.observation.of(model.observation.pixels, model.emission(x, 0).base_dist.loc).numpy()
+    if lasting:
+        seen = seen - memory[:, :12].unflatten(-1, (3, 2, 2)).numpy()
+    for k, state in enumerate(x):
+        cameras = []
+        for camera, by in zip(CALIBRATION, turn[k], strict=True):
+            about = Rotation.from_rotvec(by).as_matrix()
+            pose = about @ camera.rotation, about @ camera.translation
+            cameras.append(type(camera)(camera.name, camera.matrix, camera.distortion, *pose, camera.size))
+        np.testing.assert_allclose(seen[k], projected(model, state[None], cameras)[0], rtol=0, atol=1e-9)
+    after = model.transition(x, 2)
+    own = slice(model.torque_size + 12 * lasting, model.torque_size + 12 * lasting + 9)
+    torch.testing.assert_close(after.mean[:, own], x[:, own], rtol=DT / STANDS, atol=0)  # they stay
+    assert (after.stddev[:, own] > 0).all()
+    assert (after.stddev[:, own] < 0.003 * model.parameters["camera.turn_scale"][0]).all()
+    assert model.lone == ((list(range(4, 16)), list(range(12))) if lasting else None)
+
+
 class Plain(ArmModel):
     lone = None
 
 
-def test_slopes_of_lone_states_are_those_of_one_nudge_each():
-    model = model_of(Encoders())
+@pytest.mark.parametrize("turned", [False, True])
+def test_slopes_of_lone_states_are_those_of_one_nudge_each(turned):
+    model = model_of(Encoders(), turned=turned)
     assert model.lone == (list(range(4, 16)), list(range(12)))
     torch.manual_seed(1)
     path, y = model.simulate()
