@@ -103,6 +103,7 @@ def triangulate(
         at_one_time,
         find_offsets,
         match_names,
+        put_in_order,
         read_calibration,
         read_tracks,
         reconstruct,
@@ -123,7 +124,7 @@ def triangulate(
         films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
         clocks = {} if find is None else find_offsets(films, cameras, find, progress)
         offsets |= {name: clock.seconds for name, clock in clocks.items() if clock.sure}
-        views = at_one_time(films, cameras, offsets)
+        views = put_in_order(at_one_time(films, cameras, offsets))
         progress(0, 1, "triangulate")
         scene = reconstruct(
             views,

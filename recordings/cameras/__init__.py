@@ -10,7 +10,7 @@ from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
-from .sides import sides_kept
+from .sides import put_in_order, sides_kept
 from .synchronise import Clock, find_offsets
 from .triangulate import Triangulated, triangulate
 from .views import Views, at_one_time, match_names, read_tracks
@@ -34,6 +34,7 @@ __all__ = [
     "load_filmed",
     "match_names",
     "project",
+    "put_in_order",
     "rays",
     "read_calibration",
     "read_tracks",

@@ -16,6 +16,7 @@ from ..naming import nearest
 from ..recording import Recording
 from .formats import read_calibration
 from .scene import reconstruct
+from .sides import put_in_order
 from .views import Views, at_one_time, match_names, read_tracks
 
 
@@ -82,7 +83,7 @@ def load_filmed(
     format: str | None = None,
     individual: str | None = None,
 ) -> Filmed:
-    """Read one file of tracks a camera.
+    """Read one file of tracks a camera. Exchanged sides of a person are put in order, with a warning (:mod:`.sides`).
 
     Args:
         files: as `match_names`.
@@ -98,6 +99,7 @@ def load_filmed(
     cameras = read_calibration(list(calibration), None)
     named = match_names(list(files), cameras.names)
     views = at_one_time(read_tracks(named, cameras, fps=fps, format=format, individual=individual), cameras, offsets)
+    views = put_in_order(views)
     known = [name for name in keypoints if name in views.keypoint_names]
     if not known:
         asked = keypoints[0]

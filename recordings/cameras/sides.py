@@ -13,6 +13,7 @@ Shapes: T rows, P keypoints, C cameras.
 """
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -75,3 +76,16 @@ def sides_kept(views: Views) -> tuple[Views, np.ndarray]:
     pixels = np.where(turned[..., None, None], views.pixels[:, :, order], views.pixels)
     confidence = np.where(turned[..., None], views.confidence[:, :, order], views.confidence)
     return replace(views, pixels=pixels, confidence=confidence), turned
+
+
+def put_in_order(views: Views) -> Views:
+    """Tracks whose left and right stay what they are; a UserWarning says of each camera how many rows were put back."""
+    kept, turned = sides_kept(views)
+    for name, rows in zip(views.calibration.names, turned.T, strict=True) if turned.any() else ():
+        if rows.any():
+            warnings.warn(
+                f"camera {name}: left and right are exchanged in {rows.sum()} of {len(rows)} rows; they were put back",
+                UserWarning,
+                stacklevel=3,
+            )
+    return kept

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import ring
 
-from invdyn.recordings.cameras import Views, project, sides_kept
+from invdyn.recordings.cameras import Views, project, put_in_order, sides_kept
 from invdyn.recordings.cameras.sides import exchanged, pairs_of
 
 NAMES = ("L_hip", "nose", "R_hip", "R_wrist", "L_wrist")
@@ -71,3 +71,11 @@ def test_gaps_tell_nothing_and_single_sides_are_left_alone():
     assert not exchanged(pixels, [(0, 2), (3, 4)]).any()
     assert not exchanged(pixels, []).any()
     assert not exchanged(np.full((5, 2, 2), np.nan), [(0, 1)]).any()
+
+
+def test_what_was_put_back_is_said():
+    right, rows = walker(), np.arange(ROWS) % 20 < 5
+    with pytest.warns(UserWarning, match=f"camera .*left and right are exchanged in {rows.sum()} of {ROWS} rows"):
+        found = put_in_order(wrong(right, rows, 1))
+    np.testing.assert_array_equal(found.pixels, right.pixels)
+    assert put_in_order(right) is not None  # and nothing where nothing was exchanged
