@@ -118,7 +118,7 @@ BAD = {
     "a base": (("infer", *TRACKS, *CALL, "--base", "tip"), "leave --base out"),
     "an offset in words": (("infer", *TRACKS, *CALL, "--offset", "cam2=late"), "CAMERA=SECONDS"),
     "an offset of no camera": (("infer", *TRACKS, *CALL, "--offset", "cam9=1"), "cam9"),
-    "an unknown part of a camera": (("infer", *TRACKS, *CALL, "--learn-cameras", "lens"), "offset and pose"),
+    "an unknown part of a camera": (("infer", *TRACKS, *CALL, "--learn-cameras", "lens"), "offset, pose, turn"),
     "cameras of no film": (
         ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--learn-cameras", "pose"),
         "--learn-cameras needs several cameras",
