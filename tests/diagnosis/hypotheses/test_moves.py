@@ -14,6 +14,7 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.neighbours import Neighbour
 from invdyn.simulate import random_arm
 
 
@@ -134,6 +135,26 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
     assert stand_in.starts_of(EFFECTS["load_friction"]("other"), {}, bound.model.scale) == ()
     assert friction.starts_of(stand_in, {}, bound.model.scale) == []
+
+
+def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
+    """In a chain of three, each of which knows the next alone."""
+    chain = [
+        EFFECTS[name]("pivot").bound(PENDULUM) for name in ("viscous_friction", "quadratic_drag", "joint_stiffness")
+    ]
+    next_of = dict(zip((e.key for e in chain), chain[1:], strict=False))
+
+    def neighbours(mine, *_):
+        return [Neighbour(next_of[mine.key], "twin", [{}])] if mine.key in next_of else []
+
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "neighbours", neighbours)
+    bound = diagnosis_problem(recording_of(chain[0], damping=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    none, first = (refine(bound, effects, {}, path, LOOSE) for effects in ((), chain[:1]))
+    found = HypothesisPool(chain, {c.key: c for c in (none, first)}, [], path, stray)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "TOO_FAR_BEHIND", 1e6)
+    refine_kin(bound, found, 1)
+    assert {effect.key for effect in chain} <= found.pool.keys()
 
 
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
