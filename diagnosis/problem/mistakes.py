@@ -40,7 +40,10 @@ MISSED, BETTER, NEAR = 0.05, 0.55, 0.4
 """A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
 log which is right has, whatever its arm has besides."""
 ALIKE = 1.15
-"""Misfits nearer than that do not tell which mistake it is."""
+"""Misfits nearer than that, or such as a right log may have, do not tell which mistake it is."""
+FITTED = ("zero", "scale", "offset")
+"""Kinds with a number that is fitted: of those alike, one without a number comes first (Occam's razor). An arm of one
+joint whose direction is the other way could have a zero elsewhere, but only a single one."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,9 @@ def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool) -> li
         worth = [(misfit, mistake) for misfit, mistake in tried if misfit < BETTER * own and misfit < NEAR]
         if not worth:
             break
-        (after, best), *rest = worth
-        others = tuple(mistake for misfit, mistake in rest if misfit < ALIKE * after and mistake.kind != best.kind)
+        alike = [(misfit, mistake) for misfit, mistake in worth if misfit < max(ALIKE * worth[0][0], MISSED)]
+        after, best = min(alike, key=lambda each: each[1].kind in FITTED)
+        others = tuple(mistake for _, mistake in alike if mistake.kind != best.kind)
         found.append(Found(best, own, after, others))
         motion = best.right(motion)
     return found

@@ -1,6 +1,6 @@
 """Friction that grows with the load on the gear: −k |τ_motor − τ_external| sgn θ̇."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from pyro.distributions import HalfNormal, Normal
@@ -30,8 +30,6 @@ class LoadFriction(RegularisedFriction):
 
     longest: ClassVar[float] = ABRUPT / 2
     """Beside 3 ms, 22 recordings with it lose up to 258 nats (median .35) with 6 ms."""
-    starts: ClassVar = (0.08, 0.16, 0.28)
-    """Values of k from which it is looked for, where another dry friction stands in for it."""
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction per load k, a pure number."""
@@ -45,6 +43,12 @@ class LoadFriction(RegularisedFriction):
     def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
         """All of h."""
         return {**super().as_soft(ideal), "coriolis_share": 1.0}
+
+    def at_level(self, level: float, scale: Scale) -> Sequence[Mapping[str, float]]:
+        """As the level over the typical load: a motor that holds the joint loads its gear twice."""
+        command, j = scale.command, self.place[0]
+        load = scale.torque[j] if command is None else 2 * float(command[:, j].abs().mean())
+        return [{"coefficient": level / load}] if level > 0 and load > 0 else []
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """The load |u + s h + c| times k."""

@@ -58,15 +58,17 @@ class RegularisedFriction(Effect):
         """A short T, which leads on to longer ones."""
         return {**ideal, "settling": SETTLING / 2, "creep": CREEP / 2}
 
-    starts: ClassVar[tuple[float, ...]] = ()
-    """Values of its one level to begin from, in place of another dry friction; the change near its absence tells none,
-    as joints stick."""
-
     def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
-        """Of another dry friction of the joint that has ``starts``."""
+        """Of another dry friction of the joint that is found from a level: as large as this one's, in the mean."""
         if not isinstance(other, RegularisedFriction) or other.where != self.where or other.name == self.name:
             return ()
-        return [{level.name: start} for level in other.levels(scale)[:1] for start in other.starts]
+        return other.at_level(values[self.levels(scale)[0].name], scale)
+
+    def at_level(self, level: float, scale: Scale) -> Sequence[Mapping[str, float]]:
+        """Values with which it is as large as a ``level``, N·m, in the mean; none where its change near absence says
+        as much, joints that stick or not.
+        """
+        return ()
 
     @abstractmethod
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -7,6 +7,7 @@ import pytest
 from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.check.check import check
+from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
 
 
@@ -43,6 +44,21 @@ def test_a_mistake_is_found_with_its_joint_and_size(log, kind):
     # friction and masses that are left free, and the window, blur a number by a few per cent
     assert found[0].value == pytest.approx(value, rel=0.1, abs=1e-9)
     assert found[0].remedy in found[0].sentence
+
+
+def test_of_mistakes_that_are_alike_the_one_without_a_number_comes_first():
+    """Angles and torques of a pendulum that count the other way are those of one whose zero is half a turn off."""
+    link = Link("rod", "base", "tip", 0.3, 1.2)
+    time = np.arange(0, 4, 0.01)
+    q = 0.8 * np.sin(2.1 * time) + 0.4 * np.sin(5.3 * time + 1) - 1.2
+    qdd = -0.8 * 2.1**2 * np.sin(2.1 * time) - 0.4 * 5.3**2 * np.sin(5.3 * time + 1)
+    torque = 1.2 * 0.3**2 / 3 * qdd + 1.2 * 9.81 * 0.15 * np.cos(q)
+    angles, torques = -q[:, None], -torque[:, None]
+    pendulum = Body("pendulum", [link], gravity=(0.0, -9.81))
+    log = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, torques=torques, joint_names=("base",))
+    (wrong,) = check(log, pendulum, effects=False).mistakes
+    assert wrong.kind == "direction"
+    assert any("zero is" in other and "180" in other for other in wrong.others)
 
 
 def test_two_mistakes_are_found_one_after_the_other(log):

@@ -12,7 +12,6 @@ from pendulum import ARM, PENDULUM
 from invdyn.models import Joint, SpatialLink, Tree
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.inertias import inertia_of
-from invdyn.models.effects.load_friction import LoadFriction
 from invdyn.models.effects.neighbours import ALLOWED, neighbours
 from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
 from invdyn.simulate import random_arm
@@ -84,14 +83,26 @@ def test_twins_have_the_values_of_each_other():
 
 
 def test_a_law_and_its_special_case_are_neighbours_where_parameters_allow_it():
-    loaded = {("load_friction.elbow", "alike"): [{"coefficient": start} for start in LoadFriction.starts]}
+    def loaded(level):
+        return {("load_friction.elbow", "alike"): [{"coefficient": level / SCALES["two links"].torque[1]}]}
+
     wider = {("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]}
-    assert around("coulomb_friction.elbow", {"torque": 0.2}) == wider | loaded
+    assert around("coulomb_friction.elbow", {"torque": 0.2}) == wider | loaded(0.2)
     values = {"coulomb": 0.1, "static": 0.1 + 2 * ALLOWED * 0.01, "velocity": 1.0}
-    assert around("stribeck_friction.elbow", values) == loaded
+    assert around("stribeck_friction.elbow", values) == loaded(0.1)
     near = values | {"static": 0.1 + 0.5 * ALLOWED * 0.01}
-    assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower"), *loaded}
+    assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower"), *loaded(0.1)}
     assert around("load_friction.elbow", {"coefficient": 0.1}) == {}
+
+
+def test_friction_under_load_begins_as_large_as_what_stands_in_for_it():
+    """Along a swing that a motor holds up, k of its load is the level in the mean."""
+    arm = random_arm(ARM, duration=1.0, fps=50, commanded=True)
+    coulomb, load = (EFFECTS[name]("elbow").bound(ARM) for name in ("coulomb_friction", "load_friction"))
+    (start,) = coulomb.starts_of(load, {"torque": 0.3}, arm.scale)
+    carried = 2 * arm.scale.command[:, 1].abs()
+    assert start["coefficient"] * carried.mean().item() == pytest.approx(0.3)
+    assert list(coulomb.starts_of(load, {"torque": 0.0}, arm.scale)) == []
 
 
 def test_soft_tissue_may_be_a_link_that_bends():
