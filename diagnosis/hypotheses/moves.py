@@ -146,7 +146,7 @@ def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
     for mine in cause.effects:
         form, best = mine, cause
         while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
-            refined = softer(problem, best, form)
+            refined = softer(problem, best, form, **fair_chance(found, found.pool[""]))
             if refined is None:
                 break
             found.add(refined)
