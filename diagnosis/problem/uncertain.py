@@ -78,9 +78,9 @@ def _(body: Body) -> tuple[Uncertain, ...]:
 
 @uncertain_numbers.register
 def _(body: Tree) -> tuple[Uncertain, ...]:
-    """Priors of its scalars, and joints' own numbers; moments that are numbers stay as they are."""
+    """Priors of its scalars, masses that it calls uncertain, and joints' own numbers; moments that are numbers stay."""
     found = []
-    for name, entry, prior in body.scalars():
+    for name, entry, prior in body.with_uncertainty().scalars():
         if isinstance(prior, Distribution):
             size = {"mass": 1, "inertia": 6}.get(name, 3)
             place = (body.keypoint_names if name == "sites" else body.link_names)[entry // size]

@@ -3,18 +3,22 @@
 An effect adds to what the file has: from b to b + Δb. Of the whole cause, means are written, with 90 % intervals.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
-from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding, Learned
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
 from invdyn.models.effects.inertias import inertia_of
 
 SEEN = "how the motion is seen is no part of a simulation's file"
-UNCERTAIN = "it was learned because the file calls it uncertain, and stays as the file has it"
+OF_LINK = ("mass", "com", "inertia")
+"""What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
+Z_90 = 1.645
+PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
 NOT_SAID = "a simulation's file has no word for it"
 
 
@@ -62,16 +66,33 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
             changes += SAID[finding.effect](finding, body)
         else:
             unsaid[finding.key] = NOT_SAID
-    said = {(change.place, change.quantity) for change in changes}
+    said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
     for number in cause.learned:
-        to = number.change.after
-        if number.quantity not in PARTS:
-            unsaid[f"{number.quantity} of {number.place}"] = UNCERTAIN
-        elif (number.place, number.quantity) not in said:
-            before = number.change.before
+        before, to = number.change.before, number.change.after
+        also = said.get((number.place, number.quantity))
+        if not in_files(number):
+            unsaid[f"{number.quantity} of {number.place}"] = PLACED
+        elif also is None:
             change = FileChange(number.place, number.quantity, before, to.mean, to.interval_90, to.unit, "learned")
             changes.append(change)
+        elif (
+            number.quantity not in PARTS
+        ):  # the effect's change is of what was learned, that of a joint's part has both
+            changes[also] = _later(changes[also], to.mean - before, to.sd)
     return Correction(tuple(changes), unsaid)
+
+
+def in_files(number: Learned) -> bool:
+    """Whether what was learned of a number is written: of joints' parts and links' inertias."""
+    return number.quantity in PARTS or number.quantity.startswith(OF_LINK)
+
+
+def _later(change: FileChange, shift: float, sd: float) -> FileChange:
+    """A change from what was learned: by its ``shift``, whose ``sd`` widens the interval as if it were independent."""
+    after = change.after + shift
+    ends = (math.copysign(math.hypot(end - change.after, Z_90 * sd), end - change.after) for end in change.interval_90)
+    low, high = sorted(after + end for end in ends)
+    return replace(change, after=after, interval_90=(low, high))
 
 
 def _joint(body: ArticulatedBody, name: str) -> JointParts:

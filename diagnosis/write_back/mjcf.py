@@ -15,12 +15,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from invdyn.diagnosis.write_back.changes import FileChange
+from invdyn.diagnosis.write_back.changes import OF_LINK, FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
-from invdyn.models.effects.inertias import point_of
+from invdyn.models.bodies.protocol import AXES
+from invdyn.models.effects.inertias import inertia_of, point_of
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
@@ -45,13 +46,13 @@ def rewritten(
     unsaid: dict[str, str] = {}
     inertial: dict[str, list[FileChange]] = {}
     for change in changes:
-        if change.quantity in ("mass", "inertia") or change.quantity.startswith("com"):
+        if change.quantity.startswith(OF_LINK):
             inertial.setdefault(change.place, []).append(change)
         elif (why := writer.write(change)) is not None:
             unsaid[f"{change.quantity} of {change.place}"] = why
     for place, several in inertial.items():
         if (why := writer.write_inertial(place, several)) is not None:
-            unsaid[f"inertia of {place}"] = why
+            unsaid |= {f"{change.quantity} of {place}": why for change in several}
     return text.changed(), unsaid
 
 
@@ -143,20 +144,31 @@ class Writer:
             return "the link is of several bodies that are fixed to each other"
         if any(c.attributes.get("inertiafromgeom") == "true" for c in self.text.found("compiler")):
             return 'its compiler takes all inertias from geoms (inertiafromgeom="true")'
-        to = {change.quantity: change for change in changes}
-        coms = [change for change in changes if change.quantity.startswith("com")]
-        before, after = (np.array([getattr(change, end) for change in coms]) for end in ("before", "after"))
-        shift = self._in_body(number, k, after) - self._in_body(number, k, before)
+        to = {change.quantity: change.after for change in changes}
+        own_com = inertia_of(self.body.parameters(), k).com.numpy()
+        com = own_com.copy()
+        for change in changes:
+            if change.quantity.startswith("com"):
+                com[AXES.index(change.quantity[-1]) if len(com) == 3 else 0] = change.after
+        shift = self._in_body(number, k, com) - self._in_body(number, k, own_com)
         flat = np.zeros(9)
         mujoco.mju_quat2Mat(flat, self.model.body_iquat[number])
         turn = flat.reshape(3, 3)
         tensor = turn @ np.diag(self.model.body_inertia[number]) @ turn.T
-        factor = to["inertia"].after / to["inertia"].before if to["inertia"].before else 1.0
-        # all moments by one factor: what was a possible body stays one
-        tensor = tensor * factor
+        for change in changes:
+            if change.quantity == "inertia" and change.before:
+                # all moments by one factor: what was a possible body stays one
+                tensor = tensor * (change.after / change.before)
+            elif change.quantity.startswith("inertia_"):
+                i, j = (AXES.index(axis) for axis in change.quantity[-2:])
+                tensor[i, j] = tensor[j, i] = tensor[i, j] + change.after - change.before
+        least, middle, most = np.linalg.eigvalsh(tensor)
+        if least <= 0 or most > least + middle:
+            return "no body has such moments of inertia"
         place = self.model.body_ipos[number] + shift
+        mass = to.get("mass", float(self.model.body_mass[number]))
         full = " ".join(_said(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-        given = {"pos": _row(place), "mass": _said(to["mass"].after), "fullinertia": full}
+        given = {"pos": _row(place), "mass": _said(mass), "fullinertia": full}
         said = "; ".join(change.comment.removeprefix("invdyn: ") for change in changes)
         own = [e for e in self._children(element) if e.tag == "inertial"]
         if own:

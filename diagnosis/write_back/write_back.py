@@ -12,10 +12,9 @@ import numpy as np
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.write_back import toml, urdf
-from invdyn.diagnosis.write_back.changes import correction
+from invdyn.diagnosis.write_back.changes import correction, in_files
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
-from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.bodies.whole_file import read_whole
 from invdyn.recordings import InputError, Recording, atomic_path
 
@@ -85,11 +84,11 @@ def write_back(
 def best(diagnosis: Diagnosis) -> Cause | None:
     """The cause that most speaks for, by itself or in part; None where it changes no number of the file.
 
-    Without a gap that is no effect, with the joints' numbers that were learned.
+    Without a gap that is no effect, with the joints' and links' numbers that were learned.
     """
     causes = [c for c in diagnosis.causes if diagnosis.gap.detected or not c.effects]
     cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
-    if cause is None or not (cause.effects or any(number.quantity in PARTS for number in cause.learned)):
+    if cause is None or not (cause.effects or any(map(in_files, cause.learned))):
         return None
     return cause
 

@@ -13,7 +13,7 @@ Hartenberg: `dh.py`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -32,7 +32,7 @@ from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
-from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal
+from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal, prior
 from invdyn.models.bodies.spatial_link import SpatialLink, ordered
 from invdyn.models.bodies.sticks import Sticks
 from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, moments
@@ -42,7 +42,8 @@ from invdyn.models.bodies.tree_parameters import TreeParameters, assembled, mome
 class Tree(FromFiles, BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
-    `uncertainty` has relative sds of joints' parts, by quantity or of one joint: "damping", "damping.elbow".
+    `uncertainty` has relative sds of all masses, and of joints' parts by quantity or of one joint: "mass", "damping",
+    "damping.elbow".
 
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
     not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, and
@@ -73,7 +74,7 @@ class Tree(FromFiles, BodyBase):
                 if names.count(name) > 1:
                     raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
         object.__setattr__(self, "links", ordered(self.links, where))
-        object.__setattr__(self, "uncertainty", relative(self.uncertainty, (), self.joint_names, where))
+        object.__setattr__(self, "uncertainty", relative(self.uncertainty, ("mass",), self.joint_names, where))
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
         for link, turning in zip(self.links, self.turning(), strict=True):
@@ -182,6 +183,21 @@ class Tree(FromFiles, BodyBase):
     def has_priors(self) -> bool:
         """Whether any scalar is a prior rather than a number."""
         return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self.scalars())
+
+    def with_uncertainty(self) -> Self:
+        """The tree with masses that are numbers made priors, of the relative sd that it states; joints' parts stay.
+
+        A link without a mass stays so, and moments of inertia that are numbers stay as they are.
+        """
+        sd = self.uncertainty.get("mass", 0.0)
+        rest = {key: value for key, value in self.uncertainty.items() if key != "mass"}
+
+        def freed(link: SpatialLink) -> SpatialLink:
+            if isinstance(link.mass, float) and sd * link.mass > 0:
+                return replace(link, mass=prior(link.mass, sd * link.mass))
+            return link
+
+        return replace(self, links=tuple(map(freed, self.links)), uncertainty=rest)
 
     @property
     def learned(self) -> dict[str, tuple[int, ...]]:

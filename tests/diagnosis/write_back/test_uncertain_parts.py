@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from in_space import ARM, play
 from robot_xml import robot
 
 from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.write_back.write_back import write_back
-from invdyn.models import Body
+from invdyn.models import Body, load_body
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -69,3 +70,20 @@ def test_what_is_uncertain_is_said_by_quantity_or_of_one_joint(nominal, tmp_path
     told = (tmp_path / "robot.toml").read_text().replace('"armature.shoulder"', "armature.shoulder")
     (tmp_path / "robot.toml").write_text(told)
     assert Body.load(tmp_path / "robot.toml") == stated
+
+
+def test_masses_of_a_tree_are_learned_beside_the_cause_and_written(tmp_path):
+    """MuJoCo plays a forearm a tenth heavier than its file says, and a shoulder with more damping."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    tree = replace(load_body(tmp_path / "arm.xml"), uncertainty={"mass": 0.1})
+    assert [u.name for u in uncertain_numbers(tree)] == ["body.mass.0", "body.mass.1", "body.mass.2"]
+    log, held_out = (play(ARM.replace('mass="0.7"', 'mass="0.77"'), 2.0, n, damping={"lift": 0.3}) for n in (0, 1))
+    found = diagnose(log, tree, without=STRUCK, most=1)
+    cause = max(found.causes, key=lambda c: c.probability + c.in_part)
+    assert [f.key for f in cause.effects] == ["viscous_friction.lift"]
+    written = write_back(found, tmp_path / "arm.xml", tree, tmp_path / "corrected.xml", held_out, True).written
+    assert {(c["place"], c["quantity"]) for c in written.changes} >= {("lift", "damping"), ("fore", "mass")}
+    fore = next(c for c in written.changes if (c["place"], c["quantity"]) == ("fore", "mass"))
+    assert fore["interval_90"][0] < 0.77 < fore["interval_90"][1]
+    assert load_body(tmp_path / "corrected.xml").parameters().mass[2].item() == pytest.approx(0.77, abs=0.02)
+    assert written.rollout["total_rms_rad"]["after"] < 0.1 * written.rollout["total_rms_rad"]["before"]

@@ -3,9 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
+from in_space import ARM
 from robot_xml import play, robot
 
-from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding, Learned
 from invdyn.diagnosis.write_back import mjcf, toml, urdf
 from invdyn.diagnosis.write_back.changes import FileChange, correction
 from invdyn.diagnosis.write_back.rollout import commands, rollout
@@ -88,6 +89,52 @@ def test_motors_and_links(file):
     assert new.body_ipos[fore] == pytest.approx([0, 0, -0.13])
     # about the hinge, which is y: .005 + .001, the others in proportion
     assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
+
+
+def learned(place: str, quantity: str, before: float, after: float) -> Learned:
+    return Learned(place, quantity, Change(before, Estimate(after, 0.01, (after - 0.02, after + 0.02), "u")))
+
+
+def test_what_was_learned_of_links_is_written_and_an_effect_adds_to_it(file):
+    body = Body.load(file)
+    error = finding("inertial_error", {"link": "fore"}, mass=0.2, com=0.01, inertia=0.001)
+    told = (
+        learned("upper", "mass", 1.2, 1.26),
+        learned("fore", "mass", 0.8, 0.85),
+        learned("fore", "length", 0.25, 0.26),
+    )
+    asked = correction(Cause((error,), 0.9, 0.0, 0.0, learned=tuple(told)), body)
+    assert set(asked.unsaid) == {"length of fore"}
+    (both,) = [c for c in asked.changes if (c.place, c.quantity) == ("fore", "mass")]
+    # ± .02 of the effect's, and 1.645 sds of .01 of what was learned
+    assert both.interval_90 == pytest.approx((1.05 - np.hypot(0.02, 0.01645), 1.05 + np.hypot(0.02, 0.01645)))
+    text, unsaid = mjcf.rewritten(file.read_bytes(), str(file), body, asked.changes)
+    assert not unsaid
+    new = mujoco.MjModel.from_xml_string(text.decode())
+    assert new.body("upper").mass == pytest.approx(1.26)
+    assert new.body("fore").mass == pytest.approx(1.05)
+    assert new.body("fore").ipos == pytest.approx([0, 0, -0.13])
+
+
+def test_a_tree_of_which_coordinates_and_moments_were_learned(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    tree = load_body(tmp_path / "arm.xml")
+    told = (
+        learned("fore", "com_z", 0.0, 0.01),
+        learned("fore", "inertia_xx", 5e-4, 6e-4),
+        learned("fore", "inertia_xy", 0, 1e-4),
+    )
+    asked = correction(Cause((), 0.0, 0.0, 0.0, learned=told), tree)
+    text, unsaid = mjcf.rewritten(ARM.encode(), str(tmp_path / "arm.xml"), tree, asked.changes)
+    assert not unsaid
+    (tmp_path / "arm.xml").write_bytes(text)
+    new = load_body(tmp_path / "arm.xml").parameters()
+    assert new.com[2].tolist() == pytest.approx([0.11, 0.0, 0.01])
+    assert new.inertia[2].tolist() == pytest.approx([6e-4, 4e-3, 4e-3, 1e-4, 0.0, 0.0], abs=1e-9)
+    assert new.mass[2].item() == pytest.approx(0.7)
+    broken = correction(Cause((), 0.0, 0.0, 0.0, learned=(learned("fore", "inertia_xx", 5e-4, 9e-3),)), tree)
+    unsaid = mjcf.rewritten(ARM.encode(), str(tmp_path / "arm.xml"), tree, broken.changes)[1]
+    assert unsaid == {"inertia_xx of fore": "no body has such moments of inertia"}
 
 
 @pytest.mark.filterwarnings("ignore:.*leaves out")
