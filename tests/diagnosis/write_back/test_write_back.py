@@ -1,5 +1,8 @@
 """A corrected copy is the user's file with other numbers, and MuJoCo's own roll-out with it follows the log."""
 
+from dataclasses import replace
+from xml.etree import ElementTree
+
 import mujoco
 import numpy as np
 import pytest
@@ -231,3 +234,28 @@ def test_urdf_says_what_it_can():
     assert b'<dynamics damping="0.2"/>' in new
     assert b'effort="3"' in new
     assert unsaid == {"armature of j": "URDF has no word for it"}
+
+
+def test_urdf_says_masses_and_moments_of_a_link_by_itself():
+    moments = '<inertia ixx="0.01" iyy="0.02" izz="0.01" ixy="0"/>'
+    links = [
+        f'<link name="{n}"><inertial><mass value="{m}"/>{moments}</inertial></link>' for n, m in (("a", 1.5), ("b", 1))
+    ]
+    text = f'<robot name="r">{"".join(links)}</robot>'
+    mass = FileChange("a", "mass", 1.5, 1.6, (1.55, 1.65), "kg", "learned")
+    inertia = FileChange("a", "inertia", 0.02, 0.03, (0.02, 0.04), "kg·m²", "learned")
+    new, unsaid = urdf.rewritten(text.encode(), [mass, inertia])
+    assert not unsaid
+    first, second = ElementTree.fromstring(new).findall("link/inertial")
+    assert first.find("mass").attrib == {"value": "1.6"}
+    assert {name: float(value) for name, value in first.find("inertia").attrib.items()} == pytest.approx(
+        {"ixx": 0.015, "iyy": 0.03, "izz": 0.015, "ixy": 0.0}
+    )
+    assert second.find("mass").attrib == {"value": "1"}
+    # a centre of mass that moved, or a mass that has another link's in it, is left to the user, whole
+    moved = FileChange("a", "com_x", 0.0, 0.1, (0.0, 0.2), "m", "learned")
+    for changes in ([mass, moved], [replace(mass, before=2.0)]):
+        new, unsaid = urdf.rewritten(text.encode(), changes)
+        assert new == text.encode()
+        assert set(unsaid.values()) == {urdf.BY_HAND}
+        assert len(unsaid) == len(changes)
