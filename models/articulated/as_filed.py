@@ -90,6 +90,8 @@ class FiledLimit(Filed):
 class FiledServo(Filed):
     """What a servo answers to angle and velocity, −S θ − D θ̇; with its target's torque it keeps to its limits."""
 
+    drives = True
+
     def force(self, p: Values, now: Situation) -> Tensor:
         """−S θ − D θ̇, cut where the whole reaches a limit; a torque that nobody commands is not the motor's."""
         j, motor = self.place[0], self.parts.servo

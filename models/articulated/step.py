@@ -204,5 +204,6 @@ class Mechanics:
         """Friction through bristles that are ``bent`` (..., 1), (..., K) N·m, and how fast they bend, rad/s."""
         p = own_values(bristles, self.parameters)
         j = bristles.place[0]
-        friction, rate = bristles.bending(p, bent, now.qd[..., j : j + 1], bristles.level(p, now), now.step)
+        level = bristles.level(p, self.effects.driven(self.parameters, now))
+        friction, rate = bristles.bending(p, bent, now.qd[..., j : j + 1], level, now.step)
         return now.at(j, friction), rate

@@ -151,6 +151,9 @@ class Effect(ABC):
         """How many forms softer than the ideal one it is."""
         return int(self.soft)
 
+    drives: ClassVar[bool] = False
+    """Whether its force is a motor's, as a servo's answer is: friction under load counts it."""
+
     @property
     def yields(self) -> bool:
         """Whether its force takes what all other forces press into it."""

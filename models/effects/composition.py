@@ -111,6 +111,11 @@ class Composition:
             total = sum((force for force in forces if force is not None), start=total)
         return total
 
+    def driven(self, parameters: Mapping[str, Tensor], now: Situation) -> Situation:
+        """The moment with all that motors give: a servo's answer to angle and velocity, too."""
+        answers = [effect.force(p, now) for effect, p in self._each(parameters) if effect.drives]
+        return replace(now, motor=sum(answers, start=now.motor)) if answers else now
+
     def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Of these forces those on points of the links."""
         forces = (effect.force(p, now) for effect, p in self._each(parameters) if effect.pulls)
@@ -132,6 +137,7 @@ class Composition:
 
         def levels(now: Situation) -> dict[int, Tensor]:
             found: dict[int, Tensor] = {}
+            now = self.driven(parameters, now)
             for effect, p in self._each(parameters):
                 level = effect.friction(p, now)
                 if level is not None:

@@ -20,7 +20,8 @@ class Situation:
 
     Attributes:
         q, qd: (..., K) rad, rad/s.
-        motor: (..., K) N·m, what the motors give: the command as the actuators make it.
+        motor: (..., K) N·m, what the motors give: the command as the actuators make it; for a friction's level with
+            what servos answer, too.
         time: (..., 1) s, of the recording.
         elapsed: (..., 1) s, since its first row.
         step: s, the integrator's sub-step, (..., 1) or less.

@@ -45,9 +45,14 @@ class LoadFriction(RegularisedFriction):
         return {**super().as_soft(ideal), "coriolis_share": 1.0}
 
     def at_level(self, level: float, scale: Scale) -> Sequence[Mapping[str, float]]:
-        """As the level over the typical load: a motor that holds the joint loads its gear twice."""
-        command, j = scale.command, self.place[0]
-        load = scale.torque[j] if command is None else 2 * float(command[:, j].abs().mean())
+        """As the level over the typical load: a motor that holds the joint loads its gear twice.
+
+        A servo's command is no torque of its motor; there, what the joint needs is typical.
+        """
+        j, parts = self.place[0], scale.parts
+        servo = bool(parts) and (own := parts[j]) is not None and own.servo is not None
+        given = None if scale.command is None or servo else float(scale.command[:, j].abs().mean())
+        load = scale.torque[j] if given is None else 2 * given
         return [{"coefficient": level / load}] if level > 0 and load > 0 else []
 
     def friction(self, p: Values, now: Situation) -> Tensor:

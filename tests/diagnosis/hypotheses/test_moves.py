@@ -50,7 +50,7 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
 
 def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
     truth = EFFECTS["stribeck_friction"]("pivot")
     bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
     path, stray = data_path(bound)
@@ -94,7 +94,7 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
 @pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
 def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
     """In place of tissue at its own tip, in the best cause alone, and once."""
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
     truth = EFFECTS["link_flexibility"]("forearm").bound(ARM)
     stiffness, damping = truth.parameters(random_arm(ARM, duration=0.1, fps=50).scale)
     values = {"stiffness": stiffness.grid[2], "damping": damping.grid[0]}
@@ -122,7 +122,7 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
 
 
 def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
-    """From several values: where joints stick, the slope near none of it says little."""
+    """From that one's level: where joints stick, the slope near none of it says little."""
     stand_in, friction = (EFFECTS[name]("pivot").bound(PENDULUM) for name in ("coulomb_friction", "load_friction"))
     bound = diagnosis_problem(recording_of(friction, rows=120, coefficient=0.2), PENDULUM)
     path, stray = data_path(bound)
@@ -134,7 +134,7 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     assert cause.complete
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
     assert stand_in.starts_of(EFFECTS["load_friction"]("other"), {}, bound.model.scale) == ()
-    assert friction.starts_of(stand_in, {}, bound.model.scale) == []
+    assert friction.starts_of(stand_in, {"coefficient": 0.2}, bound.model.scale) == ()
 
 
 def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
@@ -176,7 +176,7 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert found.relatives[f"{ideal.key} {ideal.key}"] == hard.log_evidence
     # Followed once, and never from what leaves nothing.
     started = []
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine: started.append(cause))
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine, **__: started.append(cause))
     refine_kin(bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)
@@ -248,7 +248,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE)
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
     wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_: None)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
     found = HypothesisPool(considered(bound), {"": none, wider.key: wider}, [], path, stray)
     refine_kin(bound, found, 1)
     cause = found.pool["coulomb_friction.pivot"]
@@ -294,7 +294,7 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     )
     room, tried = sys.modules[refine_kin.__module__], []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
-    monkeypatch.setattr(room, "softer", lambda _, cause, mine: tried.append(mine.key))
+    monkeypatch.setattr(room, "softer", lambda _, cause, mine, **__: tried.append(mine.key))
     found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, [], path, stray)
     for _ in range(2):
         refine_kin(bound, found, 2)

@@ -59,7 +59,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     }
     tried = []
 
-    def softer(problem, cause, mine):
+    def softer(problem, cause, mine, **limits):
         tried.append((cause.key, mine.key))
         return causes[soft,] if mine is friction and len(cause.effects) == 1 else None
 

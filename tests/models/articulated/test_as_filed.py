@@ -10,6 +10,7 @@ import torch
 from invdyn.models import ArmModel, Body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
+from invdyn.models.effects.load_friction import LoadFriction
 from invdyn.models.effects.viscous_friction import ViscousFriction
 
 TEXT = """<mujoco><compiler angle="radian"/><option timestep="0.0002" gravity="0 0 -9.81" integrator="RK4"/>
@@ -34,8 +35,8 @@ CASES = {
 }
 
 
-def in_mujoco(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles (T, 2) and controls (T, 2) that are held between rows."""
+def in_mujoco(text: str, loaded: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles (T, 2) and controls (T, 2) that are held between rows; ``loaded`` friction k at the shoulder."""
     model = mujoco.MjModel.from_xml_string(text)
     data, per = mujoco.MjData(model), round(STEP / model.opt.timestep)
     time = np.arange(ROWS) * STEP
@@ -44,6 +45,8 @@ def in_mujoco(text: str) -> tuple[np.ndarray, np.ndarray]:
     for row in range(ROWS):
         angles[row], data.ctrl[:] = data.qpos, control[row]
         for _ in range(per):
+            if loaded:
+                model.dof_frictionloss[0] = max(loaded * abs(data.qfrc_actuator[0] + data.qfrc_bias[0]), 1e-9)
             mujoco.mj_step(model, data)
     return angles, control
 
@@ -114,3 +117,30 @@ def test_parts_survive_a_file(tmp_path):
     body = dataclasses.replace(body, links=[dataclasses.replace(body.links[0], parts=parts)])
     body.to_toml(tmp_path / "arm.toml")
     assert Body.load(tmp_path / "arm.toml") == body
+
+
+@pytest.mark.filterwarnings("ignore:.*clockwise")
+def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
+    """Of MuJoCo's actuator and bias torques; of the servo's command alone it would be ten times as large."""
+    servo = '<position joint="shoulder" kp="60" kv="2"/><motor joint="elbow" gear="10"/>'
+    text = TEXT.format(way=1, shoulder='frictionloss="1e-9"', elbow='damping="0.1"', motors=servo)
+    (tmp_path / "robot.xml").write_text(text.replace(' frictionloss="1e-9"', ""))
+    body = Body.load(tmp_path / "robot.xml")
+    q, control = in_mujoco(text, loaded=0.2)
+    first, second = body.joint_parts
+    theta = np.array([first.zero, second.zero]) + np.array([first.sign, second.sign]) * q
+    told = servo_torque(first.servo, control[:, 0] * first.sign + first.zero)
+    command = np.stack([told, second.sign * 10 * control[:, 1]], -1)
+    friction = LoadFriction("shoulder").bound(body)
+    model = ArmModel(body, np.arange(ROWS) * STEP, command=command, substeps=10).with_effects(friction)
+    off = {}
+    for coefficient in (0.2, 0.0):
+        value = torch.tensor([coefficient], dtype=torch.float64)
+        played = model.replace(**{f"effect.{friction.key}.coefficient": value})
+        states = torch.zeros(ROWS, played.state_dim, dtype=torch.float64)
+        states[0, -4:-2] = torch.as_tensor(theta[0])
+        for row in range(1, ROWS):
+            states[row] = played.transition_mean(states[row - 1], row)
+        off[coefficient] = np.abs(played.split(states)[1].numpy() - theta).max()
+    # MuJoCo's friction is softer than the ideal law: see the top of `regularised_friction`
+    assert off[0.2] < 0.02 < 0.1 < off[0.0], off
