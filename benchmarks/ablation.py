@@ -50,7 +50,6 @@ RULES = {
     "_refine_moved": ("moves", "neighbour: a push at another moment"),
     "refine_softer": ("moves", "neighbour: the softer form"),
     "twin": ("moves", "neighbour: an exact stand-in"),
-    "wider": ("moves", "neighbour: what contains an effect"),
     "narrower": ("moves", "neighbour: its special case"),
     "alike": ("moves", "neighbour: what much of it is taken for"),
 }
@@ -86,7 +85,7 @@ QUICK_EFFECTS = {
         "ripple": EFFECTS["torque_ripple"]("shoulder"),
     }.items()
 }
-KINDS = ("twin", "wider", "narrower", "alike")
+KINDS = ("twin", "narrower", "alike")
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
 

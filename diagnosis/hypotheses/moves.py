@@ -55,7 +55,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
             for mine in cause.effects:
                 if "moment" in mine.located:
                     _refine_moved(problem, found, cause, mine)
-                for other in _around(problem, found, cause, mine, ("twin", "wider", "narrower")):
+                for other in _around(problem, found, cause, mine, ("twin", "narrower")):
                     _follow(problem, found, cause, mine, other)
         least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
         if not found.explained:
@@ -98,15 +98,13 @@ def _follow(
 ) -> None:
     """Refine a neighbour, unless it is where it can be, has nothing to add, or was followed from as good a cause."""
     there = found.pool.get(_in_place(cause, mine, other.effect))
-    if other.kind == "wider":
-        done = cause.complete or (there is not None and there.complete)
-    else:
-        done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if other.related else ALIKE)
+    special = other.kind == "narrower"
+    done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if special else ALIKE)
     if other.kind == "alike":
         its, own = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
         done = done or (cause.complete and its >= own)
-    if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if other.related else ""):
+    if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if special else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
         form, starts = _as_soft(problem, cause, mine, other)
         limits = fair_chance(found, found.pool[""]) if other.kind == "alike" else {}
@@ -127,9 +125,9 @@ def _softness(effect: Effect) -> str:
 def _as_soft(
     problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, other: Neighbour
 ) -> tuple[Effect, list[dict[str, float]]]:
-    """A neighbour and its starts; one of the same family is as soft as the cause's effect is."""
+    """A neighbour and its starts; a special case is as soft as the cause's effect is."""
     form = other.effect
-    if not other.related:
+    if other.kind != "narrower":
         return form, [dict(start) for start in other.starts]
     for _ in range(mine.softness):
         form = form.softened() or form

@@ -11,7 +11,7 @@ first of these moves that it has not made, which may make another one the best:
             from a beam (:mod:`.beam_search`)
     swap    each effect for a better one, along the path of the set (:func:`.swap_step.exchange`)
 
-After each of them the neighbours of what it found follow, exact twins, wider and narrower laws, softer forms, others
+After each of them the neighbours of what it found follow, exact twins, special cases, softer forms, others
 that look like it, from values that its own say (:mod:`.moves`).
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only

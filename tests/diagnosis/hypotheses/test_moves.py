@@ -1,4 +1,4 @@
-"""Relatives of what was found: twins, wider effects from where they are the narrower one, and back; softer forms."""
+"""Neighbours of what was found: twins, special cases, softer forms, and what it may be taken for."""
 
 import sys
 from dataclasses import replace
@@ -46,30 +46,6 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * ALIKE)
     refine_kin(bound, pool, 1)
     assert len(started) == 3 * tried
-
-
-def test_a_wider_effect_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
-    """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
-    truth = EFFECTS["stribeck_friction"]("pivot")
-    bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
-    path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, LOOSE)
-    narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
-    names = tuple(f"{truth.key}.{name}" for name in ("coulomb", "static", "velocity"))
-    lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence - 1)
-    lost = replace(lost, names=names, mean=np.array([0.04, 0.3, 1.0]), covariance=1e-6 * np.eye(3))
-    assert not narrow.complete
-    pool = {cause.key: cause for cause in (none, narrow, lost)}
-    found = HypothesisPool(considered(bound), pool, [], path, stray)
-    refine_kin(bound, found, 1)
-    cause = found.pool[truth.key]
-    assert cause.complete
-    assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
-    assert found.relatives[truth.key] == narrow.log_evidence
-    there = HypothesisPool(considered(bound), {**pool, truth.key: cause}, [], path, stray)
-    refine_kin(bound, there, 1)
-    assert truth.key not in there.relatives
 
 
 def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
@@ -176,7 +152,9 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert found.relatives[f"{ideal.key} {ideal.key}"] == hard.log_evidence
     # Followed once, and never from what leaves nothing.
     started = []
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine, **__: started.append(cause))
+    monkeypatch.setattr(
+        sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine, **__: started.append(cause)
+    )
     refine_kin(bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
     monkeypatch.setattr(sys.modules[refine_kin.__module__], "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)

@@ -56,7 +56,7 @@ def test_where_something_is_left_softer_forms_are_tried_whatever_the_screen_says
     screened = [replace(s, log_evidence=nothing, dprime=50.0) for s in screened]
     room, asked = sys.modules[refine_promising.__module__], []
     monkeypatch.setattr(room, "refine", lambda _, effects, *more, **given: replace(none, effects=effects))
-    monkeypatch.setattr(room, "softer", lambda _, cause, mine, **__: asked.append((cause.effects[0].softness, mine.key)))
+    monkeypatch.setattr(room, "softer", lambda _, cause, mine: asked.append((cause.effects[0].softness, mine.key)))
     known = [replace(none, effects=(tissue,)), replace(none, effects=(roll.softened(),))]
     for pool, expected in (([], [tissue.key, roll.key]), (known, [tissue.key])):
         asked.clear()
