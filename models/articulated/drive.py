@@ -93,6 +93,13 @@ class Motors:
         """What of a command moves the body within ``seconds`` (..., 1) of row ``t``; see :meth:`Command.ahead`."""
         return self.made.ahead(self.timeline.time[t], seconds) if self.commanded else None
 
+    def between(self, t: Row, first: Tensor, last: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and slope of the command from ``first`` to ``last`` s after row ``t``; zeros as ``like`` without any."""
+        if not self.commanded:
+            return torch.zeros_like(like), torch.zeros_like(like)
+        mean, slope = self.made.between(self.timeline.time[t], first, last)
+        return mean, slope
+
 
 @dataclass(frozen=True)
 class RowDrive:

@@ -6,6 +6,8 @@ seconds τ later, to third order,
     θ(t + τ) ≈ θ + τ θ̇ + ½ τ² θ̈(t + τ/3),
 
 where ½ τ² θ̈ stands for ∫₀^τ (τ − s) θ̈ ds, whose weight has its middle at τ/3; the command, which jumps, has its own.
+A servo answers within less time than that: with one, what comes later is integrated. What came earlier stays third
+order, as a damper's past grows without bounds.
 
 Shapes: states (..., D), joint quantities (..., K), sites (..., S, d), rows (..., O).
 """
@@ -14,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
@@ -24,6 +27,9 @@ from invdyn.models.articulated.timeline import Row, Timeline
 from invdyn.models.observation.observation import Observation
 from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
+
+LATER = 3
+"""Stretches that a time ahead of a row is integrated in, of as many sub-steps as a row: latencies are of some rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,28 @@ class Sight:
 
     def _ahead(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
         """θ so many ``seconds`` (..., 1) after row ``t``, (..., K)."""
+        if not self.mechanics.effects.has_servo:
+            return self._to_third_order(state, t, body, seconds)
+        before = self._to_third_order(state, t, body, seconds.clamp_max(0.0))
+        return torch.where(seconds > 0, self._integrated(state, t, body, seconds.clamp_min(0.0)), before)
+
+    def _integrated(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
+        """The same of ``seconds`` that are not negative, in ``LATER`` stretches with a straight command each."""
+        unseen, q, qd = self.layout.split(state)
+        z, *pieces = self.layout.parted(unseen)[:2]
+        unknown, dtype = z[..., : self.layout.joints], self.motors.dtype
+        interval, clock = self.timeline.interval(t, dtype), self.timeline.clock(t, dtype)
+        for stretch in range(LATER):
+            ends = stretch * seconds / LATER, (stretch + 1) * seconds / LATER
+            mean, slope = self.motors.between(t, *ends, unknown)
+            drive = RowDrive(
+                unknown + mean - slope / 2, slope, body, clock, interval, seconds / LATER, self.parts, unknown
+            )
+            *pieces, q, qd = self.mechanics.step(drive, join(*pieces), q, qd)
+        return q
+
+    def _to_third_order(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
+        """The same by the formula at the top of the file."""
         z, q, qd = self.layout.split(state)
         command = self.motors.ahead(t, seconds)
         bent = self._under(state, t, body, command)

@@ -100,6 +100,15 @@ class Command:
         mean = (2 / span**2 * (moment_after - moment_before - span * before)).to(self.mean.dtype)
         return mean if seconds.ndim > 1 or start.ndim > 1 else mean[..., 0, :]
 
+    def between(self, start: Tensor, first: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and slope of the line from ``first`` to ``last`` seconds (..., R, 1) after ``start`` (R,) or ()."""
+        start = start.double().unsqueeze(-1)
+        begin, end = (start + each.double() for each in (first, torch.maximum(last, first + INSTANT)))
+        single = begin.ndim == 1
+        line = self._exact._over(self.time, *((begin[None], end[None]) if single else (begin, end)))
+        mean, slope = (value.to(self.mean.dtype) for value in (line.mean, line.slope))
+        return (mean[..., 0, :], slope[..., 0, :]) if single else (mean, slope)
+
     @property
     def _edges(self) -> Tensor:
         return torch.cat([self.time, self.time[-1:] + self.length[-1]])

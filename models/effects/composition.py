@@ -45,6 +45,7 @@ class Composition:
         self.effects, self.filed = tuple(sorted(effects, key=lambda effect: effect.order)), filed
         effects = self._acting = tuple(sorted((*filed, *effects), key=lambda effect: effect.order))
         self.has_force = any(type(effect).force is not Effect.force for effect in effects)
+        self.has_servo = any(effect.drives for effect in effects)
         self.yields = any(effect.yields for effect in effects)
         self.pulls = any(effect.pulls for effect in effects)
         self.longest = min((effect.longest for effect in effects), default=math.inf)
@@ -113,8 +114,10 @@ class Composition:
 
     def driven(self, parameters: Mapping[str, Tensor], now: Situation) -> Situation:
         """The moment with all that motors give: a servo's answer to angle and velocity, too."""
-        answers = [effect.force(p, now) for effect, p in self._each(parameters) if effect.drives]
-        return replace(now, motor=sum(answers, start=now.motor)) if answers else now
+        if not self.has_servo:
+            return now
+        answers = (effect.force(p, now) for effect, p in self._each(parameters) if effect.drives)
+        return replace(now, motor=sum((each for each in answers if each is not None), start=now.motor))
 
     def pull(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
         """Of these forces those on points of the links."""

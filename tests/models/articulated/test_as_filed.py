@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body
+from invdyn.models import ArmModel, Body, Link
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.effects.load_friction import LoadFriction
@@ -144,3 +144,30 @@ def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
         off[coefficient] = np.abs(played.split(states)[1].numpy() - theta).max()
     # MuJoCo's friction is softer than the ideal law: see the top of `regularised_friction`
     assert off[0.2] < 0.02 < 0.1 < off[0.0], off
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
+    """Two rows ahead it has answered several times; half a row back is still third order."""
+    servo = JointParts(motor=Motor("position", gain=60.0, stiffness=60.0, damping=2.0))
+    upper, fore = Link("upper", "shoulder", "elbow", 0.3, 1.2, parts=servo), Link("fore", "elbow", "wrist", 0.25, 0.8)
+    body = Body("arm", [upper, fore], gravity=(0.0, -9.81))
+    command = torch.randn(8, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    model = ArmModel(body, np.arange(8) * 0.02, command=command.numpy(), substeps=10).to(dtype)
+    state = torch.zeros(model.state_dim, dtype=dtype)
+    state[-4:] = torch.tensor([-0.5, 0.4, 1.0, -0.5], dtype=dtype)
+    states = [state]
+    for row in (4, 5):
+        states.append(model.transition_mean(states[-1], row))
+    view = model.sight.view(state, 3)
+    _, q, qd = model.split(torch.stack(states))
+    for rows in (0, 1, 2):
+        later = view.angles_after(torch.tensor([0.02 * rows], dtype=dtype))
+        # a straight line stands for a command that jumps within a stretch
+        np.testing.assert_allclose(later, q[rows], atol=2e-4)
+    third_order = model.sight._to_third_order(state, 3, model.body_parameters(), torch.tensor([0.04], dtype=dtype))
+    assert (third_order - q[2]).abs().max() > 0.02
+    ago = torch.tensor([-0.002], dtype=dtype)
+    back = model.sight._to_third_order(states[1], 4, model.body_parameters(), ago)
+    assert torch.equal(model.sight.view(states[1], 4).angles_after(ago), back)
+    np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
