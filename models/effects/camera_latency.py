@@ -20,7 +20,7 @@ from invdyn.models.observation.view import View
 
 
 class CameraLatency(Effect):
-    """The picture in a row was taken δ before the row's time; encoders are followed to third order in δ.
+    """The picture in a row was taken δ before its time; encoders are followed over δ (:mod:`..articulated.sight`).
 
     Without encoders it cannot be told from motors that act late, and without commands either from nothing at all.
     """
