@@ -89,10 +89,9 @@ def in_files(number: Learned) -> bool:
 
 def _later(change: FileChange, shift: float, sd: float) -> FileChange:
     """A change from what was learned: by its ``shift``, whose ``sd`` widens the interval as if it were independent."""
-    after = change.after + shift
-    ends = (math.copysign(math.hypot(end - change.after, Z_90 * sd), end - change.after) for end in change.interval_90)
-    low, high = sorted(after + end for end in ends)
-    return replace(change, after=after, interval_90=(low, high))
+    after, (low, high) = change.after + shift, change.interval_90
+    below, above = (math.hypot(end - change.after, Z_90 * sd) for end in (low, high))
+    return replace(change, after=after, interval_90=(after - below, after + above))
 
 
 def _joint(body: ArticulatedBody, name: str) -> JointParts:
