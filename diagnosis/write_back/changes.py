@@ -75,9 +75,7 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
         elif also is None:
             change = FileChange(number.place, number.quantity, before, to.mean, to.interval_90, to.unit, "learned")
             changes.append(change)
-        elif (
-            number.quantity not in PARTS
-        ):  # the effect's change is of what was learned, that of a joint's part has both
+        elif number.quantity not in PARTS:  # a joint's part has both already (:mod:`..assessment.findings`)
             changes[also] = _later(changes[also], to.mean - before, to.sd)
     return Correction(tuple(changes), unsaid)
 

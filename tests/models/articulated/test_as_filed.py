@@ -148,7 +148,7 @@ def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
-    """Two rows ahead it has answered several times; half a row back is still third order."""
+    """Two rows ahead it has answered several times; a tenth of a row back is still third order."""
     servo = JointParts(motor=Motor("position", gain=60.0, stiffness=60.0, damping=2.0))
     upper, fore = Link("upper", "shoulder", "elbow", 0.3, 1.2, parts=servo), Link("fore", "elbow", "wrist", 0.25, 0.8)
     body = Body("arm", [upper, fore], gravity=(0.0, -9.81))
