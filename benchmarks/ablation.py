@@ -6,7 +6,7 @@ that. A rule without a say cost time alone, there. ``--without RULE`` searches o
 had a say; what the best's score loses is its worth.
 
     python benchmarks/ablation.py                     quick cases; one line each, and the table; goes on where it ended
-    python benchmarks/ablation.py --without reduce
+    python benchmarks/ablation.py --without drop
     python benchmarks/ablation.py --cases CASES --out WATCHED      cases of benchmarks/development.py
 
 Quick cases are 2 s of a two-link arm under known torques, 2 mm of noise, and one effect or two of the catalogue, larger
@@ -41,11 +41,9 @@ ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
     "_several": ("search", "sets of up to four as a whole, from a beam"),
-    "reduce": ("search", "drop: leave effects out"),
-    "exchange": ("search", "swap: another effect in the place of one"),
-    "refine_promising": ("forward_step", "add: the best of the screen"),
-    "refine_barred": ("forward_step", "those that gain less than a torque could"),
-    "softer": ("shortlist", "the softer form of what would need implausible values"),
+    "drop": ("search", "drop: leave effects out"),
+    "refine_best": ("add", "add: the best of the screen"),
+    "softer": ("add", "the softer form of what would need implausible values"),
     "refine_play": ("profile_likelihood", "play, by paths of its own"),
     "_refine_moved": ("moves", "neighbour: a push at another moment"),
     "refine_softer": ("moves", "neighbour: the softer form"),

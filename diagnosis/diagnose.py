@@ -24,10 +24,10 @@ from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
-from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem

@@ -26,12 +26,12 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
 from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
+from invdyn.diagnosis.hypotheses.drop import without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, others
 from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import attempt
-from invdyn.diagnosis.hypotheses.swap_step import without
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.side_by_side import side_by_side

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import CLOSE, FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, scores, whitened
-from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import regression

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.refine import expansions, refine
-from invdyn.diagnosis.hypotheses.shortlist import attempt
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import grid, log_prior_of

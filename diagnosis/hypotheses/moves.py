@@ -10,16 +10,18 @@ methods").
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from torch import Tensor
 
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
+from invdyn.diagnosis.hypotheses.expected_gain import ERRS, needed
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import HALF, TOO_FAR_BEHIND, attempt, fair_chance, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import PASSIVE
@@ -35,6 +37,9 @@ ALIKE = 1.0
 SOFTER = 3
 """Causes of one effect whose softer forms are refined, and one of two or three: each may take minutes."""
 
+SOFTENED = 0.01
+"""Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
+
 SHIFTS = (-1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5)
 STRETCHES = (0.4, 0.63, 1.0, 1.6)
 SHORT = 0.03
@@ -49,7 +54,7 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
     as far off as another effect's. Then what the best one may be taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
-    while fresh := [c for c in _near(found, number, found.top - TOO_FAR_BEHIND) if id(c) not in visited]:
+    while fresh := [c for c in _near(found, number, found.top - ERRS) if id(c) not in visited]:
         for cause in fresh:
             visited[id(cause)] = cause
             for mine in cause.effects:
@@ -57,9 +62,9 @@ def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) ->
                     _refine_moved(problem, found, cause, mine)
                 for other in _around(problem, found, cause, mine, ("twin", "narrower")):
                     _follow(problem, found, cause, mine, other)
-        least, none = found.top - TOO_FAR_BEHIND, found.pool[""].log_evidence
+        least, none = found.top - ERRS, found.pool[""].log_evidence
         if not found.explained:
-            least = min(least, none + HALF * (found.top - none))
+            least = none + needed(found.top - none, True)
         ideal = _near(found, number, least)
         ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
         rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
@@ -153,6 +158,24 @@ def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
             form, best = next(e for e in refined.effects if e.key == form.key), refined
 
 
+def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:
+    """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
+    form = mine.softened()
+    if form is None:
+        return None
+    effects = (*(e for e in cause.effects if e.key != mine.key), form)
+    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
+    values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
+    size = max(best_size(problem, cause), SOFTENED)
+    return attempt(refine, problem, effects, values, cause.path, size, **cause.searched, **limits)
+
+
+def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
+    """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
+    doubtful = base.log_evidence + needed(found.top - base.log_evidence, False)
+    return {"enough": found.top - ERRS, "doubtful": doubtful}
+
+
 def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
     """Key of a cause with another effect in place of one."""
     return key_of((*(e for e in cause.effects if e is not mine), other))
@@ -167,19 +190,6 @@ def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, othe
     return False
 
 
-def bared(
-    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect
-) -> tuple[tuple[Effect, ...], Unknowns, np.ndarray, ArmModel]:
-    """What a cause is without one of its effects, nothing refined: effects, unknowns, their values (p,) and model."""
-    rest = tuple(effect for effect in cause.effects if effect is not mine)
-    common, model, known = unknowns(problem, rest), problem.model, cause.values
-    if not rest:
-        return rest, common, common.mean, model  # as it is stated: without a cause its numbers stood in for one
-    model = model.with_effects(*rest)
-    model = model.replace(**{n: v for n, v in cause.model.parameters.items() if n in model.parameters})
-    return rest, common, np.array([known[name] for name in common.names]), model
-
-
 def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Move a burst in time while that is better.
 
@@ -191,7 +201,7 @@ def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
         (first, last), width = problem.model.time[[0, -1]].tolist(), max(own["duration"], SHORT)
         middles = [(own["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
-        _, common, point, model = bared(problem, cause, mine)
+        common, point, model = _bared(problem, cause, mine)
         (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))
         refine_instead(problem, found, cause, mine, mine, [likely.values], [cause.path], float(likely.size))
         cause = found.pool[cause.key]
@@ -222,3 +232,14 @@ def refine_instead(
         found.add(refined)
         if refined is not None and refined.complete:
             break
+
+
+def _bared(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> tuple[Unknowns, np.ndarray, ArmModel]:
+    """What a cause is without one of its effects, nothing refined: unknowns, their values (p,) and model."""
+    rest = tuple(effect for effect in cause.effects if effect is not mine)
+    common, model, known = unknowns(problem, rest), problem.model, cause.values
+    if not rest:
+        return common, common.mean, model  # as it is stated: without a cause its numbers stood in for one
+    model = model.with_effects(*rest)
+    model = model.replace(**{n: v for n, v in cause.model.parameters.items() if n in model.parameters})
+    return common, np.array([known[name] for name in common.names]), model

@@ -5,14 +5,12 @@ Stepwise search over sets of at most four effects, or as many as are asked for (
 and, if detections are stray, with a tracker's mistakes that explain them. Then whatever cause is the best makes the
 first of these moves that it has not made, which may make another one the best:
 
-    drop    each effect of a set, from the set's path and values (:func:`.swap_step.reduce`)
+    drop    each effect of a set, from the set's path and values (:mod:`.drop`)
     add     an effect, also to the best single one that a set has overtaken: all that may join are screened, the most
-            promising refined (:mod:`.forward_step`); where no first one is enough, also sets of up to four as a whole,
-            from a beam (:mod:`.beam_search`)
-    swap    each effect for a better one, along the path of the set (:func:`.swap_step.exchange`)
-
-After each of them the neighbours of what it found follow, exact twins, special cases, softer forms, others
-that look like it, from values that its own say (:mod:`.moves`).
+            promising refined (:mod:`.add`); where no first one is enough, also sets of up to four as a whole, from a
+            beam (:mod:`.beam_search`)
+    swap    an effect of what an addition found for its neighbours, exact twins, special cases, softer forms, others
+            that look like it, from values that its own say (:mod:`.moves`)
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -24,7 +22,7 @@ Everything that was refined stays in the pool, so that rivals which the data can
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -33,15 +31,15 @@ from typing import Any
 from torch import Tensor
 
 from invdyn.diagnosis.budget import SEARCH, Spent
+from invdyn.diagnosis.hypotheses.add import add, refine_best, screened_with
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led
 from invdyn.diagnosis.hypotheses.credible import credible
-from invdyn.diagnosis.hypotheses.forward_step import extend, screened_with
-from invdyn.diagnosis.hypotheses.moves import refine_kin
+from invdyn.diagnosis.hypotheses.drop import drop
+from invdyn.diagnosis.hypotheses.moves import fair_chance, refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.shortlist import attempt, fair_chance, refine_promising
-from invdyn.diagnosis.hypotheses.swap_step import exchange, reduce
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
@@ -51,9 +49,8 @@ from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 
-WIDTH, SETS, INSTEAD = (10, 4, 5, 5), 2, 2
-"""Candidates refined when the first, second, … effect is sought, sets of several that are refined as a whole, and
-candidates refined instead of stray detections."""
+FEW = 2
+"""Sets of several that are refined as a whole, and candidates that are refined instead of stray detections."""
 
 Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
 """Refines what a base leads to, into the pool."""
@@ -87,7 +84,7 @@ def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         _mistaken(problem, found)
     made: set[tuple[Move, str]] = set()
     while True:
-        moves = _moves(found, known, {move for move, _ in made})
+        moves = _moves(found, known)
         move, base = next(((m, cause) for m, cause in moves if (m, cause.key) not in made), (None, None))
         if move is None or base is None:
             return
@@ -95,11 +92,11 @@ def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         move(problem, found, base)
 
 
-def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterator[tuple[Move, FittedHypothesis]]:
-    """Moves of the best cause, in their order, and what of them was ``made`` of others; none is made twice of one.
+def _moves(found: HypothesisPool, known: bool) -> Iterator[tuple[Move, FittedHypothesis]]:
+    """Moves of the best cause, in their order; none is made twice of one.
 
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the best
-    single effect. To what came in the place of another, and leaves nothing, nothing is added.
+    single effect.
     """
     best = found.ranked[0]
     if not known:
@@ -108,15 +105,13 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
         return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
-        yield reduce, best
+        yield drop, best
     if single is not None and len(others(best)) > 1:
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
             yield _grow, single
-    if len(best.effects) < found.most and not (exchange in made and best.complete):
+    if len(best.effects) < found.most:
         yield _grow, best
-    if best.effects:
-        yield exchange, best
 
 
 def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
@@ -124,16 +119,11 @@ def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothes
 
     Enough is what leaves nothing, by effects that are what they are called.
     """
-    screened = extend(problem, found, base, _width(base))
+    screened = add(problem, found, base)
     if base.effects or not problem.regime.knows_torque:
         return
     if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
         _several(problem, found, screened)
-
-
-def _width(base: FittedHypothesis) -> int:
-    """Candidates that are refined beside a base."""
-    return WIDTH[min(len(others(base)), len(WIDTH) - 1)]
 
 
 def _begun(
@@ -174,9 +164,9 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
             return
     if not found.ranked[0].effects:
         return
-    _, screened = screened_with(problem, found, none, True)
+    _, screened = screened_with(problem, found, none)
     tried = replace(found, pool=dict(found.pool))
-    refine_promising(problem, tried, none, screened, INSTEAD)
+    refine_best(problem, tried, none, screened, FEW)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
 
@@ -184,7 +174,7 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
 def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
     """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
     common = unknowns(problem, ())
-    for sets in together(problem, problem.model, found.path, screened, common, found.candidates, SETS):
+    for sets in together(problem, problem.model, found.path, screened, common, found.candidates, FEW):
         if len(sets[0].effects) > found.most:
             break
         for each in sets:

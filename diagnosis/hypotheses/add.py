@@ -1,0 +1,202 @@
+"""The move to add: one more effect beside a base; all that may join are screened, the most promising refined.
+
+The screen is along the base's path; of the first effect of all along the simulation's own, too. A refinement costs a
+hundred times what a screen does, and the screen errs: by a few nats where a base leaves nothing, elsewhere the more,
+the more there is to gain (benchmarks/expected_gain.py). An effect is refined if it may raise the posterior, and if what
+it may gain, by
+
+    s + max(60, 9 s)     where nothing explains the gap yet,      s + max(60, s)     where something does,
+
+of s nats in the screen, is as much as what the screen's best gains. One that would need values beyond what is plausible
+is refined in its softer form, too: they may stand for what the ideal law lacks. Then come the neighbours
+(:mod:`.moves`), and effects whose parameters are searched (:mod:`.profile_likelihood`).
+
+With a torque that nobody knows, one that only the camera shows must gain more than what a torque could do as well,
+unless errors of prediction show that something is left whatever the torque does: a large effect on what is seen bends
+the path that the screen is along, and what one on the motion gains is the torque's prior's mistake.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, TIMES, needed
+from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
+from invdyn.diagnosis.hypotheses.moves import fair_chance, refine_kin, softer
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
+from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.prior import log_prior_of
+from invdyn.diagnosis.problem.regime import imitable
+from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, screen, screen_in_halves
+from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
+
+WIDTH = 10, 4
+"""Candidates that are refined at most, beside nothing and beside other effects."""
+PAIR = 2
+"""Candidates that are refined side by side, before the next ones are measured by them."""
+
+
+def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
+    """Screen every effect that may join ``base``, refine and keep the best; the screen along its path."""
+    known, number = problem.regime.knows_torque, len(base.effects) + 1
+    screened, best = screened_with(problem, found, base)
+    found.first = found.first or best
+    wanted = refine_best(problem, found, base, best, WIDTH[bool(others(base))])
+    refine_kin(problem, found, number)
+    least = -np.inf if known else idle(screened)
+    if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
+        barred = [s for s in _seen(best) if s not in wanted and _may_show(s, _nothing(best))]
+        found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
+        refine_kin(problem, found, number)
+        least = -np.inf
+    _search_values(problem, found, base, least)
+    return screened
+
+
+def screened_with(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
+) -> tuple[list[Screened], list[Screened]]:
+    """The screen beside ``base`` along its path, and, of the first effect of all, each where it does best."""
+    free, common = _free_beside(found, base.effects), unknowns(problem, base.effects)
+    if base.effects:
+        model, path, point = base.model, base.path, base.mean
+    else:
+        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
+        model, path, point = problem.model, found.path, common.mean
+    few = base.complete and bool(base.effects)
+    # A screen takes as long as what it screens is much: in two halves, or along two paths.
+    if not others(base) and not few and found.aside is not None:
+        parts = [partial(screen, problem, model, along, free, common, point) for along in (path, found.aside)]
+        screened, other = side_by_side(parts, found.workers, problem.budget)
+        return screened, _aside(screened, other)
+    screened = screen_in_halves(found.workers, problem, model, path, free, common, point, few)
+    return screened, screened
+
+
+def _free_beside(found: HypothesisPool, taken: Sequence[Effect]) -> list[Effect]:
+    """Effects with columns that may join those that are ``taken``."""
+    keys = {effect.key for effect in taken}
+    busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)
+    free = [e for e in found.candidates if e.key not in keys and not is_searched(e)]
+    return [e for e in free if not (busy and isinstance(e, HiddenHinge))]
+
+
+def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:
+    """Effects, and none, stand where they do best: along the data's path, or ``aside``, along the simulation's own.
+
+    A large residual lets the arm follow the data, noise and all: what the camera makes of them shows beside a path
+    that does not, and so does a small inertia, which acceleration brings out.
+    """
+    other = {s.effect and s.effect.key: s for s in aside}
+    best = [max(s, other[s.effect and s.effect.key], key=lambda s: s.log_evidence) for s in along]
+    return sorted(best, key=lambda s: -s.log_evidence)
+
+
+def _promising(found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]) -> list[Added]:
+    """Screened effects that may raise the posterior, added to ``base``: it has their prior against it."""
+    nothing, temper = _nothing(screened), found.temper
+    least = log_prior_of(base.effects, found.candidates) - DOUBT
+
+    def worth(s: Added) -> bool:
+        prior = log_prior_of((*base.effects, s.effect), found.candidates)
+        return temper * (s.log_evidence - nothing) + prior > least
+
+    return [s for s in added(screened) if worth(s)]
+
+
+def _seen(screened: Sequence[Screened]) -> list[Added]:
+    """Effects that no torque imitates, and that this recording could show."""
+    return [s for s in added(screened) if not imitable(s.effect) and s.dprime > RULE.faint]
+
+
+def _may_show(s: Added, nothing: float) -> bool:
+    """Whether an effect gains anything, or has a softer form, which may where the ideal law explains nothing."""
+    return s.log_evidence > nothing + DOUBT or s.effect.softened() is not None
+
+
+def refine_best(
+    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened], width: int
+) -> list[Added]:
+    """Refine the ``width`` most promising, a pair at a time, as long as one may gain what the screen's best one does.
+
+    The first one alone: it may leave nothing, and spare the others. All that are promising are returned.
+    """
+    nothing = _nothing(screened)
+    if problem.regime.knows_torque:
+        wanted = _promising(found, base, screened)
+    else:
+        wanted = [s for s in _seen(screened) if s.log_evidence > idle(screened)]
+    for first, last in ((0, 1), *((i, i + PAIR) for i in range(1, len(wanted[:width]), PAIR))):
+        least = nothing + needed(screened[0].log_evidence - nothing, found.ranked[0].complete)
+        parts = [
+            partial(_refined, problem, base, each, fair_chance(found, base))
+            for each in wanted[first : min(last, width)]
+            if not first or each.log_evidence >= least
+        ]
+        found.add_all(problem, parts)
+    return wanted
+
+
+def _refined(
+    problem: DiagnosisProblem, base: FittedHypothesis, each: Added, limits: dict[str, Any]
+) -> list[FittedHypothesis | None]:
+    """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
+    refined: list[FittedHypothesis | None] = []
+    for start in (each.values, each.elsewhere):
+        if start is None:
+            break
+        values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
+        effects = (*base.effects, each.effect)
+        cause = attempt(refine, problem, effects, values, each.path, each.size, **base.searched, **limits)
+        if cause is not None and not cause.plausible and cause.log_evidence > limits.get("enough", -np.inf):
+            cause = softer(problem, cause, each.effect, **limits) or cause
+        if cause is not None:
+            refined.append(cause)
+            if cause.complete:
+                break
+    return refined
+
+
+def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, least: float) -> None:
+    """Search parameters that no column describes beside ``base``: of what changes the scatter alone, and of play.
+
+    Each is given up under ``least`` nats, scatter also far behind the best cause. Play takes minutes: it is looked for
+    beside no effect or one that does not stick, if nothing else explains the gap, or a small one, as what gains little
+    play may imitate, or be imitated by. It must make good a share of what its base is behind.
+    """
+    beside, behind = others(base), found.top - base.log_evidence
+    slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
+    # Beside what explains less than stray detections do, they come first.
+    slips = slips and (not beside or base.log_evidence > found.cleaned - ERRS)
+    slips = slips and not (found.explained and ((base.effects and base.complete) or behind > ERRS))
+
+    def searched(effect: Effect) -> list[FittedHypothesis | None]:
+        enough = base.log_evidence + behind / TIMES[False] if isinstance(effect, HiddenHinge) else found.top - ERRS
+        return [attempt(refine_searched, problem, base, effect, max(enough, least))]
+
+    keys = {effect.key for effect in base.effects}
+    free = [e for e in found.candidates if e.key not in keys and is_searched(e)]
+    free = [e for e in free if slips or not isinstance(e, HiddenHinge)]
+    free = [e for e in free if found.stray or e.name not in MISTAKES]
+    found.add_all(problem, [partial(searched, effect) for effect in free])
+
+
+def idle(screened: Sequence[Screened]) -> float:
+    """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
+    return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
+
+
+def _nothing(screened: Sequence[Screened]) -> float:
+    """Log evidence of "no effect"."""
+    return next(s.log_evidence for s in screened if s.effect is None)

@@ -1,0 +1,23 @@
+"""How far a refinement may get beyond what the screen says, and so which candidates are worth one.
+
+The screen is linear along one path; a refinement costs a hundred times as much. With s nats that a candidate gains over
+its base in the screen, and r that its refinement gains, `python benchmarks/expected_gain.py` measures r − s and r/s on
+development cases. Beside a base that leaves nothing r − s stays under 5 nats. Elsewhere it errs the more, the more
+there is to gain, and by far the most where no candidate explains the gap. So what may be gained at most is
+
+    s + max(ERRS, (TIMES − 1) s).
+"""
+
+DOUBT = 5.0
+"""Nats by which the screen errs where there is little to gain."""
+
+ERRS = 60.0
+"""Nats by which it errs, at least, where there is much."""
+
+TIMES = {False: 10.0, True: 2.0}
+"""Times as much as it says, where no cause leaves nothing, and where one does: a rival that is as good shows half."""
+
+
+def needed(wanted: float, explained: bool) -> float:
+    """Nats that a candidate must gain in the screen for it to gain ``wanted`` ones by its refinement."""
+    return min(wanted - ERRS, wanted / TIMES[explained])
