@@ -42,7 +42,7 @@ def film(
     def stream(name: str) -> np.random.Generator:
         return np.random.default_rng([*seed, 2, *name.encode()])
 
-    tracks = CubicSpline(trajectory.time, _markers(trajectory, present), axis=0)
+    tracks = _through(trajectory.time, _markers(trajectory, present))
     early, late = trajectory.time[[0, -1]]
     when = np.repeat(_when(time, present, stream("timestamp_jitter"))[:, None], trajectory.points.shape[1], axis=1)
     seen = when
@@ -58,6 +58,23 @@ def film(
     points = _optics(points, present)
     points = points + sd[..., None] * _noise(points.shape, stream("noise"), seed)
     return _mistaken(points, present, stream)
+
+
+def _through(time: np.ndarray, paths: np.ndarray) -> Callable[..., np.ndarray]:
+    """Cubic spline through paths (N+1, …) at ``time`` (N+1,) s, and its derivatives; NaN where those whirl away."""
+    whole = np.isfinite(paths).reshape(len(paths), -1).all(1)
+    if whole.all():
+        return CubicSpline(time, paths, axis=0)
+    if whole.sum() < 2:
+        return lambda when, order=0: np.full((len(when), *paths.shape[1:]), np.nan)
+    smooth = CubicSpline(time[whole], paths[whole], axis=0)
+
+    def through(when: np.ndarray, order: int = 0) -> np.ndarray:
+        points = smooth(when, order)
+        points[np.interp(when, time, ~whole) > 0] = np.nan
+        return points
+
+    return through
 
 
 def _when(time: np.ndarray, present: Mapping, rng: np.random.Generator) -> np.ndarray:
@@ -80,7 +97,7 @@ def _markers(trajectory: Trajectory, present: Mapping) -> np.ndarray:
         paths[:, k + 1] += np.stack([turn.real, turn.imag], axis=-1)
     if "soft_tissue" in present:
         k, p = present["soft_tissue"]
-        second = CubicSpline(trajectory.time, trajectory.points[:, k + 1], axis=0).derivative(2)(trajectory.time)
+        second = _through(trajectory.time, trajectory.points[:, k + 1])(trajectory.time, 2)
         paths[:, k + 1] += _sprung(trajectory.time[1] - trajectory.time[0], second, p["kappa"], p["damping_ratio"])
     return paths
 

@@ -56,6 +56,22 @@ def test_effects_of_the_same_form_look_the_same(name):
     np.testing.assert_allclose(points, seen(name, place, camera=first.film, **parameters), atol=1e-5)
 
 
+@pytest.mark.parametrize("present", [[], [("soft_tissue", 1, {"kappa": 4e-4, "damping_ratio": 0.9})]])
+@pytest.mark.parametrize("rows", [slice(1000, 2000), slice(1, None)], ids=["a while", "but one"])
+def test_where_a_replay_whirls_away_nothing_is_seen(present, rows):
+    """Of some start of a fit; the rest of it is as it was."""
+    points = POINTS.copy()
+    points[rows] = np.nan
+    start, end = FINE[rows][[0, -1]]
+    since = FRAMES - start
+    lost = (since > 0) & (since < end - start)
+    paths = film(REAL._replace(points=points), FRAMES, present, 0.0, SEED)
+    assert np.isnan(paths[lost]).any((1, 2)).all()
+    assert lost.any()
+    before = since < -0.02
+    np.testing.assert_allclose(paths[before], film(REAL, FRAMES, present, 0.0, SEED)[before], atol=1e-6)
+
+
 def test_nothing_is_seen_as_it_is():
     np.testing.assert_allclose(film(REAL, FRAMES, [], 0.0, SEED), TRUE, atol=1e-9)
 
