@@ -5,9 +5,9 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, recording_of
 
+from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects import ViscousFriction

@@ -128,7 +128,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
     path, stray = data_path(bound)
     none, first = (refine(bound, effects, {}, path, LOOSE) for effects in ((), chain[:1]))
     found = HypothesisPool(chain, {c.key: c for c in (none, first)}, [], path, stray)
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "TOO_FAR_BEHIND", 1e6)
+    monkeypatch.setattr(sys.modules[refine_kin.__module__], "ERRS", 1e6)
     refine_kin(bound, found, 1)
     assert {effect.key for effect in chain} <= found.pool.keys()
 

@@ -9,12 +9,11 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, MANY, PENDULUM, recording_of
 
+from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.forward_step import extend
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import INSTEAD, _mistaken, _moves, _sought, search
-from invdyn.diagnosis.hypotheses.swap_step import exchange
+from invdyn.diagnosis.hypotheses.search import FEW, _mistaken, _moves, _sought, search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -85,7 +84,7 @@ def test_no_more_effects_at_once_than_asked_for():
 def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
     """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
     tried = []
-    module = sys.modules[extend.__module__]
+    module = sys.modules[add.__module__]
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     arm = recording_of(EFFECTS["backlash"]("pivot"), width=0.1)
     for torques, looked in ((None, False), (0 * arm.torques, True)):
@@ -116,21 +115,19 @@ def parts():
 
 
 @pytest.mark.parametrize(
-    ("best", "complete", "swapped", "most", "moves"),
+    ("best", "complete", "most", "moves"),
     [
-        ("", False, False, 4, ["_grow "]),
-        ("a", True, False, 4, ["_grow a", "exchange a"]),  # a small one may be hidden
-        ("a", True, True, 4, ["exchange a"]),
-        ("a", False, True, 4, ["_grow a", "exchange a"]),
-        ("a", False, True, 1, ["exchange a"]),
-        ("bc", False, False, 4, ["reduce bc", "_grow a", "_grow bc", "exchange bc"]),
-        ("bc", True, True, 4, ["reduce bc", "_grow a", "exchange bc"]),  # beside the one, another might do better
-        ("ab", True, True, 4, ["reduce ab", "exchange ab"]),
-        ("abc", True, True, 4, ["reduce abc", "_grow a", "exchange abc"]),  # and here one might be enough
-        ("abc", False, False, 3, ["reduce abc", "_grow a", "exchange abc"]),
+        ("", False, 4, ["_grow "]),
+        ("a", True, 4, ["_grow a"]),  # a small one may be hidden
+        ("a", False, 1, []),
+        ("bc", False, 4, ["drop bc", "_grow a", "_grow bc"]),
+        ("bc", True, 4, ["drop bc", "_grow a", "_grow bc"]),  # beside the one, another might do better
+        ("ab", True, 4, ["drop ab", "_grow ab"]),
+        ("abc", True, 4, ["drop abc", "_grow a", "_grow abc"]),  # and here one might be enough
+        ("abc", False, 3, ["drop abc", "_grow a"]),
     ],
 )
-def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swapped, most, moves):
+def test_the_best_cause_is_left_smaller_or_larger(best, complete, most, moves):
     """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
@@ -140,7 +137,7 @@ def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swap
     by_size = np.where((np.arange(len(given.by_size)) == 0) == complete, 0.0, -100.0)
     pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
     found = HypothesisPool(candidates, pool if best else {given.key: given}, [], path, False, most=most)
-    made = _moves(found, True, {exchange} if swapped else set())
+    made = _moves(found, True)
     assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
@@ -148,8 +145,8 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
     found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
-    asked, finds = [], {"_grow ": ["a", "b"], "exchange a": ["abc"], "reduce abc": ["bc"]}
-    for move in ("reduce", "_grow", "exchange"):
+    asked, finds = [], {"_grow ": ["a", "b"], "_grow a": ["abc"], "drop abc": ["bc"]}
+    for move in ("drop", "_grow"):
 
         def made(_, pool, base, move=move):
             asked.append(f"{move} {name[base.key]}")
@@ -158,7 +155,7 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
     _sought(diagnosis_problem(recording_of(), PENDULUM), found)
-    assert asked == ["_grow ", "_grow a", "exchange a", "reduce abc", "_grow abc", "exchange abc"]
+    assert asked == ["_grow ", "_grow a", "drop abc", "_grow abc"]
 
 
 def add_friction(found, complete):
@@ -178,10 +175,10 @@ def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monke
     bound = diagnosis_problem(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
     path, stray = data_path(bound)
     module, asked = sys.modules[search.__module__], []
-    monkeypatch.setattr(module, "extend", lambda _, found, base, __: base.effects or add_friction(found, complete))
+    monkeypatch.setattr(module, "add", lambda _, found, base: base.effects or add_friction(found, complete))
     monkeypatch.setattr(module, "credible", lambda *_: named)
     monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "reduce", "exchange"):
+    for name in ("_several", "drop"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     search(bound, path, stray, MANY)
     assert ("_several" in asked) is looked
@@ -219,10 +216,10 @@ def test_stray_detections_are_explained_before_anything_else(monkeypatch):
     bound = diagnosis_problem(replace(recording, keypoints=points), ARM)
     path, stray = data_path(bound)
     bases = []
-    extending = sys.modules[extend.__module__]
-    plain = extending.refine_promising
+    extending = sys.modules[add.__module__]
+    plain = extending.refine_best
     monkeypatch.setattr(
-        extending, "refine_promising", lambda s, f, base, *rest: bases.append(base.key) or plain(s, f, base, *rest)
+        extending, "refine_best", lambda s, f, base, *rest: bases.append(base.key) or plain(s, f, base, *rest)
     )
     found = search(bound, path, stray)
     assert found.ranked[0].key == "label_swap.elbow.wrist"
@@ -286,8 +283,8 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
 
     monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
     monkeypatch.setattr(module, "screened_with", lambda *_: (None, screened))
-    monkeypatch.setattr(module, "refine_promising", promising)
+    monkeypatch.setattr(module, "refine_best", promising)
     _mistaken(bound, found)
-    assert asked == ([] if taken is None else [("", screened, INSTEAD)])
+    assert asked == ([] if taken is None else [("", screened, FEW)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])

@@ -7,8 +7,8 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
+from invdyn.diagnosis.hypotheses.add import _aside
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path, led
-from invdyn.diagnosis.hypotheses.forward_step import _aside
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
