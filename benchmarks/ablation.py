@@ -45,11 +45,11 @@ RULES = {
     "refine_best": ("add", "add: the best of the screen"),
     "softer": ("add", "the softer form of what would need implausible values"),
     "refine_play": ("profile_likelihood", "play, by paths of its own"),
-    "_refine_moved": ("moves", "neighbour: a push at another moment"),
-    "refine_softer": ("moves", "neighbour: the softer form"),
-    "twin": ("moves", "neighbour: an exact stand-in"),
-    "narrower": ("moves", "neighbour: its special case"),
-    "alike": ("moves", "neighbour: what much of it is taken for"),
+    "_refine_moved": ("swap", "neighbour: a push at another moment"),
+    "refine_softer": ("swap", "neighbour: the softer form"),
+    "twin": ("swap", "neighbour: an exact stand-in"),
+    "narrower": ("swap", "neighbour: its special case"),
+    "alike": ("swap", "neighbour: what much of it is taken for"),
 }
 """Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
 UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)

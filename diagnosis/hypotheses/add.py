@@ -9,7 +9,7 @@ it may gain, by
 
 of s nats in the screen, is as much as what the screen's best gains. One that would need values beyond what is plausible
 is refined in its softer form, too: they may stand for what the ideal law lacks. Then come the neighbours
-(:mod:`.moves`), and effects whose parameters are searched (:mod:`.profile_likelihood`).
+(:mod:`.swap`), and effects whose parameters are searched (:mod:`.profile_likelihood`).
 
 With a torque that nobody knows, one that only the camera shows must gain more than what a torque could do as well,
 unless errors of prediction show that something is left whatever the torque does: a large effect on what is seen bends
@@ -26,10 +26,10 @@ from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, TIMES, needed
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
-from invdyn.diagnosis.hypotheses.moves import fair_chance, refine_kin, softer
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import fair_chance, follow_neighbours, softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -53,12 +53,12 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
     screened, best = screened_with(problem, found, base)
     found.first = found.first or best
     wanted = refine_best(problem, found, base, best, WIDTH[bool(others(base))])
-    refine_kin(problem, found, number)
+    follow_neighbours(problem, found, number)
     least = -np.inf if known else idle(screened)
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
         barred = [s for s in _seen(best) if s not in wanted and _may_show(s, _nothing(best))]
         found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
-        refine_kin(problem, found, number)
+        follow_neighbours(problem, found, number)
         least = -np.inf
     _search_values(problem, found, base, least)
     return screened

@@ -32,7 +32,7 @@ class HypothesisPool:
         path: (T, D) that the data ask for, whatever the cause.
         aside: (T, D) of the simulation alone; None where nobody knows its torques.
         workers: processes that may work side by side.
-        relatives: log evidence by key of causes that were followed to a relative of that key (:mod:`.moves`).
+        followed: log evidence by key of causes that were followed to a neighbour of that key (:mod:`.swap`).
         stray: whether some detections are far from it.
         most: effects at once, at most.
         missed: candidates that the budget had nothing left for.
@@ -45,7 +45,7 @@ class HypothesisPool:
     stray: bool
     aside: Tensor | None = None
     workers: int = 1
-    relatives: dict[str, float] = field(default_factory=dict)
+    followed: dict[str, float] = field(default_factory=dict)
     most: int = MOST_EFFECTS
     missed: int = 0
 

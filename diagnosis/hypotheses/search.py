@@ -10,7 +10,7 @@ first of these moves that it has not made, which may make another one the best:
             promising refined (:mod:`.add`); where no first one is enough, also sets of up to four as a whole, from a
             beam (:mod:`.beam_search`)
     swap    an effect of what an addition found for its neighbours, exact twins, special cases, softer forms, others
-            that look like it, from values that its own say (:mod:`.moves`)
+            that look like it, from values that its own say (:mod:`.swap`)
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -36,10 +36,10 @@ from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led
 from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.drop import drop
-from invdyn.diagnosis.hypotheses.moves import fair_chance, refine_kin
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import fair_chance, follow_neighbours
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
@@ -180,6 +180,6 @@ def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequenc
         for each in sets:
             limits = fair_chance(found, found.pool[""])
             found.add(attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits))
-        refine_kin(problem, found, len(sets[0].effects))
+        follow_neighbours(problem, found, len(sets[0].effects))
         if found.ranked[0].complete:
             break

@@ -10,9 +10,9 @@ from pendulum import LOOSE, PENDULUM, recorded, recording_of
 from invdyn.diagnosis.hypotheses.add import add, refine_best
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.expected_gain import ERRS
-from invdyn.diagnosis.hypotheses.moves import SOFTENED, softer
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import SOFTENED, softer
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
@@ -53,7 +53,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     monkeypatch.setattr(module, "ERRS", large)
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_best", refined)
-    monkeypatch.setattr(module, "refine_kin", lambda *_: None)
+    monkeypatch.setattr(module, "follow_neighbours", lambda *_: None)
     add(bound, pool, none)
     assert pool.ranked[0].complete
     assert ("backlash" in tried) is looked

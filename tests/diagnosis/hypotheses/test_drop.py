@@ -60,7 +60,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
         return causes[soft,] if mine is friction and len(cause.effects) == 1 else None
 
     monkeypatch.setattr(sys.modules[drop.__module__], "without", lambda _, whole, effect, size: None)
-    monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.moves"], "softer", softer)
+    monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.swap"], "softer", softer)
     pool = {causes[effects].key: causes[effects] for effects in ((friction,), (friction, other), (other,))}
     found = HypothesisPool(considered(bound), {"": none, **pool}, [], path, stray)
     assert found.ranked[0].key == key_of((friction, other))

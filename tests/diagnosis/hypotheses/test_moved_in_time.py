@@ -7,9 +7,9 @@ import torch
 from pendulum import ARM, LOOSE, path_of
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM
-from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -41,7 +41,7 @@ def right():
 def moved(cause):
     here, none, effect = pushed()
     found = HypothesisPool([effect], {"": none, cause.key: cause}, [], none.path, False)
-    refine_kin(here, found, 1)
+    follow_neighbours(here, found, 1)
     return found.pool[cause.key]
 
 

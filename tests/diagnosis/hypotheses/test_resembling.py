@@ -8,9 +8,9 @@ from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.expected_gain import ERRS
-from invdyn.diagnosis.hypotheses.moves import refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.period_equivalents import equivalents, factor
@@ -31,16 +31,16 @@ def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed
         other = EFFECTS["inertial_error"](place).bound(ARM)
         wider = replace(wider, effects=(other,), names=tuple(n.replace("forearm", place) for n in wider.names))
     found = HypothesisPool(considered(bound), {c.key: c for c in (none, wider)}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     assert (PAYLOAD.key in found.pool) is followed
     if followed:
         payload = found.pool[PAYLOAD.key]
         assert payload.complete
         assert abs(payload.mean[0] - load) < 4 * payload.sd[0]
         assert found.ranked[0].key == PAYLOAD.key
-        tried = found.relatives[PAYLOAD.key]
-        refine_kin(bound, found, 1)
-        assert found.relatives == {PAYLOAD.key: tried}
+        tried = found.followed[PAYLOAD.key]
+        follow_neighbours(bound, found, 1)
+        assert found.followed == {PAYLOAD.key: tried}
 
 
 @pytest.mark.parametrize(("name", "values"), [("payload", {"mass": 0.4}), ("clock_rate", {"rate": 1.08})])
@@ -54,7 +54,7 @@ def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
     none = refine(bound, (), {}, path, LOOSE)
     right = refine(bound, (truth,), {f"{truth.key}.{p}": v for p, v in values.items()}, path, LOOSE)
     found = HypothesisPool(considered(bound), {"": none, right.key: right}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     names = {cause.effects[0].name: cause for cause in found.pool.values() if cause.effects}
     scale = bound.model.scale
     assert set(names) >= set(equivalents(factor(truth, values, scale.body), scale.body))
@@ -78,5 +78,5 @@ def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
         cause = refine(bound, (clock,), {f"{clock.key}.rate": 1.05}, path, LOOSE, rounds=1)
         found = HypothesisPool(candidates, {"": none, clock.key: cause}, [], path, stray)
         assert cause.log_evidence > found.top - ERRS  # or nothing would be followed
-        refine_kin(bound, found, 1)
+        follow_neighbours(bound, found, 1)
         assert set(found.pool) == {"", clock.key}

@@ -1,4 +1,4 @@
-"""Moves from what was found to its neighbours, from values that follow from its own.
+"""The move to swap: an effect of what was found for its neighbours, from values that follow from its own.
 
 A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a softer
 form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of gravity,
@@ -8,7 +8,7 @@ effect, but not from its neighbour's parameters and path (continuation: Allgower
 methods").
 """
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -46,35 +46,22 @@ SHORT = 0.03
 """Of a burst's duration, or of so many s at least: shifts of its middle, and other durations."""
 
 
-def refine_kin(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
+def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
     """Refine the neighbours of causes with so many effects, from values that follow, and theirs, until none is new.
 
-    Then the softer forms of the best few of those that leave something, a residual or errors of prediction that are
-    alike: where nothing explains the gap yet, of all that gain half of what the best one does, as an ideal law may be
-    as far off as another effect's. Then what the best one may be taken for. What these find has neighbours, too.
+    Twins and special cases of all that are near the best come first, then softer forms, then what the best one may be
+    taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
     while fresh := [c for c in _near(found, number, found.top - ERRS) if id(c) not in visited]:
         for cause in fresh:
             visited[id(cause)] = cause
-            for mine in cause.effects:
-                if "moment" in mine.located:
-                    _refine_moved(problem, found, cause, mine)
-                for other in _around(problem, found, cause, mine, ("twin", "narrower")):
-                    _follow(problem, found, cause, mine, other)
-        least, none = found.top - ERRS, found.pool[""].log_evidence
-        if not found.explained:
-            least = none + needed(found.top - none, True)
-        ideal = _near(found, number, least)
-        ideal = [cause for cause in ideal if any(effect.softened() is not None for effect in cause.effects)]
-        rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
-        rough.sort(key=lambda cause: -cause.log_evidence)
-        for cause in rough[: SOFTER // number]:
+            _swap_each(problem, found, cause, ("twin", "narrower"))
+        for cause in _rough(problem, found, number)[: SOFTER // number]:
             refine_softer(problem, found, cause)
         best = found.ranked[0]
-        for mine in best.effects if len(best.effects) == number else ():
-            for other in _around(problem, found, best, mine, ("alike",)):
-                _follow(problem, found, best, mine, other)
+        if len(best.effects) == number:
+            _swap_each(problem, found, best, ("alike",))
 
 
 def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
@@ -82,20 +69,33 @@ def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypoth
     return [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
 
 
-def _around(
-    problem: DiagnosisProblem,
-    found: HypothesisPool,
-    cause: FittedHypothesis,
-    mine: Effect,
-    kinds: Container[str],
-) -> Iterator[Neighbour]:
-    """Neighbours, of some ``kinds``, of one of a cause's effects that may take its place."""
+def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> list[FittedHypothesis]:
+    """Causes with softer forms that leave something, a residual or errors of prediction that are alike; best first.
+
+    Where nothing explains the gap yet, all that gain half of what the best one does: an ideal law may be as far off as
+    another effect's.
+    """
+    least, none = found.top - ERRS, found.pool[""].log_evidence
+    if not found.explained:
+        least = none + needed(found.top - none, True)
+    ideal = [c for c in _near(found, number, least) if any(effect.softened() is not None for effect in c.effects)]
+    rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
+    return sorted(rough, key=lambda cause: -cause.log_evidence)
+
+
+def _swap_each(
+    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]
+) -> None:
+    """Refine a cause with each of its effects at another time, and with neighbours of some ``kinds`` in its place."""
     spread = dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
-    values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
     passive, taken = problem.regime == PASSIVE, {effect.key for effect in cause.effects}
-    for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
-        if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
-            yield other
+    for mine in cause.effects:
+        if "moment" in mine.located:
+            _refine_moved(problem, found, cause, mine)
+        values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
+        for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
+            if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
+                _follow(problem, found, cause, mine, other)
 
 
 def _follow(
@@ -184,9 +184,9 @@ def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
 def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Effect, form: str = "") -> bool:
     """Whether the neighbour, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
     key = _in_place(cause, mine, other) + form
-    if found.relatives.get(key, -np.inf) > cause.log_evidence - ALIKE:
+    if found.followed.get(key, -np.inf) > cause.log_evidence - ALIKE:
         return True
-    found.relatives[key] = cause.log_evidence
+    found.followed[key] = cause.log_evidence
     return False
 
 

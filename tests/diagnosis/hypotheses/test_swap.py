@@ -9,13 +9,15 @@ import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.moves import ALIKE, refine_kin
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.neighbours import Neighbour
 from invdyn.simulate import random_arm
+
+SWAP = sys.modules[follow_neighbours.__module__]
 
 
 @pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
@@ -31,20 +33,22 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     )
     started = []
     monkeypatch.setattr(
-        sys.modules[refine_kin.__module__], "refine", lambda s, effects, values, path, *_, **__: started.append(path)
+        SWAP,
+        "refine",
+        lambda s, effects, values, path, *_, **__: started.append(path),
     )
-    refine_kin(bound, HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    follow_neighbours(bound, HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray), 1)
     assert torch.equal(started[0], cause.path)
     assert torch.equal(started[1], path)
     # Followed once: not again before it has gained something.
     tried = len(started)
     pool = HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray)
-    refine_kin(bound, pool, 1)
+    follow_neighbours(bound, pool, 1)
     assert len(started) == 2 * tried
-    refine_kin(bound, pool, 1)
+    follow_neighbours(bound, pool, 1)
     assert len(started) == 2 * tried
     pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * ALIKE)
-    refine_kin(bound, pool, 1)
+    follow_neighbours(bound, pool, 1)
     assert len(started) == 3 * tried
 
 
@@ -58,19 +62,19 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     )
     lost = replace(narrow, log_evidence=wider.log_evidence - 10)
     found = HypothesisPool(considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     assert found.pool[truth.key].log_evidence > wider.log_evidence
     assert abs(found.pool[truth.key].mean[0] - 0.06) < 4 * narrow.sd[0]
-    assert found.relatives == {truth.key: wider.log_evidence}
+    assert found.followed == {truth.key: wider.log_evidence}
     arrived = HypothesisPool(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
-    refine_kin(bound, arrived, 1)
-    assert not arrived.relatives
+    follow_neighbours(bound, arrived, 1)
+    assert not arrived.followed
 
 
 @pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
 def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
     """In place of tissue at its own tip, in the best cause alone, and once."""
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
+    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
     truth = EFFECTS["link_flexibility"]("forearm").bound(ARM)
     stiffness, damping = truth.parameters(random_arm(ARM, duration=0.1, fps=50).scale)
     values = {"stiffness": stiffness.grid[2], "damping": damping.grid[0]}
@@ -81,19 +85,19 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
     elsewhere = refine(bound, (EFFECTS["soft_tissue"]("elbow", *form),), {}, path, LOOSE)
     best = replace(tissue, log_evidence=max(tissue.log_evidence, none.log_evidence + 20))
     found = HypothesisPool(considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     cause = found.pool[truth.key]
     assert found.ranked[0] is cause
     assert cause.log_evidence > tissue.log_evidence + 10
     assert cause.values[f"{truth.key}.stiffness"] == pytest.approx(values["stiffness"], rel=0.1)
-    relatives = dict(found.relatives)
+    relatives = dict(found.followed)
     assert relatives[truth.key] == best.log_evidence
-    refine_kin(bound, found, 1)
-    assert found.relatives == relatives
+    follow_neighbours(bound, found, 1)
+    assert found.followed == relatives
     other = replace(elsewhere, log_evidence=best.log_evidence)
     for pool in ((none, other), (replace(none, log_evidence=best.log_evidence + 100), best)):
         found = HypothesisPool(considered(bound), {c.key: c for c in pool}, [], path, stray)
-        refine_kin(bound, found, 1)
+        follow_neighbours(bound, found, 1)
         assert truth.key not in found.pool
 
 
@@ -104,7 +108,7 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     path, stray = data_path(bound)
     none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (stand_in,)))
     found = HypothesisPool([stand_in, friction], {c.key: c for c in (none, other)}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     cause = found.ranked[0]
     assert cause.key == friction.key
     assert cause.complete
@@ -123,13 +127,13 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
     def neighbours(mine, *_):
         return [Neighbour(next_of[mine.key], "twin", [{}])] if mine.key in next_of else []
 
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "neighbours", neighbours)
+    monkeypatch.setattr(SWAP, "neighbours", neighbours)
     bound = diagnosis_problem(recording_of(chain[0], damping=0.05), PENDULUM)
     path, stray = data_path(bound)
     none, first = (refine(bound, effects, {}, path, LOOSE) for effects in ((), chain[:1]))
     found = HypothesisPool(chain, {c.key: c for c in (none, first)}, [], path, stray)
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "ERRS", 1e6)
-    refine_kin(bound, found, 1)
+    monkeypatch.setattr(SWAP, "ERRS", 1e6)
+    follow_neighbours(bound, found, 1)
     assert {effect.key for effect in chain} <= found.pool.keys()
 
 
@@ -142,23 +146,23 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     assert not hard.complete
     found = HypothesisPool(considered(bound), {"": none, hard.key: hard}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     cause = found.pool[ideal.key]
     assert cause.complete
     assert cause.effects[0].soft
     assert cause.names == tuple(f"{soft.key}.{name}" for name in given)
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
     assert cause.log_evidence > hard.log_evidence + 10
-    assert found.relatives[f"{ideal.key} {ideal.key}"] == hard.log_evidence
+    assert found.followed[f"{ideal.key} {ideal.key}"] == hard.log_evidence
     # Followed once, and never from what leaves nothing.
     started = []
-    monkeypatch.setattr(
-        sys.modules[refine_kin.__module__], "softer", lambda _, cause, mine, **__: started.append(cause)
+    monkeypatch.setattr(SWAP, "softer", lambda _, cause, mine, **__: started.append(cause))
+    follow_neighbours(
+        bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, followed=found.followed), 1
     )
-    refine_kin(bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, relatives=found.relatives), 1)
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "show_more", lambda *_: False)
+    monkeypatch.setattr(SWAP, "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)
-    refine_kin(bound, HypothesisPool([], {"": none, other.key: other}, [], path, stray), 1)
+    follow_neighbours(bound, HypothesisPool([], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
 
 
@@ -176,7 +180,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     path, stray = data_path(bound)
     none, room, followed = (
         refine(bound, (), {}, path, LOOSE, rounds=1),
-        sys.modules[refine_kin.__module__],
+        SWAP,
         [],
     )
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
@@ -189,7 +193,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     rigid, soft = ([e for e in considered(bound) if (e.softened() is None) is hard] for hard in (True, False))
     causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
     stiff = cause(max(gains), *rigid[:number])
-    refine_kin(bound, HypothesisPool([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
+    follow_neighbours(bound, HypothesisPool([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
     assert followed == [causes[i].key for i in kept]
 
 
@@ -200,7 +204,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     path, stray = data_path(bound)
     none, room, followed = (
         refine(bound, (), {}, path, LOOSE, rounds=1),
-        sys.modules[refine_kin.__module__],
+        SWAP,
         [],
     )
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
@@ -213,7 +217,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
         log_evidence=none.log_evidence + 50, by_size=nothing_left,
     )  # fmt: skip
     assert cause.complete
-    refine_kin(bound, HypothesisPool([], {"": none, cause.key: cause}, [], path, stray), 1)
+    follow_neighbours(bound, HypothesisPool([], {"": none, cause.key: cause}, [], path, stray), 1)
     assert followed == [cause.key] * alike
 
 
@@ -226,9 +230,9 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE)
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
     wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
-    monkeypatch.setattr(sys.modules[refine_kin.__module__], "softer", lambda *_, **__: None)
+    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
     found = HypothesisPool(considered(bound), {"": none, wider.key: wider}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     cause = found.pool["coulomb_friction.pivot"]
     assert cause.effects[0].soft
     assert cause.complete
@@ -250,7 +254,7 @@ def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(nam
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     found = HypothesisPool(considered(bound), {"": none, hard.key: hard}, [], path, stray)
-    refine_kin(bound, found, 1)
+    follow_neighbours(bound, found, 1)
     cause = found.pool[ideal.key]
     assert not hard.complete
     assert cause.complete
@@ -270,11 +274,11 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     cause = replace(
         none, effects=both, names=names, mean=np.array([0.1, 0.2]), covariance=1e-6 * np.eye(2), by_size=left
     )
-    room, tried = sys.modules[refine_kin.__module__], []
+    room, tried = SWAP, []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
     monkeypatch.setattr(room, "softer", lambda _, cause, mine, **__: tried.append(mine.key))
     found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, [], path, stray)
     for _ in range(2):
-        refine_kin(bound, found, 2)
+        follow_neighbours(bound, found, 2)
     assert tried == [effect.key for effect in both]
     assert len(both) == 2
