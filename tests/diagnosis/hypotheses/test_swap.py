@@ -184,7 +184,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
         [],
     )
     monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
-    monkeypatch.setattr(room, "_around", lambda *_: [])
+    monkeypatch.setattr(room, "_swap_each", lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
     def cause(gain, *effects):
