@@ -1,1 +1,1 @@
-"""From screened effects to causes: refined with a path of their own, added to one another, exchanged for relatives."""
+"""From screened effects to causes: added to one another, dropped, swapped for neighbours; each with its own path."""

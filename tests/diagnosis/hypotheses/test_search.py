@@ -81,6 +81,25 @@ def test_no_more_effects_at_once_than_asked_for():
     assert both.complete
 
 
+def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
+    """Where drag has arrived beside an added rotor, friction takes its place, as it does beside the rotor alone."""
+    by_name = {e.name: e for e in considered(diagnosis_problem(recording_of(), PENDULUM))}
+    friction, drag, rotor = (by_name[name] for name in ("viscous_friction", "quadratic_drag", "armature"))
+    arm = random_arm(PENDULUM, duration=2.4, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    values = {f"effect.{friction.key}.damping": 0.05, f"effect.{rotor.key}.inertia": 0.02}
+    given = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    bound = diagnosis_problem(record(arm.with_effects(friction, rotor).replace(**given), 0)[0], PENDULUM)
+    path, stray = data_path(bound)
+    bound = bound.shaped(path)
+    none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (drag, rotor)))
+    found = HypothesisPool([friction, drag, rotor], {"": none, other.key: other}, [], path, stray)
+    assert found.ranked[0] is other
+    _sought(bound, found)
+    best = found.ranked[0]
+    assert {effect.key for effect in best.effects} == {friction.key, rotor.key}
+    assert [best.values[name.removeprefix("effect.")] for name in values] == pytest.approx([0.05, 0.02], rel=0.15)
+
+
 def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
     """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
     tried = []
