@@ -3,7 +3,7 @@
 One search a case is watched: of every rule, how often it was tried, in what share of the time, how often it found a
 better best cause, and in how many cases it has a say: the final best is its find, or a rival within ``NEAR`` nats of
 that. A rule without a say cost time alone, there. ``--without RULE`` searches once more with that rule gone, where it
-had a say; what the best's score loses is its worth.
+had a say, or, with ``--tried``, wherever it was tried; what the best's score loses is its worth.
 
     python benchmarks/ablation.py                     quick cases; one line each, and the table; goes on where it ended
     python benchmarks/ablation.py --without drop
@@ -245,6 +245,7 @@ def main() -> None:
     arguments.add_argument("--cases", type=Path)
     arguments.add_argument("--out", type=Path, default=Path("build/ablation"))
     arguments.add_argument("--without", choices=RULES, default="")
+    arguments.add_argument("--tried", action="store_true")
     arguments.add_argument("--only", default="")
     asked = arguments.parse_args()
     cases: dict[str, Callable[[], tuple[DiagnosisProblem, tuple[str, ...]]]]
@@ -259,7 +260,8 @@ def main() -> None:
         there, whole = folder / f"{name}.json", asked.out / f"{name}.json"
         wanted = not asked.only or name in asked.only.split(",")
         if asked.without and wanted:
-            wanted = whole.exists() and has_a_say(json.loads(whole.read_text()), asked.without)
+            run = json.loads(whole.read_text()) if whole.exists() else {"tried": {}, "found_by": "", "near": ()}
+            wanted = has_a_say(run, asked.without) or (asked.tried and run["tried"].get(asked.without, 0) > 0)
         if wanted and not there.exists():
             there.write_text(json.dumps(searched(*case(), asked.without)))
             found = json.loads(there.read_text())
