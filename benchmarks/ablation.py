@@ -40,7 +40,6 @@ from invdyn.simulate import random_arm, record
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
-    "_several": ("search", "sets of up to four as a whole, from a beam"),
     "drop": ("search", "drop: leave effects out"),
     "refine_best": ("add", "add: the best of the screen"),
     "softer": ("add", "the softer form of what would need implausible values"),

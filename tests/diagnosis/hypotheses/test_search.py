@@ -136,14 +136,14 @@ def parts():
 @pytest.mark.parametrize(
     ("best", "complete", "most", "moves"),
     [
-        ("", False, 4, ["_grow "]),
-        ("a", True, 4, ["_grow a"]),  # a small one may be hidden
+        ("", False, 4, ["add "]),
+        ("a", True, 4, ["add a"]),  # a small one may be hidden
         ("a", False, 1, []),
-        ("bc", False, 4, ["drop bc", "_grow a", "_grow bc"]),
-        ("bc", True, 4, ["drop bc", "_grow a", "_grow bc"]),  # beside the one, another might do better
-        ("ab", True, 4, ["drop ab", "_grow ab"]),
-        ("abc", True, 4, ["drop abc", "_grow a", "_grow abc"]),  # and here one might be enough
-        ("abc", False, 3, ["drop abc", "_grow a"]),
+        ("bc", False, 4, ["drop bc", "add a", "add bc"]),
+        ("bc", True, 4, ["drop bc", "add a", "add bc"]),  # beside the one, another might do better
+        ("ab", True, 4, ["drop ab", "add ab"]),
+        ("abc", True, 4, ["drop abc", "add a", "add abc"]),  # and here one might be enough
+        ("abc", False, 3, ["drop abc", "add a"]),
     ],
 )
 def test_the_best_cause_is_left_smaller_or_larger(best, complete, most, moves):
@@ -164,8 +164,8 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
     found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
-    asked, finds = [], {"_grow ": ["a", "b"], "_grow a": ["abc"], "drop abc": ["bc"]}
-    for move in ("drop", "_grow"):
+    asked, finds = [], {"add ": ["a", "b"], "add a": ["abc"], "drop abc": ["bc"]}
+    for move in ("drop", "add"):
 
         def made(_, pool, base, move=move):
             asked.append(f"{move} {name[base.key]}")
@@ -174,33 +174,7 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
     _sought(diagnosis_problem(recording_of(), PENDULUM), found)
-    assert asked == ["_grow ", "_grow a", "drop abc", "_grow abc"]
-
-
-def add_friction(found, complete):
-    """A best single effect, far ahead, that leaves nothing or something."""
-    none = found.pool[""]
-    friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
-    by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
-    found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=by_size))
-
-
-@pytest.mark.parametrize(
-    ("complete", "named", "looked"),
-    [(True, True, False), (True, False, True), (False, True, True)],
-)
-def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monkeypatch, complete, named, looked):
-    """Stribeck friction at more than all speeds may stand for dry friction and viscous, and leave nothing."""
-    bound = diagnosis_problem(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
-    path, stray = data_path(bound)
-    module, asked = sys.modules[search.__module__], []
-    monkeypatch.setattr(module, "add", lambda _, found, base: base.effects or add_friction(found, complete))
-    monkeypatch.setattr(module, "credible", lambda *_: named)
-    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
-    for name in ("_several", "drop"):
-        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
-    search(bound, path, stray, MANY)
-    assert ("_several" in asked) is looked
+    assert asked == ["add ", "add a", "drop abc", "add abc"]
 
 
 @pytest.mark.parametrize(
