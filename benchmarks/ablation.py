@@ -5,18 +5,14 @@ better best cause, and in how many cases it has a say: the final best is its fin
 that. A rule without a say cost time alone, there. ``--without RULE`` searches once more with that rule gone, where it
 had a say, or, with ``--tried``, wherever it was tried; what the best's score loses is its worth.
 
-    python benchmarks/ablation.py                     quick cases; one line each, and the table; goes on where it ended
-    python benchmarks/ablation.py --without drop
-    python benchmarks/ablation.py --cases CASES --out WATCHED      cases of benchmarks/development.py
+    python benchmarks/ablation.py --cases CASES --out WATCHED       a line a case, and the table; goes on where it ended
+    python benchmarks/ablation.py --cases CASES --out WATCHED --without drop
 
-Quick cases are 2 s of a two-link arm under known torques, 2 mm of noise, and one effect or two of the catalogue, larger
-than three quarters of what its prior draws. They are played by our own classes, so that they say how the search finds
-its way, and nothing about reality. Intervals are Jeffreys', of 90 %.
+Cases are those of ``benchmarks/development.py make``. Intervals are Jeffreys', of 90 %.
 """
 
 import argparse
 import json
-import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -25,17 +21,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import torch
 from scipy.stats import beta
 
 from invdyn.diagnosis.diagnose import _searched
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
-from invdyn.models import Body, Link
-from invdyn.models.effects import EFFECTS
-from invdyn.models.effects.base import Effect
+from invdyn.models import Body
 from invdyn.recordings import read_keypoint_csv
-from invdyn.simulate import random_arm, record
 
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
@@ -51,37 +43,6 @@ RULES = {
     "alike": ("swap", "neighbour: what much of it is taken for"),
 }
 """Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
-UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
-ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
-SECONDS = 2.0
-QUICK = (
-    "payload", "inertial", "friction", "creeping friction", "stribeck", "loaded friction", "stop", "bend", "tissue",
-    "push", "play", "delay", "roll", "stray", "spring + damper", "friction + payload", "ripple + roll", "damper + gain",
-)  # fmt: skip
-"""Quick cases, by their effects."""
-QUICK_EFFECTS = {
-    name: effect.bound(ARM)
-    for name, effect in {
-        "payload": EFFECTS["payload"](),
-        "inertial": EFFECTS["inertial_error"]("upper_arm"),
-        "friction": EFFECTS["coulomb_friction"]("elbow"),
-        "creeping friction": EFFECTS["coulomb_friction"]("shoulder").softened(),
-        "stribeck": EFFECTS["stribeck_friction"]("elbow"),
-        "loaded friction": EFFECTS["load_friction"]("shoulder"),
-        "stop": EFFECTS["joint_limit"]("elbow", "upper"),
-        "bend": EFFECTS["link_flexibility"]("forearm"),
-        "tissue": EFFECTS["soft_tissue"]("wrist"),
-        "push": EFFECTS["external_push"]("wrist"),
-        "play": EFFECTS["backlash"]("elbow"),
-        "delay": EFFECTS["actuator_delay"](),
-        "roll": EFFECTS["camera_roll"](),
-        "stray": EFFECTS["outliers"](),
-        "spring": EFFECTS["joint_stiffness"]("elbow"),
-        "damper": EFFECTS["viscous_friction"]("shoulder"),
-        "gain": EFFECTS["actuator_gain"]("elbow"),
-        "ripple": EFFECTS["torque_ripple"]("shoulder"),
-    }.items()
-}
 KINDS = ("twin", "narrower", "alike")
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
@@ -143,27 +104,6 @@ def without_it(name: str, rule: Callable) -> Callable:
     if name not in KINDS:
         return lambda *_, **__: None
     return lambda *given: None if given[-1].kind == name else rule(*given)
-
-
-def large(effect: Effect, seed: int) -> dict[str, torch.Tensor]:
-    """Parameters of a bound effect, further from their absence than three quarters of what the prior draws."""
-    given = {}
-    torch.manual_seed(seed)
-    for parameter in effect.parameters(random_arm(ARM, duration=SECONDS, fps=50, commanded=True).scale):
-        draws = parameter.prior.sample((64,)).double()
-        absent = draws.median() if parameter.absent in (None, math.inf) else torch.tensor(parameter.absent)
-        far = (draws - absent).abs().argsort()
-        chosen = draws[far[0 if absent == draws.median() else 48]]
-        given[f"effect.{effect.key}.{parameter.name}"] = chosen.reshape(1)
-    return given
-
-
-def quick(name: str) -> DiagnosisProblem:
-    """The problem of a quick case."""
-    effects = [QUICK_EFFECTS[each] for each in name.split(" + ")]
-    arm = random_arm(ARM, duration=SECONDS, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=len(name))
-    values = {key: value for effect in effects for key, value in large(effect, len(name)).items()}
-    return diagnosis_problem(record(arm.with_effects(*effects).replace(**values), len(name))[0], ARM)
 
 
 def filed(case: Path) -> tuple[DiagnosisProblem, tuple[str, ...]]:
@@ -241,30 +181,25 @@ def table(out: Path) -> str:
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--cases", type=Path)
-    arguments.add_argument("--out", type=Path, default=Path("build/ablation"))
+    arguments.add_argument("--cases", type=Path, default=Path("build/ablation_cases"))
+    arguments.add_argument("--out", type=Path, default=Path("build/ablation_mujoco"))
     arguments.add_argument("--without", choices=RULES, default="")
     arguments.add_argument("--tried", action="store_true")
     arguments.add_argument("--only", default="")
     asked = arguments.parse_args()
-    cases: dict[str, Callable[[], tuple[DiagnosisProblem, tuple[str, ...]]]]
-    if asked.cases is None:
-        cases = {name: lambda name=name: (quick(name), ()) for name in QUICK}
-    else:
-        folders = sorted(path.parent for path in asked.cases.glob("*/answer.json"))
-        cases = {folder.name: lambda folder=folder: filed(folder) for folder in folders}
+    cases = sorted(path.parent for path in asked.cases.glob("*/answer.json"))
     folder = asked.out / f"without-{asked.without}" if asked.without else asked.out
     folder.mkdir(parents=True, exist_ok=True)
-    for name, case in cases.items():
-        there, whole = folder / f"{name}.json", asked.out / f"{name}.json"
-        wanted = not asked.only or name in asked.only.split(",")
+    for case in cases:
+        there, whole = folder / f"{case.name}.json", asked.out / f"{case.name}.json"
+        wanted = not asked.only or case.name in asked.only.split(",")
         if asked.without and wanted:
             run = json.loads(whole.read_text()) if whole.exists() else {"tried": {}, "found_by": "", "near": ()}
             wanted = has_a_say(run, asked.without) or (asked.tried and run["tried"].get(asked.without, 0) > 0)
         if wanted and not there.exists():
-            there.write_text(json.dumps(searched(*case(), asked.without)))
+            there.write_text(json.dumps(searched(*filed(case), asked.without)))
             found = json.loads(there.read_text())
-            print(f"{name}: {found['best']}, {found['score']:.1f}, {found['seconds']:.1f} s", flush=True)
+            print(f"{case.name}: {found['best']}, {found['score']:.1f}, {found['seconds']:.1f} s", flush=True)
     print(table(asked.out))
 
 

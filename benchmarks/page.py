@@ -48,7 +48,7 @@ COMMANDS = {
     "diagnose_in_space": "diagnose_in_space.py --results build/diagnose_in_space.jsonl",
     "diagnose_logs": "diagnose_logs.py",
     "ablation": "ablation.py",
-    "ablation_mujoco": "ablation.py --cases build/ablation_cases --out build/ablation_mujoco",
+    "expected_gain": "expected_gain.py --only commanded",
     "check": "check.py --seed 46000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
