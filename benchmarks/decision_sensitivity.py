@@ -1,4 +1,4 @@
-"""What every number of the decision rule decides: verdicts at half and twice its value, on cases of development seeds.
+"""What every number of the decision rule decides: verdicts at half and twice its value, on cases that are known.
 
 Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
 done again under each rule (:func:`invdyn.diagnosis.decision.ruled`), all but filters and fits to held-out rows, so
@@ -33,8 +33,8 @@ ELSEWHERE = {"several", "block", "share", "later", "alpha_within"}
 """Of held-out rows and of intervals, which are not done again here."""
 TABLE = Path(__file__).with_suffix(".md")
 HEAD = (
-    "Written by `python benchmarks/decision_sensitivity.py`: {cases} of development seeds, searched once; of other "
-    "kinds nothing is known. Meanings stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which "
+    "Written by `python benchmarks/decision_sensitivity.py`: {cases}, of opened or development seeds, searched once. "
+    "Meanings stand in [decision.py](../diagnosis/decision.py). Not asked: {left_out}, which "
     "need fits to held-out rows or are of intervals. The prior of the number of effects is tilted: each further effect "
     "is half or twice as likely."
 )
@@ -126,7 +126,7 @@ def main() -> None:
     text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     left_out = ", ".join(f"`{name}`" for name in sorted(ELSEWHERE))
     kinds = Counter(name.rpartition("-")[0] for name in searches)
-    cases = " and ".join(f"{count} {kind} cases" for kind, count in kinds.items())
+    cases = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in kinds.items())
     head = fill(HEAD.format(cases=cases, left_out=left_out), 120, break_on_hyphens=False)
     TABLE.write_text(f"# What each number of the decision rule decides\n\n{head}\n\n{text}\n", "utf-8")
 
