@@ -56,7 +56,8 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
     follow_neighbours(problem, found, number)
     least = -np.inf if known else idle(screened)
     if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
-        barred = [s for s in _seen(best) if s not in wanted and _may_show(s, _nothing(best))]
+        tried = {s.effect.key for s in wanted}
+        barred = [s for s in _seen(best) if s.effect.key not in tried and _may_show(s, _nothing(best))]
         found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
         follow_neighbours(problem, found, number)
         least = -np.inf
