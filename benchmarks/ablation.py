@@ -39,11 +39,12 @@ RULES = {
     "_refine_moved": ("swap", "neighbour: a push at another moment"),
     "refine_softer": ("swap", "neighbour: the softer form"),
     "twin": ("swap", "neighbour: an exact stand-in"),
+    "wider": ("swap", "neighbour: what contains an effect"),
     "narrower": ("swap", "neighbour: its special case"),
     "alike": ("swap", "neighbour: what much of it is taken for"),
 }
 """Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
-KINDS = ("twin", "narrower", "alike")
+KINDS = ("twin", "wider", "narrower", "alike")
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
 

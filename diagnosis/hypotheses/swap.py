@@ -34,6 +34,9 @@ from invdyn.models.effects.neighbours import Neighbour, neighbours
 ALIKE = 1.0
 """Nats behind a cause from which on its neighbour has not arrived; and that one must gain to be followed again."""
 
+RELATED = ("wider", "narrower")
+"""Kinds of neighbours of which one is a special case of the other."""
+
 SOFTER = 3
 """Causes of one effect whose softer forms are refined, and one of two or three: each may take minutes."""
 
@@ -49,14 +52,14 @@ SHORT = 0.03
 def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
     """Refine the neighbours of causes with so many effects, from values that follow, and theirs, until none is new.
 
-    Twins and special cases of all that are near the best come first, then softer forms, then what the best one may be
-    taken for. What these find has neighbours, too.
+    Twins, special cases and laws that have one come first, of all that are near the best; then softer forms, and what
+    the best one may be taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
     while fresh := [c for c in _near(found, number, found.top - ERRS) if id(c) not in visited]:
         for cause in fresh:
             visited[id(cause)] = cause
-            _swap_each(problem, found, cause, ("twin", "narrower"))
+            _swap_each(problem, found, cause, ("twin", "wider", "narrower"))
         for cause in _rough(problem, found, number)[: SOFTER // number]:
             refine_softer(problem, found, cause)
         best = found.ranked[0]
@@ -103,16 +106,19 @@ def _follow(
 ) -> None:
     """Refine a neighbour, unless it is where it can be, has nothing to add, or was followed from as good a cause."""
     there = found.pool.get(_in_place(cause, mine, other.effect))
-    special = other.kind == "narrower"
-    done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if special else ALIKE)
+    related = other.kind in RELATED
+    if other.kind == "wider":
+        done = cause.complete or (there is not None and there.complete)
+    else:
+        done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if related else ALIKE)
     if other.kind == "alike":
         its, own = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
         done = done or (cause.complete and its >= own)
-    if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if special else ""):
+    if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if related else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
         form, starts = _as_soft(problem, cause, mine, other)
-        limits = fair_chance(found, found.pool[""]) if other.kind == "alike" else {}
+        limits = fair_chance(found, found.pool[""]) if other.kind in ("alike", "wider") else {}
         refine_instead(problem, found, cause, mine, form, starts, paths, limits=limits)
 
 
@@ -130,9 +136,9 @@ def _softness(effect: Effect) -> str:
 def _as_soft(
     problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, other: Neighbour
 ) -> tuple[Effect, list[dict[str, float]]]:
-    """A neighbour and its starts; a special case is as soft as the cause's effect is."""
+    """A neighbour and its starts; a special case, and what has it, is as soft as the cause's effect is."""
     form = other.effect
-    if other.kind != "narrower":
+    if other.kind not in RELATED:
         return form, [dict(start) for start in other.starts]
     for _ in range(mine.softness):
         form = form.softened() or form

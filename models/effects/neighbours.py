@@ -2,7 +2,8 @@
 
     twin        an exact stand-in, from the values of its own parameters (``Effect.twins``); of one link that hangs and
                 is left to itself, all that change its period (:mod:`.period_equivalents`)
-    narrower    its special case (``Effect.contains``), where its own parameters allow that, from those known best
+    wider       what contains it (``Effect.contains``), from where the two are the same
+    narrower    its special case, where its own parameters allow that, from those known best
     alike       what much of it is taken for (``Effect.starts_of``), from several values
 
 Its softer form is the same effect, without some idealisation (``Effect.softened``).
@@ -20,7 +21,7 @@ from invdyn.models.effects.scale import Scale
 ALLOWED = 3.0
 """Standard deviations from a special case up to which an effect's parameters allow it."""
 
-Kind = Literal["twin", "narrower", "alike"]
+Kind = Literal["twin", "wider", "narrower", "alike"]
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,8 @@ def neighbours(
         here = other.where == mine.where
         if other.name in twins and other.form is None and other.key != mine.key and whole(mine) and whole(other):
             yield Neighbour(other, "twin", [twins[other.name]])
+        if here and (names := other.contains.get(mine.name)):
+            yield Neighbour(other, "wider", [{name: values[its] for name, its in names.items()}])
         if here and (names := mine.contains.get(other.name)):
             worst_first = sorted(names, key=lambda name: -sd[name])
             same = {names[name]: values[name] for name in worst_first}

@@ -71,6 +71,30 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     assert not arrived.followed
 
 
+def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
+    """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
+    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
+    truth = EFFECTS["stribeck_friction"]("pivot")
+    bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
+    path, stray = data_path(bound)
+    none = refine(bound, (), {}, path, LOOSE)
+    narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
+    names = tuple(f"{truth.key}.{name}" for name in ("coulomb", "static", "velocity"))
+    lost = replace(narrow, effects=(truth.bound(PENDULUM),), log_evidence=narrow.log_evidence - 1)
+    lost = replace(lost, names=names, mean=np.array([0.04, 0.3, 1.0]), covariance=1e-6 * np.eye(3))
+    assert not narrow.complete
+    pool = {cause.key: cause for cause in (none, narrow, lost)}
+    found = HypothesisPool(considered(bound), pool, [], path, stray)
+    follow_neighbours(bound, found, 1)
+    cause = found.pool[truth.key]
+    assert cause.complete
+    assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
+    assert found.followed[truth.key] == narrow.log_evidence
+    there = HypothesisPool(considered(bound), {**pool, truth.key: cause}, [], path, stray)
+    follow_neighbours(bound, there, 1)
+    assert truth.key not in there.followed
+
+
 @pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
 def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
     """In place of tissue at its own tip, in the best cause alone, and once."""

@@ -82,11 +82,12 @@ def test_twins_have_the_values_of_each_other():
     assert around("camera_roll", {"angle": 0.1})["gravity_tilt", "twin"] == [{"angle": 0.1}]
 
 
-def test_a_special_case_is_a_neighbour_where_parameters_allow_it():
+def test_a_law_and_its_special_case_are_neighbours_where_parameters_allow_it():
     def loaded(level):
         return {("load_friction.elbow", "alike"): [{"coefficient": level / SCALES["two links"].torque[1]}]}
 
-    assert around("coulomb_friction.elbow", {"torque": 0.2}) == loaded(0.2)
+    wider = {("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]}
+    assert around("coulomb_friction.elbow", {"torque": 0.2}) == wider | loaded(0.2)
     values = {"coulomb": 0.1, "static": 0.1 + 2 * ALLOWED * 0.01, "velocity": 1.0}
     assert around("stribeck_friction.elbow", values) == loaded(0.1)
     near = values | {"static": 0.1 + 0.5 * ALLOWED * 0.01}
