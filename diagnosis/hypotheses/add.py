@@ -47,8 +47,8 @@ PAIR = 2
 """Candidates that are refined side by side, before the next ones are measured by them."""
 
 
-def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Screen every effect that may join ``base``, refine and keep the best."""
+def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
+    """Screen every effect that may join ``base``, refine and keep the best; the screen along its path."""
     known, number = problem.regime.knows_torque, len(base.effects) + 1
     screened, best = screened_with(problem, found, base)
     found.first = found.first or best
@@ -62,13 +62,14 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
         follow_neighbours(problem, found, number)
         least = -np.inf
     _search_values(problem, found, base, least)
+    return screened
 
 
 def screened_with(
     problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
 ) -> tuple[list[Screened], list[Screened]]:
     """The screen beside ``base`` along its path, and, of the first effect of all, each where it does best."""
-    free, common = _free_beside(found, base.effects), unknowns(problem, base.effects)
+    free, common = free_beside(found, base.effects), unknowns(problem, base.effects)
     if base.effects:
         model, path, point = base.model, base.path, base.mean
     else:
@@ -84,9 +85,9 @@ def screened_with(
     return screened, screened
 
 
-def _free_beside(found: HypothesisPool, taken: Sequence[Effect]) -> list[Effect]:
-    """Effects with columns that may join those that are ``taken``."""
-    keys = {effect.key for effect in taken}
+def free_beside(found: HypothesisPool, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
+    """Effects with columns that may join those that are ``taken``, but for ``others``."""
+    keys = {effect.key for effect in (*taken, *others)}
     busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)
     free = [e for e in found.candidates if e.key not in keys and not is_searched(e)]
     return [e for e in free if not (busy and isinstance(e, HiddenHinge))]

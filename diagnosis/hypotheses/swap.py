@@ -207,7 +207,7 @@ def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
         (first, last), width = problem.model.time[[0, -1]].tolist(), max(own["duration"], SHORT)
         middles = [(own["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
-        common, point, model = _bared(problem, cause, mine)
+        common, point, model = bared(problem, cause, mine)
         (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))
         refine_instead(problem, found, cause, mine, mine, [likely.values], [cause.path], float(likely.size))
         cause = found.pool[cause.key]
@@ -240,7 +240,7 @@ def refine_instead(
             break
 
 
-def _bared(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> tuple[Unknowns, np.ndarray, ArmModel]:
+def bared(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> tuple[Unknowns, np.ndarray, ArmModel]:
     """What a cause is without one of its effects, nothing refined: unknowns, their values (p,) and model."""
     rest = tuple(effect for effect in cause.effects if effect is not mine)
     common, model, known = unknowns(problem, rest), problem.model, cause.values

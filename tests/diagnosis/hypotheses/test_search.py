@@ -11,6 +11,7 @@ from pendulum import ARM, LOOSE, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.search import FEW, _mistaken, _moves, _sought, search
@@ -134,19 +135,21 @@ def parts():
 
 
 @pytest.mark.parametrize(
-    ("best", "complete", "most", "moves"),
+    ("best", "complete", "swapped", "most", "moves"),
     [
-        ("", False, 4, ["add "]),
-        ("a", True, 4, ["add a"]),  # a small one may be hidden
-        ("a", False, 1, []),
-        ("bc", False, 4, ["drop bc", "add a", "add bc"]),
-        ("bc", True, 4, ["drop bc", "add a", "add bc"]),  # beside the one, another might do better
-        ("ab", True, 4, ["drop ab", "add ab"]),
-        ("abc", True, 4, ["drop abc", "add a", "add abc"]),  # and here one might be enough
-        ("abc", False, 3, ["drop abc", "add a"]),
+        ("", False, False, 4, ["_grow "]),
+        ("a", True, False, 4, ["_grow a", "exchange a"]),  # a small one may be hidden
+        ("a", True, True, 4, ["exchange a"]),
+        ("a", False, True, 4, ["_grow a", "exchange a"]),
+        ("a", False, True, 1, ["exchange a"]),
+        ("bc", False, False, 4, ["drop bc", "_grow a", "_grow bc", "exchange bc"]),
+        ("bc", True, True, 4, ["drop bc", "_grow a", "exchange bc"]),  # beside the one, another might do better
+        ("ab", True, True, 4, ["drop ab", "exchange ab"]),
+        ("abc", True, True, 4, ["drop abc", "_grow a", "exchange abc"]),  # and here one might be enough
+        ("abc", False, False, 3, ["drop abc", "_grow a", "exchange abc"]),
     ],
 )
-def test_the_best_cause_is_left_smaller_or_larger(best, complete, most, moves):
+def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swapped, most, moves):
     """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
@@ -156,7 +159,7 @@ def test_the_best_cause_is_left_smaller_or_larger(best, complete, most, moves):
     by_size = np.where((np.arange(len(given.by_size)) == 0) == complete, 0.0, -100.0)
     pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
     found = HypothesisPool(candidates, pool if best else {given.key: given}, [], path, False, most=most)
-    made = _moves(found, True)
+    made = _moves(found, True, {exchange} if swapped else set())
     assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
@@ -164,8 +167,8 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
     candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
     found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
-    asked, finds = [], {"add ": ["a", "b"], "add a": ["abc"], "drop abc": ["bc"]}
-    for move in ("drop", "add"):
+    asked, finds = [], {"_grow ": ["a", "b"], "exchange a": ["abc"], "drop abc": ["bc"]}
+    for move in ("drop", "_grow", "exchange"):
 
         def made(_, pool, base, move=move):
             asked.append(f"{move} {name[base.key]}")
@@ -174,7 +177,33 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
     _sought(diagnosis_problem(recording_of(), PENDULUM), found)
-    assert asked == ["add ", "add a", "drop abc", "add abc"]
+    assert asked == ["_grow ", "_grow a", "exchange a", "drop abc", "_grow abc", "exchange abc"]
+
+
+def add_friction(found, complete):
+    """A best single effect, far ahead, that leaves nothing or something."""
+    none = found.pool[""]
+    friction = next(e for e in found.candidates if e.key == "viscous_friction.pivot")
+    by_size = np.where((np.arange(len(none.by_size)) == 0) == complete, 0.0, -100.0)
+    found.add(replace(none, effects=(friction,), log_evidence=none.log_evidence + 500.0, by_size=by_size))
+
+
+@pytest.mark.parametrize(
+    ("complete", "named", "looked"),
+    [(True, True, False), (True, False, True), (False, True, True)],
+)
+def test_sets_of_several_are_tried_where_the_best_is_not_what_it_is_called(monkeypatch, complete, named, looked):
+    """Stribeck friction at more than all speeds may stand for dry friction and viscous, and leave nothing."""
+    bound = diagnosis_problem(recording_of(EFFECTS["coulomb_friction"]("pivot"), torque=0.05), PENDULUM)
+    path, stray = data_path(bound)
+    module, asked = sys.modules[search.__module__], []
+    monkeypatch.setattr(module, "add", lambda _, found, base: base.effects or add_friction(found, complete))
+    monkeypatch.setattr(module, "credible", lambda *_: named)
+    monkeypatch.setattr(module, "screened_with", lambda *_: ([], []))
+    for name in ("_several", "drop", "exchange"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    search(bound, path, stray, MANY)
+    assert ("_several" in asked) is looked
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """Whether what was found of a cause's effects is what their names say.
 
 Parameters may make of an effect another one: two stops that meet hold a joint, and Stribeck friction that is less at
-rest than in motion grows with speed. Such a cause explains a part at most (:mod:`.model_posterior`).
+rest than in motion grows with speed. Such a cause explains a part at most
+(:mod:`.model_posterior`), and the search goes on as if it left something (:mod:`.search`).
 """
 
 from invdyn.diagnosis.problem.cause import FittedHypothesis

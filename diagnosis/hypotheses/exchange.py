@@ -1,0 +1,66 @@
+"""The move to exchange: any effect in the place of one of a set's, along the path that the set has found.
+
+Forward selection goes astray where effects are alike or imitate others together; sequential replacement mends it
+(Miller 2002, "Subset selection in regression", ch. 3). Neighbours (:mod:`.swap`) are what an effect declares; here all
+others are tried.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn.diagnosis.hypotheses.add import free_beside, refine_best
+from invdyn.diagnosis.hypotheses.continuation import lifted
+from invdyn.diagnosis.hypotheses.expected_gain import needed
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.swap import bared, follow_neighbours
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.sensitivity.screen import screen_in_halves
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.hidden import HiddenHinge
+
+SWAPS, FAIR = 2, 0.3
+"""Candidates that are refined when one is to take another's place; what they have to gain by themselves where the best
+cause leaves nothing, of what the best effect does."""
+
+
+def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
+    """Look for a better effect in place of each of the best set's, along the path that it has found.
+
+    Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
+    that imitate others together, none gives way while the rest stay. Where one leaves nothing, those that would leave
+    as little have arrived.
+    """
+    for old in best.effects:
+        rest = tuple(effect for effect in best.effects if effect is not old)
+        if is_searched(old) or any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+            continue  # play leaves no path that a screen could be along
+        common, point, model = bared(problem, best, old)
+        free = free_beside(found, rest, old)
+        if best.complete and not rest:
+            arrived = {cause.key for cause in found.pool.values() if cause.complete}
+            free = [effect for effect in _likely(found, free) if effect.key not in arrived]
+        if not free:
+            continue
+        path = lifted(model, best.path)
+        screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
+        nothing = next(s.log_evidence for s in screened if s.effect is None)
+        # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
+        least = nothing + needed(found.top - nothing, True)
+        near = [s for s in screened if s.effect is None or s.log_evidence > least]
+        by_size = np.r_[-np.inf, best.by_size[1:]]
+        without_it = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
+        refine_best(problem, found, without_it, near, SWAPS)
+    follow_neighbours(problem, found, len(best.effects))
+
+
+def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:
+    """Effects that, where nothing else was in, gained a fair share of what the best one did; all, if nobody knows."""
+    gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
+    if not gained:
+        return list(effects)
+    least = gained[None] + FAIR * (max(gained.values()) - gained[None])
+    return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]
