@@ -5,7 +5,7 @@ its base in the screen, and r that its refinement gains, `python benchmarks/expe
 development cases. Nineteen in twenty (99 in 100) stay under
 
     r − s      3 (6) nats      beside a base that leaves nothing
-               39 (520) nats   elsewhere, of s up to 60
+               41 (430) nats   elsewhere, of s up to 60
     r/s        3 (3)           of s between 60 and 1000
 
 Errors are largest where no candidate has explained the gap yet. So what a refinement may gain at most is taken to be
