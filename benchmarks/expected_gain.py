@@ -16,6 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from ablation import filed
 
 from invdyn.diagnosis.hypotheses.add import _refined, screened_with
 from invdyn.diagnosis.hypotheses.continuation import data_path
@@ -23,11 +24,8 @@ from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.search import _begun
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
-from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.sensitivity.screen import added
-from invdyn.models import load_body
 from invdyn.models.divergence import diverging
-from invdyn.recordings import read_keypoint_csv
 
 MOST, NEAR = 20, 10.0
 EDGES = (-np.inf, 0.0, 5.0, 20.0, 60.0, 200.0, 1000.0, np.inf)
@@ -36,15 +34,12 @@ EDGES = (-np.inf, 0.0, 5.0, 20.0, 60.0, 200.0, 1000.0, np.inf)
 
 def measured(case: Path) -> list[dict]:
     """Of each of the two bases: key, whether it leaves nothing, and its candidates' gains, best of the screen first."""
-    public, body = json.loads((case / "case.json").read_text()), load_body(case / "body.toml")
-    names = {"keypoints": body.keypoint_names, "joints": body.joint_names, "base": body.base_keypoint}
-    recording = read_keypoint_csv(case / "recording.csv", **names)
-    bound = diagnosis_problem(recording, body, passive=public["regime"] == "passive")
+    bound, left_out = filed(case)
     rows = []
     with diverging():
         path, stray = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
-        found = _begun(bound, path, stray, considered(bound, public["without"]), 1)
+        found = _begun(bound, path, stray, considered(bound, left_out), 1)
         base = found.pool[""]
         for _ in range(2):
             _, best = screened_with(bound, found, base)

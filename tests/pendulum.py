@@ -48,6 +48,16 @@ def recording_of(effect=None, body=PENDULUM, rows=80, effort=0.5, seed=0, **valu
     return record(arm, seed)[0]
 
 
+def driven(*effects, rows=80, **values):
+    """A pendulum with effects at values "<effect>_<parameter>", under known commands, filmed with 2 mm of noise."""
+    arm = random_arm(PENDULUM, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    parts = [EFFECTS[name]("pivot") for name in effects]
+    given = {n: v for part in parts for n, v in values.items() if n.startswith(part.name)}
+    named = {f"effect.{n.rpartition('_')[0]}.pivot.{n.rpartition('_')[2]}": v for n, v in given.items()}
+    arm = arm.with_effects(*parts).replace(**{n: torch.tensor([v], dtype=torch.float64) for n, v in named.items()})
+    return record(arm, 0)[0]
+
+
 def path_of(here):
     return gauss_newton(here.with_residual(LOOSE), here.observations).path
 

@@ -1,7 +1,7 @@
 """The move to add: one more effect beside a base; all that may join are screened, the most promising refined.
 
-The screen is along the base's path; of the first effect of all along the simulation's own, too. A refinement costs a
-hundred times what a screen does, and the screen errs: by a few nats where a base leaves nothing, elsewhere the more,
+The screen is along the base's path; of the first effect of all along the simulation's own, too. A refinement costs some
+twenty times what a screen does, and the screen errs: by a few nats where a base leaves nothing, elsewhere the more,
 the more there is to gain (benchmarks/expected_gain.py). An effect is refined if it may raise the posterior, and if what
 it may gain, by
 

@@ -4,8 +4,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-import torch
-from pendulum import LOOSE, PENDULUM
+from pendulum import LOOSE, PENDULUM, driven
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.drop import drop, without
@@ -15,22 +14,11 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
-from invdyn.simulate import random_arm, record
-
-
-def recorded(*effects, rows=80, **values):
-    """A pendulum with effects at values "<effect>_<parameter>", under known commands, filmed with 2 mm of noise."""
-    arm = random_arm(PENDULUM, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
-    parts = [EFFECTS[name]("pivot") for name in effects]
-    given = {n: v for part in parts for n, v in values.items() if n.startswith(part.name)}
-    named = {f"effect.{n.rpartition('_')[0]}.pivot.{n.rpartition('_')[2]}": v for n, v in given.items()}
-    arm = arm.with_effects(*parts).replace(**{n: torch.tensor([v], dtype=torch.float64) for n, v in named.items()})
-    return record(arm, 0)[0]
 
 
 def test_a_set_loses_what_it_does_not_need():
     """From friction and a spring that is not there, friction alone."""
-    bound = diagnosis_problem(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
+    bound = diagnosis_problem(driven("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
@@ -42,7 +30,7 @@ def test_a_set_loses_what_it_does_not_need():
 
 def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     """What stands beside ideal friction stands for what that lacks, though by itself it leaves nothing either."""
-    bound = diagnosis_problem(recorded(), PENDULUM)
+    bound = diagnosis_problem(driven(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     by_name = {effect.name: effect for effect in considered(bound)}
@@ -72,7 +60,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
 
 def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
     """Beside outliers a coupling of no stiffness may have been what their parameters needed to be searched on."""
-    bound = diagnosis_problem(recorded(), PENDULUM)
+    bound = diagnosis_problem(driven(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     pair = tuple(e for e in considered(bound) if e.name in ("outliers", "viscous_friction"))
@@ -90,7 +78,7 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
 
 def test_what_is_left_of_two_that_were_searched_is_searched_anew():
     """Beside the other it may have had another size and spread; none of the other's integral stays."""
-    bound = diagnosis_problem(recorded(), PENDULUM)
+    bound = diagnosis_problem(driven(), PENDULUM)
     seen = bound.observations.clone()
     seen[[11, 30, 52, 63]] += 0.1
     bound = bound.observing(seen)

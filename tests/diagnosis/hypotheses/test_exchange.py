@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from pendulum import LOOSE, PENDULUM
+from pendulum import LOOSE, PENDULUM, driven
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.exchange import exchange
@@ -17,22 +16,11 @@ from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
-from invdyn.simulate import random_arm, record
-
-
-def recorded(*effects, rows=80, **values):
-    """A pendulum with effects at values "<effect>_<parameter>", under known commands, filmed with 2 mm of noise."""
-    arm = random_arm(PENDULUM, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
-    parts = [EFFECTS[name]("pivot") for name in effects]
-    given = {n: v for part in parts for n, v in values.items() if n.startswith(part.name)}
-    named = {f"effect.{n.rpartition('_')[0]}.pivot.{n.rpartition('_')[2]}": v for n, v in given.items()}
-    arm = arm.with_effects(*parts).replace(**{n: torch.tensor([v], dtype=torch.float64) for n, v in named.items()})
-    return record(arm, 0)[0]
 
 
 def test_the_path_of_one_leads_to_another_that_is_like_it():
     """Where only Stribeck's friction has arrived, dry friction is tried again."""
-    bound = diagnosis_problem(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    bound = diagnosis_problem(driven("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     stribeck = EFFECTS["stribeck_friction"]("pivot")
@@ -46,7 +34,7 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
 
 
 def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
-    bound = diagnosis_problem(recorded("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
+    bound = diagnosis_problem(driven("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     friction = EFFECTS["coulomb_friction"]("pivot")
@@ -78,7 +66,7 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
 def test_in_a_set_too_one_gives_way_while_the_other_stays():
     """Where drag has arrived beside an added rotor, friction takes its place, and the rotor stays."""
     true = {"viscous_friction_damping": 0.05, "armature_inertia": 0.02}
-    bound = diagnosis_problem(recorded("viscous_friction", "armature", rows=120, **true), PENDULUM)
+    bound = diagnosis_problem(driven("viscous_friction", "armature", rows=120, **true), PENDULUM)
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     none = refine(bound, (), {}, path, LOOSE)
@@ -95,7 +83,7 @@ def test_in_a_set_too_one_gives_way_while_the_other_stays():
 
 def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
     """A payload as heavy as its link moves what is seen on no straight line: the screen has half of it at most."""
-    bound = diagnosis_problem(recorded(), PENDULUM)
+    bound = diagnosis_problem(driven(), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     old, *others = (EFFECTS[name]().bound(PENDULUM) for name in ("payload", "gravity_tilt", "camera_roll"))
@@ -121,7 +109,7 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
 
 def test_what_takes_the_place_of_a_bending_link_joins_the_set_without_it(monkeypatch):
     """In model and path too: the hinge in the link has states of its own."""
-    bound = diagnosis_problem(recorded("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
+    bound = diagnosis_problem(driven("viscous_friction", viscous_friction_damping=0.1), PENDULUM)
     path, stray = data_path(bound)
     friction, bending = EFFECTS["viscous_friction"]("pivot"), EFFECTS["link_flexibility"]("rod")
     push = next(e for e in considered(bound) if e.name == "external_push")

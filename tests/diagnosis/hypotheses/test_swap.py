@@ -114,10 +114,10 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
     assert found.ranked[0] is cause
     assert cause.log_evidence > tissue.log_evidence + 10
     assert cause.values[f"{truth.key}.stiffness"] == pytest.approx(values["stiffness"], rel=0.1)
-    relatives = dict(found.followed)
-    assert relatives[truth.key] == best.log_evidence
+    once = dict(found.followed)
+    assert once[truth.key] == best.log_evidence
     follow_neighbours(bound, found, 1)
-    assert found.followed == relatives
+    assert found.followed == once
     other = replace(elsewhere, log_evidence=best.log_evidence)
     for pool in ((none, other), (replace(none, log_evidence=best.log_evidence + 100), best)):
         found = HypothesisPool(considered(bound), {c.key: c for c in pool}, [], path, stray)
@@ -202,13 +202,9 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
 def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
-    none, room, followed = (
-        refine(bound, (), {}, path, LOOSE, rounds=1),
-        SWAP,
-        [],
-    )
-    monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
-    monkeypatch.setattr(room, "_swap_each", lambda *_: None)
+    none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
+    monkeypatch.setattr(SWAP, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "_swap_each", lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
     def cause(gain, *effects):
@@ -226,13 +222,9 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     """Tissue that rings at 16 Hz leaves no residual torque, which is slower than that."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
-    none, room, followed = (
-        refine(bound, (), {}, path, LOOSE, rounds=1),
-        SWAP,
-        [],
-    )
-    monkeypatch.setattr(room, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
-    monkeypatch.setattr(room, "show_more", lambda *_: alike)
+    none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
+    monkeypatch.setattr(SWAP, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "show_more", lambda *_: alike)
     tissue = next(e for e in considered(bound) if e.name == "soft_tissue")
     nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
     names = tuple(f"{tissue.key}.{p.name}" for p in tissue.parameters(bound.model.scale))
