@@ -26,6 +26,7 @@ from invdyn.diagnosis.budget import PASSES, SHORT, Budget
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
@@ -185,7 +186,7 @@ def _searched(
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
             found = search(bound, path, stray, without, workers, most)
-            return bound, found
+            return heavy_tailed(bound, found)
     except Diverged as error:
         raise cannot_follow(bound) from error
 

@@ -8,7 +8,8 @@ linearised about its own path, and the outer weight
 
 which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
 error is large leaves it a little low. Noise scale, residual and parameters that were searched (:mod:`.noise`) stand at
-their estimates; what integrating over the residual's size and over those adds is taken from the refinement.
+their estimates; what integrating over the residual's size and over those adds is taken from the refinement, and so is
+what a memory of the observations' errors is worth.
 
 Shapes: M filters, N particles, T rows, p unknowns.
 """
@@ -108,7 +109,7 @@ def confirm(
         values, result = torch.cat([torch.as_tensor(before.values), values]), joined([before.result, result])
     outer, top = outer_weights(result.log_evidence), int(cause.by_size.argmax())
     rest = cause.log_evidence - cause.by_size[top] + problem.regime.log_prior[top]
-    rest += sum(cause.noise_log.values())
+    rest += sum(cause.noise_log.values()) + cause.of_memory
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 

@@ -26,6 +26,7 @@ from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, sc
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import regression
+from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 
 MOST_STEPS = 50
@@ -108,7 +109,7 @@ def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedH
 def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:
     """Log evidence (G,) of another recording's rows and each size of the residual."""
     levels = other.regime.sizes
-    rows = whitened(other, there, there.path, levels, posterior_columns(other, there))
+    rows = forgotten(whitened(other, there, there.path, levels, posterior_columns(other, there)), there.memory)
     p = len(there.mean)
     index, unit, far = np.arange(1, p + 1)[None], np.ones((1, p)), np.full((1, p), np.inf)
     found = [

@@ -20,11 +20,12 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led, lifted
-from invdyn.diagnosis.hypotheses.refine import expansions, refine
+from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import grid, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
@@ -84,7 +85,7 @@ class Play:
             path = lifted(model, base.path)
             columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
             whitened = whiten(problem, filter_of(problem, model, path, levels), columns)
-            evidence = np.array([o.log_evidence[0] for o in expansions(whitened, common, base.mean)])
+            evidence = np.array([o.log_evidence for o in expansions(whitened, common, base.mean)])
             gained.append(float(logsumexp(evidence + problem.regime.log_prior)) + sum(base.noise_log.values()))
         return gained
 

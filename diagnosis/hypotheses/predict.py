@@ -1,7 +1,7 @@
 """What a cause makes of a recording: one-step predictions, the residual torque that is left, and open-loop replay.
 
 * One-step predictive log density of every row given all before it, from the whitened innovations:
-  log p(y_t | y_{<t}) = −½ |w_t|²/κ² − n_t log κ − ½ log |S_t| + const.
+  log p(y_t | y_{<t}) = −½ |w_t|²/κ² − n_t log κ − ½ log |S_t| + const, less what they remember (:mod:`.memory`).
   On rows that the parameters have not seen, integrated over their posterior N(μ, LLᵀ): with w_t + A_t L z, z ~ N(0, I),
   G_t = I + Σ_{s≤t} LᵀA_sᵀA_s L/κ² and r_t = Σ_{s≤t} LᵀA_sᵀw_s/κ², it is more by
   ½ (r_tᵀ G_t⁻¹ r_t − log |G_t|) less the same of t−1 (Bishop 2006, §3.3 and §3.5).
@@ -22,6 +22,7 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
@@ -60,7 +61,7 @@ def whitened(
 ) -> Whitened:
     """Innovations of ``problem``'s rows under a cause along a path (T, D), for each size of the residual.
 
-    And ``columns``, if there are any.
+    And ``columns``, if there are any. What they remember of the row before is in them.
     """
     none = Columns(
         np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), problem.observations.shape[-1], 0))
@@ -76,7 +77,7 @@ def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarra
     """
     quietest = SPIKE if problem.regime.knows_torque else best_size(problem, cause)
     columns = None if unseen is None else posterior_columns(problem, cause)
-    rows = whitened(problem, cause, cause.path, [best_size(problem, cause), quietest], columns)
+    rows = forgotten(whitened(problem, cause, cause.path, [best_size(problem, cause), quietest], columns), cause.memory)
     seen, kappa = rows.seen, cause.kappa
     known = seen > 0
     constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))

@@ -20,11 +20,12 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
 from invdyn.diagnosis.hypotheses.continuation import FIRM
-from invdyn.diagnosis.hypotheses.refine import expansions, refine
+from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import climb, grid, is_noise, log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, seen_as, seen_rows, slopes_along
@@ -91,7 +92,7 @@ def _added(
         here = model.replace(**given)
         linear = seen_as(moving, seen_rows(here, path, problem.observations), tangents[1])
         whitened = whiten(problem, filter_of(problem, here, path, levels[some], linear), columns)
-        found = [outcome.log_evidence[0] for outcome in expansions(whitened, common, base.mean)]
+        found = [outcome.log_evidence for outcome in expansions(whitened, common, base.mean)]
         return np.array(found) + problem.regime.log_prior[some]
 
     def score(log_values: np.ndarray) -> float:

@@ -27,9 +27,10 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
-from invdyn.diagnosis.sensitivity.evidence import Regression, learned, regression
+from invdyn.diagnosis.sensitivity.evidence import learned
+from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
-from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, whiten
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
@@ -101,11 +102,11 @@ def refine(
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(problem, filter_of(problem, here, path, levels), columns)
         outcomes = expansions(whitened, among, point)
-        by_size = np.array([o.log_evidence[0] for o in outcomes]) + problem.regime.log_prior + sum(integrated.values())
+        by_size = np.array([o.log_evidence for o in outcomes]) + problem.regime.log_prior + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
             raise Singular("the expansion about these parameters is not finite")
-        mean, covariance = top.mean[0], top.covariance[0]
+        mean, covariance = top.mean, top.covariance
         target = _within(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
         cause = FittedHypothesis(
@@ -115,12 +116,14 @@ def refine(
             covariance,
             evidence,
             by_size,
-            float(top.kappa[0]),
+            top.kappa,
             path,
             here,
             noise,
             spread,
             integrated,
+            memory=top.memory,
+            of_memory=top.gain,
             learned=learned(covariance, among.sd),
             far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )
@@ -210,13 +213,3 @@ def _promised(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: 
 def _distance(step: np.ndarray, covariance: np.ndarray) -> float:
     """Squared length of a step in standard deviations of a Gaussian."""
     return float(step @ np.linalg.lstsq(covariance, step, rcond=None)[0]) if len(step) else 0.0
-
-
-def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Regression]:
-    """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
-    index = np.arange(1, len(point) + 1)[None]
-    prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None], (among.upper - point)[None]
-    return [
-        regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
-        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
-    ]

@@ -27,6 +27,7 @@ class FittedHypothesis:
         log_evidence: parameters and sizes of the residual integrated out.
         by_size: (G,) log-evidence with the prior weight of each size.
         kappa: factor on the observations' noise at the best size.
+        memory, of_memory: of their errors from row to row (:mod:`..sensitivity.memory`), and nats that it is worth.
         path: (T, D) its own.
         model: with the parameters at their means.
         noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
@@ -49,6 +50,8 @@ class FittedHypothesis:
     noise: dict[str, float]
     noise_sd: dict[str, float]
     noise_log: dict[str, float]
+    memory: float = 0.0
+    of_memory: float = 0.0
     plausible: bool = True
     about: np.ndarray | None = None
     learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -118,6 +121,8 @@ class FittedHypothesis:
             values[keypoint] = torch.stack([known.get(tip, scale) for tip, scale in own])
         if angle in theirs.parameters and angle in mine.parameters:
             values[angle] = mine.parameters[angle]
+        theirs = theirs.observed_by(theirs.observation.with_family(mine.observation.family))
+        values |= {"emission.df": mine.parameters["emission.df"]} if "emission.df" in mine.parameters else {}
         return theirs.with_effects(*self.effects).replace(**values)
 
 

@@ -28,8 +28,12 @@ Score = Callable[[np.ndarray], float]
 
 def is_noise(effect: Effect) -> bool:
     """Whether an effect changes the scatter of what is seen and not its mean."""
-    kind = type(effect)
-    return kind.noise is not Effect.noise or getattr(kind, "mistake", None) is not getattr(Effect, "mistake", None)
+    return type(effect).noise is not Effect.noise or is_mistake(type(effect))
+
+
+def is_mistake(kind: type[Effect]) -> bool:
+    """Whether effects of a kind make rows a mixture: of what the tracker may have got wrong."""
+    return kind.mistake is not Effect.mistake
 
 
 def is_searched(effect: Effect) -> bool:

@@ -32,6 +32,7 @@ class Whitened:
         row_log_det: (G, T) ½ log |S_t|, less the observations' own normaliser.
         seen: (T,) observations seen in each row.
         columns: (G, rows that were seen · O, 1 + J).
+        follows: (rows that were seen · O,) whether the same was seen in the row before.
     """
 
     sizes: np.ndarray
@@ -39,6 +40,12 @@ class Whitened:
     row_log_det: np.ndarray
     seen: np.ndarray
     columns: np.ndarray
+    follows: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """O."""
+        return len(self.follows) // max(int((self.seen > 0).sum()), 1)
 
     @property
     def log_det(self) -> np.ndarray:
@@ -53,6 +60,8 @@ class Whitened:
 
 LARGE = 2**25
 """Whitened numbers, 256 MB of them, up to which those for all sizes are held at once."""
+SKIPPED = 1.5
+"""Usual intervals between two rows, from which on the later one does not follow the earlier one."""
 LINEARISED, FILTERED = 0.75, 0.2
 """Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
 
@@ -140,13 +149,22 @@ def whiten(
         columns.g,
         times(linear.rows.whitening, torch.as_tensor(columns.d)).numpy(),
     )
-    rows_seen = (~torch.isnan(problem.observations)).any(-1).numpy().repeat(problem.observations.shape[-1])
+    seen = (~torch.isnan(problem.observations)).numpy()
+    rows_seen = seen.any(-1)
     if not rows_seen.all():
-        w = w[:, rows_seen]
+        w = w[:, rows_seen.repeat(seen.shape[-1])]
     # The regression counts −½ log 2π for each observation, as the normaliser does.
-    seen = (~torch.isnan(problem.observations)).sum(-1).numpy()
-    row_log_det = about.gained.log_det - linear.rows.normaliser - 0.5 * np.log(2 * np.pi) * seen
-    return Whitened(levels, _gram(w, groups), row_log_det, seen, w)
+    row_log_det = about.gained.log_det - linear.rows.normaliser - 0.5 * np.log(2 * np.pi) * seen.sum(-1)
+    follows = _follows(problem, seen)[rows_seen].ravel()
+    return Whitened(levels, _gram(w, groups), row_log_det, seen.sum(-1), w, follows)
+
+
+def _follows(problem: DiagnosisProblem, seen: np.ndarray) -> np.ndarray:
+    """Of what was ``seen`` (T, O) that which was seen in the row before, too, at the usual distance."""
+    apart = problem.model.dt[: len(seen)].numpy()
+    near = apart < SKIPPED * np.median(apart)
+    near[[0, *problem.starts]] = False
+    return seen & np.roll(seen, 1, axis=0) & near[:, None]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # A column that runs away is one that :mod:`.evidence` leaves out.

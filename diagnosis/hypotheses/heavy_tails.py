@@ -1,0 +1,85 @@
+"""The law of a tracker's noise: where stray detections were found, heavy tails may say them better.
+
+Student's t with ν degrees of freedom stands beside the normal law (Lange, Little & Taylor 1989, JASA 84), with
+
+    P(normal) = ½,    P(ν) = 1/6 for ν = 4, 8, 16
+
+Heavy tails are no cause to be named. The best cause with stray detections is held against what it is without them
+under each ν, its path and parameters refined. Where that is likelier, so is every cause near the best: the pool is
+carried over to that law, without stray detections. The t law's width is that of its own best fit: it is the noise of
+the rows between its tails. Far from its mode that law pulls nowhere, so all are refined from what they were.
+"""
+
+from dataclasses import replace
+from functools import partial
+from math import inf, log
+
+import torch
+
+from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.predict import best_size
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.noise import is_mistake
+from invdyn.diagnosis.problem.prior import log_prior_of
+
+DEGREES = (4.0, 8.0, 16.0)
+"""Of freedom: with fewer, detections stray."""
+FITTED = 3
+"""Times that the law's width is set to what is left."""
+BEHIND = 30.0
+"""Nats behind the best from which on a cause is not carried over."""
+
+
+def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
+    """Problem and pool under the law with heavy tails, if that is likelier than the stray detections of the best cause.
+
+    Both as they are where the best cause has none, or has other mistakes of the tracker beside them.
+    """
+    best = found.ranked[0]
+    rest = _without_strays(problem, best)
+    if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
+        return problem, found
+    laws = [law for degrees in DEGREES if (law := _fitted(problem, rest, degrees)) is not None]
+    worth, tailed = max(laws, key=lambda law: law[0], default=(-inf, problem))
+    worth += log_prior_of(rest.effects, found.candidates) - log(len(DEGREES))
+    if worth < best.log_evidence + log_prior_of(best.effects, found.candidates):
+        return problem, found
+    least = found.score(best) - BEHIND
+    near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
+    bare = [_without_strays(problem, cause) for cause in near]
+    candidates = [effect for effect in found.candidates if not is_mistake(type(effect))]
+    carried = replace(found, pool={}, candidates=candidates, stray=False)
+    parts = [partial(_carried, tailed, each) for each in bare if not any(is_mistake(type(e)) for e in each.effects)]
+    carried.add_all(tailed, parts)
+    return tailed, carried
+
+
+def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:
+    """A cause without its stray detections, nothing refined; itself where it has none."""
+    stray = next((effect for effect in cause.effects if effect.name == "outliers"), None)
+    return cause if stray is None else cause.less(problem, stray)
+
+
+def _carried(problem: DiagnosisProblem, cause: FittedHypothesis) -> list[FittedHypothesis | None]:
+    """A cause under the problem's law, refined from what it is under another."""
+    size = best_size(problem, cause)
+    return [attempt(refine, problem, cause.effects, cause.values, cause.path, size, **cause.searched)]
+
+
+def _fitted(problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float) -> tuple[float, DiagnosisProblem] | None:
+    """Log evidence of a cause under Student's t, and the problem under it; None where it cannot be refined."""
+    model = problem.model.observed_by(problem.model.observation.with_family("student_t"))
+    model = model.replace(**{"emission.df": torch.full((1,), degrees, dtype=model.dtype)})
+    widths = [name for name in ("emission.keypoint_scale", "emission.angle_scale") if name in model.parameters]
+    refined: FittedHypothesis | None = cause
+    tailed = problem
+    for _ in range(FITTED):
+        tailed = replace(problem, problem=replace(problem.problem, model=model))
+        (refined,) = _carried(tailed, refined)
+        if refined is None:
+            return None
+        model = model.replace(**{name: refined.kappa * model.parameters[name] for name in widths})
+    return refined.log_evidence, tailed

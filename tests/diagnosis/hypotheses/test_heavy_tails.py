@@ -1,0 +1,64 @@
+"""A tracker's noise with heavy tails is no cause to be named; detections that stray are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pendulum import ARM, FEW, MANY, recording_of
+
+from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.heavy_tails import DEGREES, heavy_tailed
+from invdyn.diagnosis.hypotheses.search import search
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.models.effects import EFFECTS
+
+FRICTION = EFFECTS["viscous_friction"]("elbow")
+LEFT_OUT = tuple(name for name in (*MANY, *FEW) if name not in ("viscous_friction", "outliers", "label_swap"))
+
+
+def searched(law, seed=0, rows=300):
+    """An arm with friction at its elbow under a tracker’s noise of 6 mm: normal, Student's t, or with strays."""
+    still = recording_of(FRICTION, ARM, rows=rows, seed=seed, damping=0.05)
+    rng = np.random.default_rng(seed)
+    shape = still.keypoints[:, 1:].shape
+    noise = rng.normal(size=shape) if law != "heavy" else rng.standard_t(4, size=shape) / np.sqrt(2)
+    if law == "strays":
+        noise += 30 * rng.normal(size=shape) * (rng.random(shape[:2]) < 0.02)[..., None]
+    keypoints = still.keypoints.copy()
+    keypoints[:, 1:] += 0.006 * noise
+    here = diagnosis_problem(replace(still, keypoints=keypoints), ARM)
+    path, stray = data_path(here)
+    return here, stray, search(here, path, stray, LEFT_OUT)
+
+
+def test_heavy_tails_take_the_place_of_stray_detections():
+    here, stray, found = searched("heavy")
+    assert stray
+    assert found.ranked[0].key == f"outliers+{FRICTION.key}"
+    tailed, carried = heavy_tailed(here, found)
+    assert tailed.model.observation.family == "student_t"
+    degrees = tailed.model.parameters["emission.df"]
+    assert degrees.item() in DEGREES
+    best = carried.ranked[0]
+    assert best.key == FRICTION.key
+    assert best.complete
+    assert abs(best.mean[0] - 0.05) < 4 * best.sd[0]
+    assert best.kappa == pytest.approx(1.0, abs=0.05)
+    assert best.log_evidence > found.ranked[0].log_evidence
+    assert "" in carried.pool
+    assert not any("outliers" in key for key in carried.pool)
+    other = diagnosis_problem(recording_of(FRICTION, ARM, seed=1, damping=0.05), ARM)
+    there = best.carried_to(other)
+    assert there.observation.family == "student_t"
+    assert torch.equal(there.parameters["emission.df"], degrees)
+
+
+@pytest.mark.parametrize("law", ["normal", "strays"])
+def test_normal_noise_and_stray_detections_stay_what_they_are(law):
+    here, stray, found = searched(law)
+    assert stray is (law == "strays")
+    same, pool = heavy_tailed(here, found)
+    assert same is here
+    assert pool is found
+    assert ("outliers" in found.ranked[0].key) is (law == "strays")
