@@ -41,7 +41,7 @@ class Decision:
     little: float = stated(0.1, "1", "of the torque that is missing without a cause: as much may be left", "stated")
     few: float = stated(5.0, "nats", "that a residual may gain by chance, besides little² of the gap's", "odds: e⁵")
     loud: float = stated(1.5, "noise", "errors of prediction from which on something is left", "stated")
-    alike: float = stated(0.3, "1", "correlation of neighbouring errors from which on they are alike", "chosen")
+    alike: float = stated(0.3, "1", "memory of a tracker's errors from which on something is left", "stated")
     company: float = stated(0.25, "1", "share of stray detections that stray together", "chosen")
     along: float = stated(0.05, "1", "share of errors beyond a half that lie along the motion", "chosen")
     chance: float = stated(2.0, "sd", "that each of these three may be off in a right simulation", "chance: .023")

@@ -53,7 +53,7 @@ def infer_kinematics(
         num_filters, num_particles, num_draws: as of :func:`.infer`.
         seed: same seed, same result.
         settings: parameters by dotted name that are known; walks and noise that are not given are fitted.
-        family: "gaussian" or "student_t" observation noise.
+        family: of the observation noise, one of :data:`invdyn.models.FAMILIES`.
         learn_lengths: learn the lengths of sticks, from the median distances on.
         truth: to compare with.
         progress: called with (done, total, what).

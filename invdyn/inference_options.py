@@ -40,7 +40,10 @@ class Inference(Recorded):
     ] = "ornstein_uhlenbeck"
     noise: Annotated[
         str | None,
-        typer.Option(help="Observation noise, gaussian or student_t; default: gaussian, and student_t for pixels."),
+        typer.Option(
+            help="Observation noise: gaussian, student_t of each number, or multivariate_t of each keypoint; default: "
+            "gaussian, and student_t for pixels."
+        ),
     ] = None
     filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64
     particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100

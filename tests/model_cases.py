@@ -49,6 +49,7 @@ def emissions(joints):
         "encoders": Observation(Encoders()),
         "both": Observation(Keypoints(tips), Encoders()),
         "student": Observation(Keypoints(tips), Encoders(), family="student_t"),
+        "multivariate t": Observation(Keypoints(tips), Encoders(), family="multivariate_t"),
         "confidence": Observation(Keypoints(tips, confidence=confidence)),
         "last tip": Observation(Keypoints([joints - 1], confidence=confidence[:, -1:]), family="student_t"),
     }

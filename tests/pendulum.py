@@ -122,7 +122,7 @@ def wheel_chain(model, kappa=1.0, damping=0.0):
 
 
 def at_best(here, cause):
-    """A cause's log evidence at its best size, and that size."""
+    """A cause's log evidence at its best size without memory of errors, and that size."""
     top = int(cause.by_size.argmax())
     levels = here.regime.sizes
-    return cause.by_size[top] - log_prior(levels)[top], levels[top]
+    return cause.by_size[top] - log_prior(levels)[top] - cause.of_memory, levels[top]

@@ -1,6 +1,7 @@
 """The law of a tracker's noise: where stray detections were found, heavy tails may say them better.
 
-Student's t with ν degrees of freedom stands beside the normal law (Lange, Little & Taylor 1989, JASA 84), with
+Student's t with ν degrees of freedom, one for both coordinates of a detection (:mod:`.multivariate_t`), stands beside
+the normal law (Lange, Little & Taylor 1989, JASA 84), with
 
     P(normal) = ½,    P(ν) = 1/6 for ν = 4, 8, 16
 
@@ -24,11 +25,12 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_mistake
 from invdyn.diagnosis.problem.prior import log_prior_of
+from invdyn.diagnosis.side_by_side import side_by_side
 
 DEGREES = (4.0, 8.0, 16.0)
 """Of freedom: with fewer, detections stray."""
-FITTED = 3
-"""Times that the law's width is set to what is left."""
+WIDTH, FITTED = "emission.keypoint_scale", 3
+"""The law's width, and times that it is set to what is left."""
 BEHIND = 30.0
 """Nats behind the best from which on a cause is not carried over."""
 
@@ -36,14 +38,14 @@ BEHIND = 30.0
 def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
     """Problem and pool under the law with heavy tails, if that is likelier than the stray detections of the best cause.
 
-    Both as they are where the best cause has none, or has other mistakes of the tracker beside them.
+    Both as they are where the best cause has none, or other mistakes of the tracker beside them, or where the budget
+    ends before it is carried over.
     """
     best = found.ranked[0]
     rest = _without_strays(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
         return problem, found
-    laws = [law for degrees in DEGREES if (law := _fitted(problem, rest, degrees)) is not None]
-    worth, tailed = max(laws, key=lambda law: law[0], default=(-inf, problem))
+    worth, tailed = max((_fitted(problem, rest, degrees) for degrees in DEGREES), key=lambda law: law[0])
     worth += log_prior_of(rest.effects, found.candidates) - log(len(DEGREES))
     if worth < best.log_evidence + log_prior_of(best.effects, found.candidates):
         return problem, found
@@ -53,8 +55,9 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     candidates = [effect for effect in found.candidates if not is_mistake(type(effect))]
     carried = replace(found, pool={}, candidates=candidates, stray=False)
     parts = [partial(_carried, tailed, each) for each in bare if not any(is_mistake(type(e)) for e in each.effects)]
-    carried.add_all(tailed, parts)
-    return tailed, carried
+    for cause in side_by_side(parts, found.workers, tailed.budget):
+        carried.add(cause)
+    return (tailed, carried) if {"", rest.key} <= carried.pool.keys() else (problem, found)
 
 
 def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:
@@ -63,23 +66,22 @@ def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> Fitte
     return cause if stray is None else cause.less(problem, stray)
 
 
-def _carried(problem: DiagnosisProblem, cause: FittedHypothesis) -> list[FittedHypothesis | None]:
+def _carried(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis | None:
     """A cause under the problem's law, refined from what it is under another."""
     size = best_size(problem, cause)
-    return [attempt(refine, problem, cause.effects, cause.values, cause.path, size, **cause.searched)]
+    return attempt(refine, problem, cause.effects, cause.values, cause.path, size, **cause.searched)
 
 
-def _fitted(problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float) -> tuple[float, DiagnosisProblem] | None:
-    """Log evidence of a cause under Student's t, and the problem under it; None where it cannot be refined."""
-    model = problem.model.observed_by(problem.model.observation.with_family("student_t"))
+def _fitted(problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float) -> tuple[float, DiagnosisProblem]:
+    """Log evidence of a cause under Student's t, and the problem under it; −∞ where it cannot be refined."""
+    model = problem.model.observed_by(problem.model.observation.with_family("multivariate_t"))
     model = model.replace(**{"emission.df": torch.full((1,), degrees, dtype=model.dtype)})
-    widths = [name for name in ("emission.keypoint_scale", "emission.angle_scale") if name in model.parameters]
-    refined: FittedHypothesis | None = cause
     tailed = problem
     for _ in range(FITTED):
         tailed = replace(problem, problem=replace(problem.problem, model=model))
-        (refined,) = _carried(tailed, refined)
+        refined = _carried(tailed, cause)
         if refined is None:
-            return None
-        model = model.replace(**{name: refined.kappa * model.parameters[name] for name in widths})
-    return refined.log_evidence, tailed
+            return -inf, tailed
+        model = model.replace(**{WIDTH: refined.kappa * model.parameters[WIDTH]})
+        cause = refined
+    return cause.log_evidence, tailed

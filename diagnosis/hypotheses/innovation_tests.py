@@ -71,7 +71,7 @@ def loudness(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
         return cause.kappa
     points = observation.part(observation.keypoints)
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
-    rows = rows if isinstance(rows, MistakenRows) else rows.base_dist
+    rows = getattr(rows, "base_dist", rows)
     draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
     drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * problem.observations
 

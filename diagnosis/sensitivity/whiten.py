@@ -32,7 +32,8 @@ class Whitened:
         row_log_det: (G, T) ½ log |S_t|, less the observations' own normaliser.
         seen: (T,) observations seen in each row.
         columns: (G, rows that were seen · O, 1 + J).
-        follows: (rows that were seen · O,) whether the same was seen in the row before.
+        follows: (rows that were seen · O,) whether the same was seen in the row before, so that its error may be
+            remembered.
     """
 
     sizes: np.ndarray
@@ -160,9 +161,12 @@ def whiten(
 
 
 def _follows(problem: DiagnosisProblem, seen: np.ndarray) -> np.ndarray:
-    """Of what was ``seen`` (T, O) that which was seen in the row before, too, at the usual distance."""
+    """Of what was ``seen`` (T, O) that which was seen in the row before, too, at the usual distance.
+
+    Nothing where the torque is unknown: a limb's own may be smoother than its prior, and make errors alike by that.
+    """
     apart = problem.model.dt[: len(seen)].numpy()
-    near = apart < SKIPPED * np.median(apart)
+    near = (apart < SKIPPED * np.median(apart)) & problem.regime.knows_torque
     near[[0, *problem.starts]] = False
     return seen & np.roll(seen, 1, axis=0) & near[:, None]
 

@@ -87,7 +87,7 @@ def arm_problem(
         body: lengths in the recording's length unit.
         torque: torque process; Ornstein–Uhlenbeck by default.
         integrator, substeps: of the dynamics; sub-steps are chosen from the error when not given.
-        family: "gaussian" or "student_t" observation noise.
+        family: of the observation noise, one of :data:`invdyn.models.FAMILIES`.
         parameters: values by dotted name that replace the defaults.
         learn_lengths: start link lengths at the median distances.
         hide_torque: ignore the recording's commanded torques.

@@ -1,8 +1,9 @@
 """What is observed of a body: one or several sensors, whose parts make a row.
 
-Sensors of independent noise that stand side by side have one distribution, Gaussian, or Student-t with "emission.df"
-degrees of freedom (1,) for stray detections, or where the tracker errs a mixture (:mod:`.mixture`); others keep their
-own, and :mod:`.side_by_side` joins what there is.
+Sensors of independent noise that stand side by side have one distribution: Gaussian; or with "emission.df" degrees of
+freedom (1,) for stray detections, Student-t of each entry or multivariate t of each keypoint (:mod:`.multivariate_t`);
+or where the tracker errs a mixture (:mod:`.mixture`). Others keep their own, and :mod:`.side_by_side` joins what there
+is.
 
 Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 """
@@ -21,6 +22,7 @@ from torch import Tensor
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
+from invdyn.models.observation.multivariate_t import MultivariateT
 from invdyn.models.observation.pixels import Pixels
 from invdyn.models.observation.sensor import NoisySensor, Remembering, Sensor, size
 from invdyn.models.observation.side_by_side import SideBySide
@@ -28,7 +30,7 @@ from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
 
 Rows = TypeVar("Rows", Tensor, np.ndarray)
-FAMILIES = ("gaussian", "student_t")
+FAMILIES = ("gaussian", "student_t", "multivariate_t")
 DEGREES = 4.0
 """Of freedom of Student-t noise, to begin with."""
 
@@ -38,7 +40,7 @@ class Observation:
 
     Args:
         sensors: in the order of their parts; keypoints whose tracker may err come first.
-        family: "gaussian" or "student_t", of those with independent noise.
+        family: one of ``FAMILIES``, of those with independent noise; "multivariate_t" of keypoints.
 
     Raises ValueError for an unknown family, no sensor, or two of one name.
     """
@@ -148,7 +150,7 @@ class Observation:
         parameters: dict[str, Tensor] = {}
         for each in self.sensors:
             parameters |= each.defaults(reach)
-        if self.family == "student_t":
+        if self.family != "gaussian":
             parameters["emission.df"] = torch.full((1,), DEGREES).double()
         return parameters
 
@@ -175,6 +177,8 @@ class Observation:
                     f"expected gaussian noise under outliers and swaps, got {self.family!r}; drop one of them"
                 )
             return first.mistaken(loc, scale, view.mistakes)
+        if self.family == "multivariate_t" and isinstance(first, Keypoints):
+            return MultivariateT(loc, scale, first.shape, parameters["emission.df"][..., 0])
         if self.family == "student_t":
             return _UncheckedStudentT(parameters["emission.df"], loc, scale).to_event(1)
         return Normal(loc, scale, validate_args=False).to_event(1)

@@ -153,7 +153,7 @@ MODELS = {
     "ornstein_uhlenbeck": (OrnsteinUhlenbeck(), "rk4", "student_t", 2),
     "random_walk": (RandomWalk(), "semi_implicit", "gaussian", 1),
     "matern32": (Matern32(), "rk4", "gaussian", 2),
-    "matern52": (Matern52(), "euler", "student_t", 1),
+    "matern52": (Matern52(), "euler", "multivariate_t", 1),
     "recurrent": (Recurrent(), "semi_implicit", "student_t", 1),
     "smooth_and_rough": (SmoothAndRough(), "rk4", "gaussian", 1),
 }

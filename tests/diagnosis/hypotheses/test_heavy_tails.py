@@ -37,7 +37,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     assert stray
     assert found.ranked[0].key == f"outliers+{FRICTION.key}"
     tailed, carried = heavy_tailed(here, found)
-    assert tailed.model.observation.family == "student_t"
+    assert tailed.model.observation.family == "multivariate_t"
     degrees = tailed.model.parameters["emission.df"]
     assert degrees.item() in DEGREES
     best = carried.ranked[0]
@@ -50,7 +50,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     assert not any("outliers" in key for key in carried.pool)
     other = diagnosis_problem(recording_of(FRICTION, ARM, seed=1, damping=0.05), ARM)
     there = best.carried_to(other)
-    assert there.observation.family == "student_t"
+    assert there.observation.family == "multivariate_t"
     assert torch.equal(there.parameters["emission.df"], degrees)
 
 

@@ -100,7 +100,7 @@ def test_a_row_as_an_int_and_as_a_tensor():
 @pytest.mark.parametrize(
     ("sensors", "family", "message"),
     [
-        ([Keypoints([0])], "cauchy", "gaussian, student_t, got 'cauchy'"),
+        ([Keypoints([0])], "cauchy", "gaussian, student_t, multivariate_t, got 'cauchy'"),
         ([], "gaussian", "at least one sensor"),
         ([Keypoints([])], "gaussian", "keypoints of at least one site"),
         ([Encoders(), Encoders()], "gaussian", "a name of its own for each sensor, got angle, angle"),
