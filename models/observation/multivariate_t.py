@@ -64,7 +64,7 @@ class MultivariateT(RowDistribution):
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """W, ỹ (..., O) and c (...): those of reweighted least squares, w = (ν + d)/(ν + q)/σ², a bound from below."""
         seen, off, count, square, nu = self._seen(value)
-        weight = ((nu + count) / (nu + square)).unsqueeze(-1).expand(*count.shape, self.layout[1]).flatten(-2)
+        weight = ((nu + count) / (nu + square)).repeat_interleave(self.layout[1], -1)
         weight = torch.cat([weight, torch.ones_like(off[..., weight.shape[-1] :])], -1)
         whitening = seen * weight.sqrt() / self.scale
         target = torch.where(seen, value, 0.0)

@@ -46,6 +46,16 @@ def test_density_is_scipys(row):
     assert single.item() == pytest.approx(by_hand(y), rel=1e-4, abs=1e-4)
 
 
+def test_rows_broadcast():
+    """Several middles, one row that was seen; each as it is by itself."""
+    y = torch.as_tensor(ROWS["half missing"])
+    middles = torch.as_tensor(LOC) + 0.01 * torch.arange(3, dtype=F64)[:, None]
+    together = gaussian_rows(rows_of(middles), y)
+    for number, middle in enumerate(middles):
+        for all_of_them, alone in zip(together, gaussian_rows(rows_of(middle), y), strict=True):
+            torch.testing.assert_close(all_of_them[number], alone)
+
+
 @EVERY
 def test_reweighted_rows_touch_the_density_and_stay_below_it(row):
     """Value and slope are equal in the middle; elsewhere the bound holds."""
