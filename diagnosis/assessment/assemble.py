@@ -20,6 +20,7 @@ from invdyn.diagnosis.assessment.result import (
     Cause,
     Diagnosis,
     Gap,
+    Noise,
     Outside,
     Part,
     Shrinkage,
@@ -178,7 +179,13 @@ def assembled(
         posterior=_posterior(bound, best, weighed, seed),
         planar_only=_planar_only(body),
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
+        noise=_noise(best),
     )
+
+
+def _noise(best: FittedHypothesis) -> Noise:
+    tails = best.model.parameters.get("emission.df")
+    return Noise(best.kappa, best.memory, None if tails is None else tails.item())
 
 
 def _observed(bound: DiagnosisProblem) -> np.ndarray:
@@ -247,7 +254,8 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
         f"at most {found.most} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
-        "noise scale at its likeliest (its integral adds the same to each); "
+        "noise scale at its likeliest (its integral adds the same to each), what errors remember of the row before "
+        f"integrated out (at its likeliest {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
         "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
         "looked at",
@@ -255,6 +263,11 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         **({"not looked for": f"{', '.join(flat)}: known for a chain in the plane alone"} if flat else {}),
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
+
+
+def _law(best: FittedHypothesis) -> str:
+    tails = _noise(best).degrees_of_freedom
+    return "normal" if tails is None else f"Student's t of {tails:.0f} degrees of freedom"
 
 
 def _planar_only(body: ArticulatedBody) -> tuple[str, ...]:

@@ -163,6 +163,19 @@ class Outside:
 
 
 @dataclass(frozen=True)
+class Noise:
+    """What the observations' errors are like beside the best cause.
+
+    `factor` on the noise that the recording shows at rest; `memory`, what an error keeps of that in the row before;
+    `degrees_of_freedom` of Student's t, or None for a normal law.
+    """
+
+    factor: float
+    memory: float
+    degrees_of_freedom: float | None
+
+
+@dataclass(frozen=True)
 class Part:
     """Share of the gap that one effect closes and the others of its cause leave, with its central 90 % interval."""
 
@@ -232,6 +245,7 @@ class Diagnosis:
     written: Written | None = None
     posture: Posture | None = None
     planar_only: tuple[str, ...] = ()
+    noise: Noise | None = None
 
     @property
     def knows_torque(self) -> bool:
@@ -284,6 +298,7 @@ class Diagnosis:
                 "description": self.outside.description,
                 "gain_per_frame": self.outside.gain_per_frame,
             },
+            "noise": None if self.noise is None else vars(self.noise),
             "not_identifiable": list(self.not_identifiable),
             "search": {
                 "stopped_at_the_budget": self.not_looked_at > 0,

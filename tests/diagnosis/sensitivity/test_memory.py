@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pendulum import FRICTION, LOOSE, PENDULUM, path_of, recorded
+from pendulum import FRICTION, LOOSE, MANY, PENDULUM, path_of, recorded
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from invdyn.diagnosis.assessment.model_posterior import _alone
 from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.hypotheses.innovation_tests import correlation, prediction_errors
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.predict import scores
@@ -106,7 +107,7 @@ def test_what_is_forgotten_is_white_and_has_the_same_density():
 
 
 def trailing(memory, seed=0, rows=400):
-    """A damped pendulum's recording whose tracker takes the last frame's error along, and its problem."""
+    """A damped pendulum's recording whose tracker takes the last frame's error along."""
     still = recorded(0.05, seed, rows=rows)
     quiet = diagnosis_problem(still, PENDULUM)
     rng = np.random.default_rng(seed)
@@ -116,12 +117,12 @@ def trailing(memory, seed=0, rows=400):
     noisy = seen + 0.002 * remembering(rng, memory, seen.shape)
     keypoints = still.keypoints.copy()
     keypoints[:, -1] = noisy
-    return diagnosis_problem(replace(still, keypoints=keypoints), PENDULUM)
+    return replace(still, keypoints=keypoints)
 
 
 def test_a_tracker_that_trails_is_no_gap():
     """Friction is found with a wider interval than white noise would give, and nothing else is left."""
-    here = trailing(0.25)
+    here = diagnosis_problem(trailing(0.25), PENDULUM)
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))
     assert right.memory == pytest.approx(0.25, abs=4 / np.sqrt(800))
@@ -137,8 +138,20 @@ def test_a_tracker_that_trails_is_no_gap():
 
 
 def test_errors_that_remember_much_are_something_else():
-    here = trailing(RULE.alike + 0.25)
+    here = diagnosis_problem(trailing(RULE.alike + 0.25), PENDULUM)
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))
     pool = HypothesisPool([], {"": none}, [], path, False)
     assert _alone(here, pool, right) == 0.0
+
+
+def test_a_diagnosis_says_what_errors_remember():
+    found = diagnose(trailing(0.25), PENDULUM, without=MANY)
+    assert [finding.key for finding in found.causes[0].effects] == [FRICTION.key]
+    assert found.outside.probability < 0.1
+    assert found.to_json()["noise"] == {
+        "factor": pytest.approx(1.0, abs=0.3),
+        "memory": pytest.approx(0.25, abs=0.15),
+        "degrees_of_freedom": None,
+    }
+    assert f"{found.noise.memory:.2f}" in found.method["evidence"]
