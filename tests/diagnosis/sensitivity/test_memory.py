@@ -121,7 +121,7 @@ def trailing(memory, seed=0, rows=400):
 
 
 def test_a_tracker_that_trails_is_no_gap():
-    """Friction is found with a wider interval than white noise would give, and nothing else is left."""
+    """Friction is found, and nothing else is left."""
     here = diagnosis_problem(trailing(0.25), PENDULUM)
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))

@@ -94,7 +94,7 @@ def test_drawn_rows_have_that_law_and_coordinates_stray_together():
     assert abs((far[:, 0] & far[:, 2]).mean() - apart) < 4 * np.sqrt(apart / len(flat))
 
 
-def test_an_observation_of_this_family_has_normal_encoders():
+def test_an_observation_of_this_family_begins_with_degrees_of_freedom():
     links = [Link("a", "base", "elbow", 1.0, 1.0), Link("b", "elbow", "tip", 1.0, 1.0)]
     observation = Observation(Keypoints([1]), Encoders(), family="multivariate_t").bound(Body("arm", links))
     assert observation.defaults(1.0)["emission.df"].shape == (1,)
