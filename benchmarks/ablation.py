@@ -32,7 +32,6 @@ from invdyn.recordings import read_keypoint_csv
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
     "_mistaken": ("search", "what leaves stray detections comes first"),
-    "_several": ("search", "sets of up to four as a whole, from a beam"),
     "drop": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_best": ("add", "add: the best of the screen"),

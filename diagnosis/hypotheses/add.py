@@ -47,8 +47,8 @@ PAIR = 2
 """Candidates that are refined side by side, before the next ones are measured by them."""
 
 
-def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
-    """Screen every effect that may join ``base``, refine and keep the best; the screen along its path."""
+def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Screen every effect that may join ``base``, refine and keep the best."""
     known, number = problem.regime.knows_torque, len(base.effects) + 1
     screened, best = screened_with(problem, found, base)
     found.first = found.first or best
@@ -62,7 +62,6 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
         follow_neighbours(problem, found, number)
         least = -np.inf
     _search_values(problem, found, base, least)
-    return screened
 
 
 def screened_with(

@@ -7,8 +7,7 @@ first of these moves that it has not made, which may make another one the best:
 
     drop    each effect of a set, from the set's path and values (:mod:`.drop`)
     add     an effect, also to the best single one that a set has overtaken: all that may join are screened, the most
-            promising refined (:mod:`.add`); where no first one is enough, also sets of up to four as a whole, from a
-            beam (:mod:`.beam_search`)
+            promising refined (:mod:`.add`)
     swap    an effect of what an addition found for its neighbours, exact twins, special cases, softer forms, others
             that look like it, from values that its own say (:mod:`.swap`); last, each effect of the best cause for any
             other, along its path (:mod:`.exchange`)
@@ -35,24 +34,19 @@ from invdyn.diagnosis.budget import SEARCH, Spent
 from invdyn.diagnosis.hypotheses.add import add, refine_best, screened_with
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, led
-from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.drop import drop
 from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import fair_chance, follow_neighbours
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
-from invdyn.diagnosis.problem.unknowns import unknowns
-from invdyn.diagnosis.sensitivity.beam_search import together
-from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 
 FEW = 2
-"""Sets of several that are refined as a whole, and candidates that are refined instead of stray detections."""
+"""Candidates that are refined instead of stray detections."""
 
 Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
 """Refines what a base leads to, into the pool."""
@@ -103,7 +97,7 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
     best = found.ranked[0]
     if not known:
         if not best.effects:
-            yield _grow, best
+            yield add, best
         return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
@@ -111,23 +105,11 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
     if single is not None and len(others(best)) > 1:
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
-            yield _grow, single
+            yield add, single
     if len(best.effects) < found.most and not (exchange in made and best.complete):
-        yield _grow, best
+        yield add, best
     if best.effects:
         yield exchange, best
-
-
-def _grow(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Add an effect; where the first of all is not enough, also several.
-
-    Enough is what leaves nothing, by effects that are what they are called.
-    """
-    screened = add(problem, found, base)
-    if base.effects or not problem.regime.knows_torque:
-        return
-    if not (found.ranked[0].complete and credible(problem, found.ranked[0])):
-        _several(problem, found, screened)
 
 
 def _begun(
@@ -173,17 +155,3 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     refine_best(problem, tried, none, screened, FEW)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
-
-
-def _several(problem: DiagnosisProblem, found: HypothesisPool, screened: Sequence[Screened]) -> None:
-    """Refine the best pairs, then, where they leave something, the best sets of three, and so on."""
-    common = unknowns(problem, ())
-    for sets in together(problem, problem.model, found.path, screened, common, found.candidates, FEW):
-        if len(sets[0].effects) > found.most:
-            break
-        for each in sets:
-            limits = fair_chance(found, found.pool[""])
-            found.add(attempt(refine, problem, each.effects, each.values, found.path, each.size, **limits))
-        follow_neighbours(problem, found, len(sets[0].effects))
-        if found.ranked[0].complete:
-            break
