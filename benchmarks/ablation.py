@@ -119,7 +119,7 @@ def filed(case: Path) -> tuple[DiagnosisProblem, tuple[str, ...]]:
 
 def best(pool: HypothesisPool) -> str:
     """The best cause, by key and evidence."""
-    first = pool.ranked[0]
+    first = pool.best
     return f"{first.key} {first.log_evidence:.2f}"
 
 
@@ -137,7 +137,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
     finally:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)
-    first = found.ranked[0]
+    first = found.best
     rivals = [cause for cause in found.ranked if found.score(cause) > found.score(first) - NEAR]
     return {
         "best": first.key,

@@ -20,7 +20,7 @@ from ablation import filed
 
 from invdyn.diagnosis.hypotheses.add import _refined, screened_with
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.expected_gain import needed
+from invdyn.diagnosis.hypotheses.expected_gain import TIMES, needed
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.search import _begun
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
@@ -42,7 +42,7 @@ def measured(case: Path) -> list[dict]:
         found = _begun(bound, path, stray, considered(bound, left_out), 1)
         base = found.pool[""]
         for _ in range(2):
-            _, best = screened_with(bound, found, base)
+            best = screened_with(bound, found, base)
             nothing = next(s.log_evidence for s in best if s.effect is None)
             row: dict = {"base": base.key, "complete": base.complete, "cands": []}
             for each in added(best)[:MOST]:
@@ -99,7 +99,7 @@ def kept(rows: list[dict]) -> str:
         some = [c for c in row["cands"] if c["r"] is not None and all(c["plaus"])]
         top, most = max((c["r"] for c in some), default=0.0), max((c["s"] for c in row["cands"]), default=0.0)
         explained = any(c["done"] and c["r"] > top - NEAR for c in some)
-        near += [c["s"] >= needed(most, explained) for c in some if c["r"] > max(top - NEAR, NEAR)]
+        near += [c["s"] >= needed(most, TIMES[explained]) for c in some if c["r"] > max(top - NEAR, NEAR)]
     return f"Of {len(near)} candidates that end within {NEAR:g} nats of the best one, {sum(near)} are refined."
 
 

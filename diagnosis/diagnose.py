@@ -141,7 +141,7 @@ def diagnose(
         there = unseen(bound, none, cause, other)
         return closed(*there.scores, there.rows, time, seed), there
 
-    likely = found.ranked[0]
+    likely = found.best
     # What is likely may fail there, and not be the best.
     both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed, tolerance), partial(attempt, held, likely)]
     weighed, known = side_by_side(both, workers, allowed)

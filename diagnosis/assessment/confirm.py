@@ -27,8 +27,7 @@ from scipy.stats import multivariate_t
 from torch import Tensor
 
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.predict import best_size
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.side_by_side import side_by_side

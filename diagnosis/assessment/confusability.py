@@ -3,10 +3,10 @@
 Along the path of the first screen (:mod:`.screen`) an effect with columns A, and what it adds as it is, b, explains of
 the whitened data r
 
-    v = b − A (AᵀA + S⁻²)⁻¹ (Aᵀ (r + b) − S⁻² m),        overlap = (v₁ᵀ v₂)² / (|v₁|² |v₂|²),
+    v = b − A (AᵀA + S⁻²)⁻¹ Aᵀ (r + b),        overlap = (v₁ᵀ v₂)² / (|v₁|² |v₂|²),
 
-with its parameters' prior N(m, S²), hardly any residual torque, and what the body's uncertain numbers could do taken
-out of all. At 1 only priors tell the two apart.
+with its parameters' prior N(0, S²) about where they are expanded, hardly any residual torque, and what the body's
+uncertain numbers could do taken out of all. At 1 only priors tell the two apart.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,7 @@ def change(problem: DiagnosisProblem, screened: Added) -> np.ndarray:
     A = columns[:, 1 + offset : 1 + offset + free]
     b = columns[:, 1] if offset else np.zeros(len(columns))
     precision = 1 / np.square(best.sd)
-    towards = A.T @ (columns[:, 0] + b) - precision * np.array(best.mean)
-    return b - A @ np.linalg.solve(A.T @ A + np.diag(precision), towards)
+    return b - A @ np.linalg.solve(A.T @ A + np.diag(precision), A.T @ (columns[:, 0] + b))
 
 
 def overlaps(

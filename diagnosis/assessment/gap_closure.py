@@ -30,9 +30,9 @@ from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
 from invdyn.diagnosis.hypotheses.drop import without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, others
-from invdyn.diagnosis.hypotheses.predict import Scores, best_size, scores
+from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
@@ -146,16 +146,15 @@ def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: Di
 
     Where the first rows do not know it, it keeps the parameters that all rows give it, and these are not learned again.
     """
-    values = dict(zip(cause.names, cause.mean.tolist(), strict=True)) | cause.noise
     settled = replace(cause, covariance=np.zeros_like(cause.covariance))
     try:
         begun, size = cause.path[: len(train.observations)], best_size(problem, cause)
         with diverging():
-            fitted = refine(train, cause.effects, values, begun, size, rounds=2, **cause.searched)
+            fitted = refine(train, cause.effects, cause.values, begun, size, rounds=2, **cause.searched)
     except (Diverged, Spent):
         return settled  # the first rows by themselves lead nowhere
     # Linearised along a path that knows the held-out rows; the predictions themselves do not.
-    return settled if _shown_later(cause, fitted) else fitted.moved_to(fitted.model, cause.path)
+    return settled if _shown_later(cause, fitted) else replace(fitted, path=cause.path)
 
 
 def _shown_later(cause: FittedHypothesis, fitted: FittedHypothesis) -> bool:

@@ -91,7 +91,7 @@ def _normal(shares: dict[str, float]) -> dict[str, float]:
 def acting(causes: Mapping[str, tuple[FittedHypothesis, float]]) -> tuple[Interval, ...]:
     """When the most probable cause is at work, where it lasts for a while; its probability for a share."""
     cause, probability = max(causes.values(), key=lambda pair: pair[1])
-    known = dict(zip(cause.names, cause.mean.tolist(), strict=True))
+    known = cause.values
     return tuple(
         Interval(moment - half, moment + half, probability)
         for effect in cause.effects

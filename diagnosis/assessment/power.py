@@ -15,7 +15,7 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
 
     An unknown torque may be of any size, and what is asked there is whether the camera shows something.
     """
-    if not problem.regime.knows_torque or found.ranked[0].effects:
+    if not problem.regime.knows_torque or found.best.effects:
         return None
     levels = problem.regime.sizes
     by_size = found.pool[""].by_size - problem.regime.log_prior

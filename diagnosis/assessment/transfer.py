@@ -22,8 +22,8 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import CLOSE, FIRM, led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
-from invdyn.diagnosis.hypotheses.predict import best_size, posterior_columns, scores, whitened
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.hypotheses.predict import posterior_columns, scores, whitened
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
 from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.memory import forgotten
@@ -50,14 +50,14 @@ def carried(
     def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
         start = begun.path if by_itself else led(other, begun.model, begun.path, size)
         quiet = other.with_residual(max(size, FIRM), begun.model)
-        return begun.moved_to(begun.model, gauss_newton_path(quiet, other.observations, start, MOST_STEPS, CLOSE))
+        return replace(begun, path=gauss_newton_path(quiet, other.observations, start, MOST_STEPS, CLOSE))
 
     def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)
         total = np.nan if found is None else found.score[seen].sum()
         return float(total) if np.isfinite(total) else -np.inf
 
-    begun = cause.moved_to(model, lifted(model, start))
+    begun = replace(cause, model=model, path=lifted(model, start))
     starts = [begun, *whole_turns_away(begun)]
     tried = [attempt(along, each, by_itself=True) for each in starts]
     best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
@@ -91,7 +91,7 @@ def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
         if not torch.allclose(model.transition_mean(path + step, rows) - step, after, rtol=0.0, atol=TELLS):
             begin = model.parameters["initial.angle"]
             found += [
-                there.moved_to(model.replace(**{"initial.angle": begin + way * turn}), path + way * step)
+                replace(there, model=model.replace(**{"initial.angle": begin + way * turn}), path=path + way * step)
                 for way in (1, -1)
             ]
     return found
@@ -109,7 +109,7 @@ def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedH
 def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:
     """Log evidence (G,) of another recording's rows and each size of the residual."""
     levels = other.regime.sizes
-    rows = forgotten(whitened(other, there, there.path, levels, posterior_columns(other, there)), there.memory)
+    rows = forgotten(whitened(other, there, levels, posterior_columns(other, there)), there.memory)
     p = len(there.mean)
     index, unit, far = np.arange(1, p + 1)[None], np.ones((1, p)), np.full((1, p), np.inf)
     found = [

@@ -35,7 +35,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.problem.regime import imitable
-from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.problem.unknowns import stands
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, screen, screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
@@ -50,43 +50,34 @@ PAIR = 2
 def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
     """Screen every effect that may join ``base``, refine and keep the best."""
     known, number = problem.regime.knows_torque, len(base.effects) + 1
-    screened, best = screened_with(problem, found, base)
-    found.first = found.first or best
-    wanted = refine_best(problem, found, base, best, WIDTH[bool(others(base))])
+    screened = screened_with(problem, found, base)
+    found.first = found.first or screened
+    refined = refine_best(problem, found, base, screened, WIDTH[bool(others(base))])
     follow_neighbours(problem, found, number)
     least = -np.inf if known else idle(screened)
-    if not known and show_more(problem, found.ranked[0], prediction_errors(problem, found.ranked[0])):
-        tried = {s.effect.key for s in wanted}
-        barred = [s for s in _seen(best) if s.effect.key not in tried and _may_show(s, _nothing(best))]
+    if not known and show_more(problem, found.best, prediction_errors(problem, found.best)):
+        tried = {s.effect.key for s in refined}
+        barred = [s for s in _seen(screened) if s.effect.key not in tried and _may_show(s, _nothing(screened))]
         found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
         follow_neighbours(problem, found, number)
         least = -np.inf
     _search_values(problem, found, base, least)
 
 
-def screened_with(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
-) -> tuple[list[Screened], list[Screened]]:
-    """The screen beside ``base`` along its path, and, of the first effect of all, each where it does best."""
-    free, common = free_beside(found, base.effects), unknowns(problem, base.effects)
-    if base.effects:
-        model, path, point = base.model, base.path, base.mean
-    else:
-        # The body as it is stated: without a cause its numbers have been bent to stand in for one.
-        model, path, point = problem.model, found.path, common.mean
-    few = base.complete and bool(base.effects)
+def screened_with(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
+    """The screen beside ``base`` along its path; of the first effect of all, each where it does best."""
+    free, (model, common, point) = free_beside(found, base.effects), stands(problem, base)
+    path, few = (base.path if base.effects else found.path), base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if not others(base) and not few and found.aside is not None:
         parts = [partial(screen, problem, model, along, free, common, point) for along in (path, found.aside)]
-        screened, other = side_by_side(parts, found.workers, problem.budget)
-        return screened, _aside(screened, other)
-    screened = screen_in_halves(found.workers, problem, model, path, free, common, point, few)
-    return screened, screened
+        return _aside(*side_by_side(parts, found.workers, problem.budget))
+    return screen_in_halves(found.workers, problem, model, path, free, common, point, few)
 
 
-def free_beside(found: HypothesisPool, taken: Sequence[Effect], *others: Effect) -> list[Effect]:
-    """Effects with columns that may join those that are ``taken``, but for ``others``."""
-    keys = {effect.key for effect in (*taken, *others)}
+def free_beside(found: HypothesisPool, taken: Sequence[Effect], *but: Effect) -> list[Effect]:
+    """Effects with columns that may join those that are ``taken``, ``but`` for some."""
+    keys = {effect.key for effect in (*taken, *but)}
     busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)
     free = [e for e in found.candidates if e.key not in keys and not is_searched(e)]
     return [e for e in free if not (busy and isinstance(e, HiddenHinge))]
@@ -130,22 +121,20 @@ def refine_best(
 ) -> list[Added]:
     """Refine the ``width`` most promising, a pair at a time, as long as one may gain what the screen's best one does.
 
-    The first one alone: it may leave nothing, and spare the others. All that are promising are returned.
+    The first one alone: it may leave nothing, and spare the others. What was refined is returned.
     """
     nothing = _nothing(screened)
     if problem.regime.knows_torque:
         wanted = _promising(found, base, screened)
     else:
         wanted = [s for s in _seen(screened) if s.log_evidence > idle(screened)]
-    for first, last in ((0, 1), *((i, i + PAIR) for i in range(1, len(wanted[:width]), PAIR))):
-        least = nothing + needed(screened[0].log_evidence - nothing, found.ranked[0].complete)
-        parts = [
-            partial(_refined, problem, base, each, fair_chance(found, base))
-            for each in wanted[first : min(last, width)]
-            if not first or each.log_evidence >= least
-        ]
-        found.add_all(problem, parts)
-    return wanted
+    few, refined = wanted[:width], list[Added]()
+    for pair in (few[:1], *(few[i : i + PAIR] for i in range(1, len(few), PAIR))):
+        least = nothing + needed(screened[0].log_evidence - nothing, TIMES[found.best.complete])
+        pair = [each for each in pair if not refined or each.log_evidence >= least]
+        found.add_all(problem, [partial(_refined, problem, base, each, fair_chance(found, base)) for each in pair])
+        refined += pair
+    return refined
 
 
 def _refined(
@@ -153,9 +142,7 @@ def _refined(
 ) -> list[FittedHypothesis | None]:
     """``base`` and a screened effect, from the screen's values, and from the next best time where they leave a rest."""
     refined: list[FittedHypothesis | None] = []
-    for start in (each.values, each.elsewhere):
-        if start is None:
-            break
+    for start in filter(None, (each.values, each.elsewhere)):
         values = {f"{each.effect.key}.{name}": value for name, value in start.items()} | base.values
         effects = (*base.effects, each.effect)
         cause = attempt(refine, problem, effects, values, each.path, each.size, **base.searched, **limits)

@@ -26,15 +26,14 @@ def drop(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesi
 
 
 def without(problem: DiagnosisProblem, whole: FittedHypothesis, effect: Effect, size: float) -> FittedHypothesis | None:
-    """A set without one of its effects, from its path and values, under a residual of ``size``; None if it is no gain.
+    """A set without one of its effects, from its path and values, under a residual of ``size``.
 
-    Several that were searched may have left a part to each other: without one, the others are searched anew.
+    Several that were searched may have left a part to each other: without one, the others are searched anew, and None
+    comes of what gains nothing then.
     """
     rest = tuple(e for e in whole.effects if e is not effect)
     searched = [e for e in rest if is_searched(e)]
-    if not searched:
-        return refine(problem, rest, whole.values, whole.path, size)
-    if not is_searched(effect):
+    if not (searched and is_searched(effect)):
         return refine(problem, rest, whole.values, whole.path, size, **whole.searched)
     cause: FittedHypothesis | None
     cause = refine(problem, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)

@@ -12,15 +12,15 @@ import numpy as np
 
 from invdyn.diagnosis.hypotheses.add import free_beside, refine_best
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import needed
+from invdyn.diagnosis.hypotheses.expected_gain import TIMES, needed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.swap import bared, follow_neighbours
+from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.unknowns import stands
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.hidden import HiddenHinge
 
 SWAPS, FAIR = 2, 0.3
 """Candidates that are refined when one is to take another's place; what they have to gain by themselves where the best
@@ -35,25 +35,23 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
     as little have arrived.
     """
     for old in best.effects:
-        rest = tuple(effect for effect in best.effects if effect is not old)
-        if is_searched(old) or any(isinstance(effect, HiddenHinge) and effect.forgets for effect in rest):
+        base = best.less(problem, old)
+        if is_searched(old) or base.model.jumping is not None:
             continue  # play leaves no path that a screen could be along
-        common, point, model = bared(problem, best, old)
-        free = free_beside(found, rest, old)
-        if best.complete and not rest:
+        free = free_beside(found, base.effects, old)
+        if best.complete and not base.effects:
             arrived = {cause.key for cause in found.pool.values() if cause.complete}
             free = [effect for effect in _likely(found, free) if effect.key not in arrived]
         if not free:
             continue
+        model, common, point = stands(problem, base)
         path = lifted(model, best.path)
         screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
-        least = nothing + needed(found.top - nothing, True)
+        least = nothing + needed(found.top - nothing, TIMES[True])
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
-        by_size = np.r_[-np.inf, best.by_size[1:]]
-        without_it = replace(best, effects=rest, model=model, path=path, log_evidence=nothing, by_size=by_size)
-        refine_best(problem, found, without_it, near, SWAPS)
+        refine_best(problem, found, replace(base, model=model, path=path, log_evidence=nothing), near, SWAPS)
     follow_neighbours(problem, found, len(best.effects))
 
 

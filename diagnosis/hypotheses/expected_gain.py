@@ -23,6 +23,6 @@ TIMES = {False: 10.0, True: 2.0}
 """Times as much as it says, where no cause leaves nothing, and where one does: a rival that is as good shows half."""
 
 
-def needed(wanted: float, explained: bool) -> float:
-    """Nats that a candidate must gain in the screen for it to gain ``wanted`` ones by its refinement."""
-    return min(wanted - ERRS, wanted / TIMES[explained])
+def needed(wanted: float, times: float) -> float:
+    """Nats that a candidate must gain in the screen for its refinement to gain ``wanted``: ERRS more, or ``times`` as many."""
+    return min(wanted - ERRS, wanted / times)

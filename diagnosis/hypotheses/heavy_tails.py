@@ -18,10 +18,9 @@ from math import inf, log
 import torch
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.predict import best_size
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_mistake
 from invdyn.diagnosis.problem.prior import log_prior_of
@@ -41,7 +40,7 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     Both as they are where the best cause has none, or other mistakes of the tracker beside them, or where the budget
     ends before it is carried over.
     """
-    best = found.ranked[0]
+    best = found.best
     rest = _without_strays(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
         return problem, found
@@ -51,10 +50,11 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
         return problem, found
     least = found.score(best) - BEHIND
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
-    bare = [_without_strays(problem, cause) for cause in near]
-    candidates = [effect for effect in found.candidates if not is_mistake(type(effect))]
+    bare = {cause.key: cause for cause in (_without_strays(problem, each) for each in reversed(near))}
+    candidates = [effect for effect in found.candidates if effect.name not in MISTAKES]
     carried = replace(found, pool={}, candidates=candidates, stray=False)
-    parts = [partial(_carried, tailed, each) for each in bare if not any(is_mistake(type(e)) for e in each.effects)]
+    clear = [cause for cause in bare.values() if not any(is_mistake(type(effect)) for effect in cause.effects)]
+    parts = [partial(_carried, tailed, each) for each in clear]
     for cause in side_by_side(parts, found.workers, tailed.budget):
         carried.add(cause)
     return (tailed, carried) if {"", rest.key} <= carried.pool.keys() else (problem, found)

@@ -28,8 +28,8 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.predict import best_size, seen_tips, whitened
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.hypotheses.predict import seen_tips, whitened
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.inference.posterior.jitter import jitter
@@ -56,7 +56,7 @@ def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.
     then alike in them, no torque can do.
     """
     size = best_size(problem, cause) * (1.0 if problem.regime.knows_torque else RULE.ample)
-    rows = whitened(problem, cause, cause.path, [size])
+    rows = whitened(problem, cause, [size])
     errors = np.full(problem.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
     errors[np.isnan(problem.observations.numpy())] = np.nan

@@ -88,19 +88,20 @@ class HypothesisPool:
     @property
     def ranked(self) -> list[FittedHypothesis]:
         """The pool, best first, without sets that a part of them beats."""
-        scores = {frozenset(e.key for e in cause.effects): self.score(cause) for cause in self.pool.values()}
+        parts = {key: frozenset(e.key for e in cause.effects) for key, cause in self.pool.items()}
+        scores = {key: self.score(cause) for key, cause in self.pool.items()}
+        kept = [key for key, own in parts.items() if all(scores[key] > scores[o] for o in parts if parts[o] < own)]
+        return [self.pool[key] for key in sorted(kept, key=lambda key: (-scores[key], key))]
 
-        def earns_its_size(cause: FittedHypothesis) -> bool:
-            mine = frozenset(e.key for e in cause.effects)
-            return all(scores[mine] > score for other, score in scores.items() if other < mine)
-
-        kept = [cause for cause in self.pool.values() if earns_its_size(cause)]
-        return sorted(kept, key=lambda cause: (-self.score(cause), cause.key))
+    @property
+    def best(self) -> FittedHypothesis:
+        """The first of :attr:`ranked`."""
+        return self.ranked[0]
 
     @property
     def explained(self) -> bool:
         """Whether the best cause has an effect and leaves nothing."""
-        return self.ranked[0].complete and bool(self.ranked[0].effects)
+        return self.best.complete and bool(self.best.effects)
 
     def add(self, cause: FittedHypothesis | None) -> None:
         """Keep a cause, or the better of two versions of it; not one that needs parameters beyond what is plausible."""

@@ -18,7 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.hypotheses.continuation import FIRM
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
@@ -47,22 +48,17 @@ class Scores:
     floor: np.ndarray
 
 
-def best_size(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
-    """The residual's size that a cause has the highest evidence with."""
-    return float(problem.regime.sizes[int(cause.by_size.argmax())])
-
-
 def whitened(
     problem: DiagnosisProblem,
     cause: FittedHypothesis,
-    path: Tensor,
     levels: Sequence[float] | np.ndarray,
     columns: Columns | None = None,
 ) -> Whitened:
-    """Innovations of ``problem``'s rows under a cause along a path (T, D), for each size of the residual.
+    """Innovations of ``problem``'s rows under a cause along its path, for each size of the residual.
 
     And ``columns``, if there are any. What they remember of the row before is in them.
     """
+    path = cause.path
     none = Columns(
         np.zeros((len(path) - 1, path.shape[-1], 0)), np.zeros((len(path), problem.observations.shape[-1], 0))
     )
@@ -77,7 +73,7 @@ def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarra
     """
     quietest = SPIKE if problem.regime.knows_torque else best_size(problem, cause)
     columns = None if unseen is None else posterior_columns(problem, cause)
-    rows = forgotten(whitened(problem, cause, cause.path, [best_size(problem, cause), quietest], columns), cause.memory)
+    rows = forgotten(whitened(problem, cause, [best_size(problem, cause), quietest], columns), cause.memory)
     seen, kappa = rows.seen, cause.kappa
     known = seen > 0
     constant = -seen * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
@@ -112,7 +108,7 @@ def _learning(w: np.ndarray) -> np.ndarray:
 
 def smoothed(problem: DiagnosisProblem, cause: FittedHypothesis) -> GaussianSmoother:
     """Posterior of the states under a cause, with its own residual size."""
-    quiet = problem.with_residual(max(best_size(problem, cause), 1e-3), cause.model)
+    quiet = problem.with_residual(max(best_size(problem, cause), FIRM), cause.model)
     return gauss_newton(quiet, problem.observations, start=cause.path, max_iterations=3)
 
 

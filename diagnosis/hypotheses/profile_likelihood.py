@@ -73,7 +73,6 @@ def _added(
     names = [f"{effect.key}.{p.name}" for p in parameters]
     if values is not None:
         points = [*points, tuple(values[name] for name in names)]
-    known = dict(zip(base.names, base.mean.tolist(), strict=True)) | base.noise
     common, levels = unknowns(problem, base.effects), problem.regime.sizes
     columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
     model, some = base.model.with_effects(effect), _telling(base, levels)
@@ -99,7 +98,7 @@ def _added(
         values = np.minimum(np.exp(log_values), most)
         return float(logsumexp(by_size(values))) + log_prior_of(parameters, values)
 
-    gained = [(score(np.log(point)) - log_prior_of(parameters, np.array(point)), point) for point in points]
+    gained = [(float(logsumexp(by_size(np.array(point)))), point) for point in points]
     top, start = max(gained)
     if top < least - sum(base.noise_log.values()):
         return None
@@ -109,14 +108,14 @@ def _added(
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
     begun = np.log(start)
-    values = known | dict(zip(names, np.exp(begun).tolist(), strict=True))
+    values = base.values | dict(zip(names, np.exp(begun).tolist(), strict=True))
     cause = refine(problem, (*base.effects, effect), values, path, size, rounds=2)
     (path, tangents, moving), some = along(cause), _telling(cause, levels)
     climbed, covariance, integral = climb(score, begun)
     climbed = np.minimum(climbed, np.log(most))
-    own = integral - (score(climbed) - log_prior_of(parameters, np.exp(climbed)))
+    own = integral - float(logsumexp(by_size(np.exp(climbed))))
     noise_log = base.noise_log | {effect.key: own}
-    values = known | dict(zip(names, np.exp(climbed).tolist(), strict=True))
+    values = base.values | dict(zip(names, np.exp(climbed).tolist(), strict=True))
     cause = refine(problem, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
     spreads = np.exp(climbed) * np.sqrt(np.diag(covariance))
     return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))

@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
-from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
@@ -66,11 +66,11 @@ def refine(
 ) -> FittedHypothesis:
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
-    ``size`` is the residual's that its first path is found under. A cause that has not reached ``doubtful`` nats
-    after the first of ``rounds``, or ``enough`` after the second, is left as it is; so is one at which the budget ends,
-    and :class:`.Spent` is raised where it ends before. Parameters of effects that are
-    searched stay where ``values`` has them; ``noise_log`` is what their integral adds to the log evidence, by effect's
-    key, ``noise_sd`` their standard deviations.
+    ``size`` is the residual's that its first path is found under. A descent that has not reached ``doubtful`` nats
+    after the first of ``rounds``, or ``enough`` after the second, ends there; so does one at which the budget ends.
+    :class:`.Spent` is raised where that ends before. Parameters of effects that are searched stay where ``values`` has
+    them; ``noise_log`` is what their integral adds to the log evidence, by effect's key, ``noise_sd`` their standard
+    deviations.
     """
     model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
@@ -78,7 +78,7 @@ def refine(
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
-    integrated = dict(noise_log or {})
+    integrated = {key: log for key, log in (noise_log or {}).items() if key in {effect.key for effect in effects}}
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
     among = unknowns(problem, effects)
     point = np.array([values.get(name, mean) for name, mean in zip(among.names, among.mean, strict=True)])
@@ -89,8 +89,8 @@ def refine(
     best: FittedHypothesis | None = None
     worth = most_seen = -np.inf
 
-    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[FittedHypothesis, np.ndarray, float]:
-        """Path and expansion about ``point``; the cause, where its parameters go, and the gain it promises."""
+    def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[FittedHypothesis, float]:
+        """Path and expansion about ``point``: the cause where its parameters go, and the gain that promises."""
         here = among.set_in(model, point)
         quiet = problem.with_residual(max(size, FIRM), here)
         before, path = path, gauss_newton_path(quiet, problem.observations, path, STEPS, CLOSE)
@@ -127,7 +127,7 @@ def refine(
             learned=learned(covariance, among.sd),
             far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )
-        return cause, target, _promised(among, point, mean, covariance)
+        return cause, _promised(among, point, mean, covariance)
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
         """Expand and move on, ``most`` times at most; the best stays.
@@ -140,14 +140,14 @@ def refine(
                 break
             try:
                 with diverging():
-                    cause, target, promised = once(point, path, stiffness * size, fresh and not done)
+                    cause, promised = once(point, path, stiffness * size, fresh and not done)
             except Singular:
                 if best is None:
                     raise
                 break  # a step too far; what was found before it stands
-            used, size, path, sd = size, float(levels[cause.by_size.argmax()]), cause.path, cause.sd
+            used, size, path, sd = size, best_size(problem, cause), cause.path, cause.sd
             step = 0.05 * sd
-            off = np.abs(target - point) / np.maximum(sd, 1e-300)
+            off = np.abs(cause.mean - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
             true = cause.log_evidence - promised
             if best is None or true > most_seen - UNKEPT:
@@ -159,7 +159,7 @@ def refine(
             settled = (off < SETTLED).all() and promised < UNKEPT
             if (settled and max(used, FIRM) == max(size, FIRM)) or hopeless:
                 break
-            point = target
+            point = cause.mean
 
     patient = rounds == ROUNDS
     if patient and model.effects.abrupt:
@@ -171,12 +171,12 @@ def refine(
     # Then stiffer: a residual that bends the path lets wrong parameters stand, where there are any.
     for stiffness in (0.1, 0.0) if among.names else ():
         if patient and not best.complete and best.log_evidence >= enough and not problem.budget.over:
-            size = float(levels[best.by_size.argmax()])
+            size = best_size(problem, best)
             firm = firmed(problem, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
-        descend(best.mean, best.path, float(levels[best.by_size.argmax()]), 0.0, rounds, fresh=False)
-    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
+        descend(best.mean, best.path, best_size(problem, best), 0.0, rounds, fresh=False)
+    if best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

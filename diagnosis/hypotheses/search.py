@@ -22,7 +22,7 @@ Everything that was refined stays in the pool, so that rivals which the data can
 that is less probable than a part of it is no rival of that part (Madigan & Raftery 1994, "Occam's window").
 """
 
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -65,7 +65,7 @@ def search(
     Of no more than ``most`` effects at once.
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
-    found = replace(_begun(problem, path, stray, considered(problem, left_out), workers), most=most)
+    found = _begun(problem, path, stray, considered(problem, left_out), workers, most)
     problem.budget.share = SEARCH
     with suppress(Spent):
         _sought(problem, found)
@@ -79,22 +79,21 @@ def _sought(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     if known and found.stray:
         _mistaken(problem, found)
     made: set[tuple[Move, str]] = set()
-    while True:
-        moves = _moves(found, known, {move for move, _ in made})
-        move, base = next(((m, cause) for m, cause in moves if (m, cause.key) not in made), (None, None))
-        if move is None or base is None:
-            return
+    while step := next((s for s in _moves(found, known, made) if (s[0], s[1].key) not in made), None):
+        move, base = step
         made.add((move, base.key))
         move(problem, found, base)
 
 
-def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterator[tuple[Move, FittedHypothesis]]:
+def _moves(
+    found: HypothesisPool, known: bool, made: Collection[tuple[Move, str]]
+) -> Iterator[tuple[Move, FittedHypothesis]]:
     """Moves of the best cause, in their order, and what of them was ``made`` of others; none is made twice of one.
 
     Several may imitate two whatever their sizes, and then stand in the way: what else is at work shows beside the best
     single effect. To what came in the place of another, and leaves nothing, nothing is added.
     """
-    best = found.ranked[0]
+    best = found.best
     if not known:
         if not best.effects:
             yield add, best
@@ -106,14 +105,19 @@ def _moves(found: HypothesisPool, known: bool, made: Container[Move]) -> Iterato
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
             yield add, single
-    if len(best.effects) < found.most and not (exchange in made and best.complete):
+    if len(best.effects) < found.most and not (best.complete and any(move is exchange for move, _ in made)):
         yield add, best
     if best.effects:
         yield exchange, best
 
 
 def _begun(
-    problem: DiagnosisProblem, path: Tensor, stray: bool, candidates: list[Effect], workers: int
+    problem: DiagnosisProblem,
+    path: Tensor,
+    stray: bool,
+    candidates: list[Effect],
+    workers: int,
+    most: int = MOST_EFFECTS,
 ) -> HypothesisPool:
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
@@ -128,7 +132,7 @@ def _begun(
     none, *rest = side_by_side(starts, workers, problem.budget)
     if none is None or None in rest:
         raise cannot_follow(problem)
-    found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers)
+    found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers, most=most)
     for found.aside, alone in rest:
         found.add(alone)
     return found
@@ -144,13 +148,13 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
     none = found.pool[""]
     for path in (path for path in (found.aside, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
-            base = none.moved_to(none.model, path)
+            base = replace(none, path=path)
             found.add(attempt(refine_searched, problem, base, effect))
-        if found.ranked[0].complete:
+        if found.best.complete:
             return
-    if not found.ranked[0].effects:
+    if not found.best.effects:
         return
-    _, screened = screened_with(problem, found, none)
+    screened = screened_with(problem, found, none)
     tried = replace(found, pool=dict(found.pool))
     refine_best(problem, tried, none, screened, FEW)
     if tried.explained:

@@ -8,7 +8,7 @@ effect, but not from its neighbour's parameters and path (continuation: Allgower
 methods").
 """
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from itertools import product
 from typing import Any
 
@@ -17,17 +17,15 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import ERRS, needed
+from invdyn.diagnosis.hypotheses.expected_gain import ERRS, TIMES, needed
 from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, own
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import PASSIVE
-from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.problem.unknowns import stands
 from invdyn.diagnosis.sensitivity.screen import added, screen
-from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.neighbours import Neighbour, neighbours
 
@@ -62,7 +60,7 @@ def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: 
             _swap_each(problem, found, cause, ("twin", "wider", "narrower"))
         for cause in _rough(problem, found, number)[: SOFTER // number]:
             refine_softer(problem, found, cause)
-        best = found.ranked[0]
+        best = found.best
         if len(best.effects) == number:
             _swap_each(problem, found, best, ("alike",))
 
@@ -80,7 +78,7 @@ def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> lis
     """
     least, none = found.top - ERRS, found.pool[""].log_evidence
     if not found.explained:
-        least = none + needed(found.top - none, True)
+        least = none + needed(found.top - none, TIMES[True])
     ideal = [c for c in _near(found, number, least) if any(effect.softened() is not None for effect in c.effects)]
     rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     return sorted(rough, key=lambda cause: -cause.log_evidence)
@@ -90,12 +88,11 @@ def _swap_each(
     problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]
 ) -> None:
     """Refine a cause with each of its effects at another time, and with neighbours of some ``kinds`` in its place."""
-    spread = dict(zip(cause.names, cause.sd.tolist(), strict=True)) | cause.noise_sd
     passive, taken = problem.regime == PASSIVE, {effect.key for effect in cause.effects}
     for mine in cause.effects:
         if "moment" in mine.located:
             _refine_moved(problem, found, cause, mine)
-        values, sd = (_own(problem, mine, known) for known in (cause.values, spread))
+        values, sd = own(mine, cause.values), own(mine, cause.spread)
         for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
             if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
                 _follow(problem, found, cause, mine, other)
@@ -112,20 +109,18 @@ def _follow(
     else:
         done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if related else ALIKE)
     if other.kind == "alike":
-        its, own = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
+        its, ours = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
-        done = done or (cause.complete and its >= own)
+        done = done or (cause.complete and its >= ours)
     if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if related else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
         form, starts = _as_soft(problem, cause, mine, other)
         limits = fair_chance(found, found.pool[""]) if other.kind in ("alike", "wider") else {}
-        refine_instead(problem, found, cause, mine, form, starts, paths, limits=limits)
-
-
-def _own(problem: DiagnosisProblem, effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
-    """Of what is ``known`` by "<effect key>.<name>" that of one effect, by its parameters' own names."""
-    names = {p.name: f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
-    return {name: known[key] for name, key in names.items() if key in known}
+        for path, start in product(paths, starts):
+            refined = instead(problem, cause, mine, form, start, path, best_size(problem, cause), **limits)
+            found.add(refined)
+            if refined is not None and refined.complete:
+                break
 
 
 def _softness(effect: Effect) -> str:
@@ -142,9 +137,9 @@ def _as_soft(
         return form, [dict(start) for start in other.starts]
     for _ in range(mine.softness):
         form = form.softened() or form
-    own = _own(problem, mine, cause.values)
-    wanted = [p.name for p in form.parameters(problem.model.scale)]
-    return form, [{name: own[name] for name in wanted if name in own} | dict(start) for start in other.starts]
+    wanted = {p.name for p in form.parameters(problem.model.scale)}
+    kept = {name: value for name, value in own(mine, cause.values).items() if name in wanted}
+    return form, [kept | dict(start) for start in other.starts]
 
 
 def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
@@ -169,16 +164,13 @@ def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **l
     form = mine.softened()
     if form is None:
         return None
-    effects = (*(e for e in cause.effects if e.key != mine.key), form)
-    ideal = {p.name: cause.values[f"{mine.key}.{p.name}"] for p in mine.parameters(problem.model.scale)}
-    values = cause.values | {f"{form.key}.{name}": value for name, value in form.as_soft(ideal).items()}
     size = max(best_size(problem, cause), SOFTENED)
-    return attempt(refine, problem, effects, values, cause.path, size, **cause.searched, **limits)
+    return instead(problem, cause, mine, form, form.as_soft(own(mine, cause.values)), cause.path, size, **limits)
 
 
 def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
     """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
-    doubtful = base.log_evidence + needed(found.top - base.log_evidence, False)
+    doubtful = base.log_evidence + needed(found.top - base.log_evidence, TIMES[False])
     return {"enough": found.top - ERRS, "doubtful": doubtful}
 
 
@@ -203,49 +195,31 @@ def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
     of its peaks. Along the path that it has found, each of a few moments and durations about its own is one regression.
     """
     while not _followed(found, cause, mine, mine, " moved"):
-        own = _own(problem, mine, cause.values)
-        (first, last), width = problem.model.time[[0, -1]].tolist(), max(own["duration"], SHORT)
-        middles = [(own["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
+        there = own(mine, cause.values)
+        (first, last), width = problem.model.time[[0, -1]].tolist(), max(there["duration"], SHORT)
+        middles = [(there["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
-        common, point, model = bared(problem, cause, mine)
+        model, common, point = stands(problem, cause.less(problem, mine))
         (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))
-        refine_instead(problem, found, cause, mine, mine, [likely.values], [cause.path], float(likely.size))
+        found.add(instead(problem, cause, mine, mine, likely.values, cause.path, likely.size))
         cause = found.pool[cause.key]
         mine = next(effect for effect in cause.effects if effect.key == mine.key)
 
 
-def refine_instead(
+def instead(
     problem: DiagnosisProblem,
-    found: HypothesisPool,
     cause: FittedHypothesis,
     mine: Effect,
     other: Effect,
-    starts: Sequence[Mapping[str, float]],
-    paths: Sequence[Tensor],
-    size: float | None = None,
-    limits: Mapping[str, float] | None = None,
-) -> None:
-    """Refine a cause with another effect in place of one, from one start after the other, until one leaves nothing.
+    start: Mapping[str, float],
+    path: Tensor,
+    size: float,
+    **limits: Any,
+) -> FittedHypothesis | None:
+    """A cause with another effect, or another form of it, in place of one, refined under a residual of ``size``.
 
-    Under a residual of its own best ``size``, unless another is given; given up at :func:`.refine`'s ``limits``.
+    From a ``start`` of its parameters, by their own names, and the values that the cause has of the others.
     """
-    effects = (*(e for e in cause.effects if e is not mine), other)
-    kept = {name: value for name, value in cause.values.items() if not name.startswith(f"{mine.key}.")}
-    size = best_size(problem, cause) if size is None else size
-    for path, start in product(paths, starts):
-        values = kept | {f"{other.key}.{name}": value for name, value in start.items()}
-        refined = attempt(refine, problem, effects, values, path, size, **cause.searched, **(limits or {}))
-        found.add(refined)
-        if refined is not None and refined.complete:
-            break
-
-
-def bared(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect) -> tuple[Unknowns, np.ndarray, ArmModel]:
-    """What a cause is without one of its effects, nothing refined: unknowns, their values (p,) and model."""
-    rest = tuple(effect for effect in cause.effects if effect is not mine)
-    common, model, known = unknowns(problem, rest), problem.model, cause.values
-    if not rest:
-        return common, common.mean, model  # as it is stated: without a cause its numbers stood in for one
-    model = model.with_effects(*rest)
-    model = model.replace(**{n: v for n, v in cause.model.parameters.items() if n in model.parameters})
-    return common, np.array([known[name] for name in common.names]), model
+    effects = (*(effect for effect in cause.effects if effect.key != mine.key), other)
+    values = cause.values | {f"{other.key}.{name}": value for name, value in start.items()}
+    return attempt(refine, problem, effects, values, path, size, **cause.searched, **limits)

@@ -3,7 +3,7 @@
 Shapes: p parameters, T rows, states of D coordinates, G sizes of the residual.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -73,6 +73,11 @@ class FittedHypothesis:
         return dict(zip(self.names, self.mean.tolist(), strict=True)) | {k: float(v) for k, v in self.noise.items()}
 
     @property
+    def spread(self) -> dict[str, float]:
+        """Standard deviations of :attr:`values`, where they are known."""
+        return dict(zip(self.names, self.sd.tolist(), strict=True)) | self.noise_sd
+
+    @property
     def key(self) -> str:
         """Keys of the effects, sorted and joined; "" for none."""
         return key_of(self.effects)
@@ -87,22 +92,22 @@ class FittedHypothesis:
         return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
 
     def less(self, problem: DiagnosisProblem, effect: Effect) -> "FittedHypothesis":
-        """The same path and parameters without one of the effects whose parameters were searched, nothing refined."""
+        """The same path and parameters without one of the effects, nothing refined; the path keeps its states."""
         rest = tuple(other for other in self.effects if other.key != effect.key)
-        names = {f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
-        kept = {n: v for n, v in self.model.parameters.items() if n.removeprefix(PREFIX) not in names}
+        gone = {f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
+        kept = [i for i, name in enumerate(self.names) if name not in gone]
+        model = problem.model.with_effects(*rest)
         return replace(
             self,
             effects=rest,
-            model=problem.model.with_effects(*rest).replace(**kept),
-            noise={n: v for n, v in self.noise.items() if n not in names},
-            noise_sd={n: v for n, v in self.noise_sd.items() if n not in names},
+            names=tuple(self.names[i] for i in kept),
+            mean=self.mean[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            model=model.replace(**{n: v for n, v in self.model.parameters.items() if n in model.parameters}),
+            noise={n: v for n, v in self.noise.items() if n not in gone},
+            noise_sd={n: v for n, v in self.noise_sd.items() if n not in gone},
             noise_log={key: v for key, v in self.noise_log.items() if key != effect.key},
         )
-
-    def moved_to(self, model: ArmModel, path: Tensor) -> "FittedHypothesis":
-        """The same cause with another model and path."""
-        return replace(self, model=model, path=path)
 
     def carried_to(self, other: DiagnosisProblem) -> ArmModel:
         """The model of another recording with this cause's effects and parameters, and with the noise that they know.
@@ -126,6 +131,17 @@ class FittedHypothesis:
         return theirs.with_effects(*self.effects).replace(**values)
 
 
+def best_size(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
+    """The residual's size that a cause has the highest evidence with."""
+    return float(problem.regime.sizes[int(cause.by_size.argmax())])
+
+
 def key_of(effects: Sequence[Effect]) -> str:
     """Keys of effects, sorted and joined."""
     return "+".join(sorted(effect.key for effect in effects))
+
+
+def own(effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
+    """Of what is ``known`` by "<effect key>.<name>" that of one effect, by its parameters' own names."""
+    parts = ((*name.rpartition(".")[::2], value) for name, value in known.items())
+    return {name: value for key, name, value in parts if key == effect.key}

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from pyro.distributions import Distribution, LogNormal, Normal
 
+from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.uncertain import Uncertain
@@ -83,6 +84,12 @@ def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
     rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in problem.uncertain]
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
+
+
+def stands(problem: DiagnosisProblem, base: FittedHypothesis) -> tuple[ArmModel, Unknowns, np.ndarray]:
+    """Model, unknowns and their values (p,) of a base; without a cause as stated: there numbers stood in for one."""
+    common = unknowns(problem, base.effects)
+    return (base.model, common, base.mean) if base.effects else (problem.model, common, common.mean)
 
 
 def _least(number: Uncertain) -> float:

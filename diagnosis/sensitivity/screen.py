@@ -124,13 +124,13 @@ def evidences(
     p = own + shared
     H = len(found) + 1
     index, offset = np.zeros((H, p), int), np.zeros(H, int)
-    mean, sd = np.zeros((H, p)), np.ones((H, p))
+    mean, sd = np.zeros((H, p)), np.ones((H, p))  # an effect's own are expanded about their absence, or a grid point
     lower, upper = np.full((H, p), -np.inf), np.full((H, p), np.inf)
     for i, (h, start) in enumerate(zip(found, first, strict=True)):
         n = len(h.free)
         index[i, :n] = 1 + start + np.array(h.columns)
         offset[i] = 0 if h.offset is None else 1 + start + h.offset
-        mean[i, :n], sd[i, :n], lower[i, :n], upper[i, :n] = h.mean, h.sd, h.lower, h.upper
+        sd[i, :n], lower[i, :n], upper[i, :n] = h.sd, h.lower, h.upper
     index[:, own:] = whitened.gram.shape[-1] - shared + np.arange(shared)
     mean[:, own:], sd[:, own:] = common.mean - point, common.sd
     lower[:, own:], upper[:, own:] = common.lower - point, common.upper - point
@@ -147,7 +147,6 @@ class Screened:
     Attributes:
         effect: bound; None for "no effect".
         log_evidence: sizes and grid integrated out.
-        by_size: (G,) grid integrated out.
         best: its best grid point; None for "no effect".
         columns: of that point: what is added as it is, if anything, then those of ``best.free``.
         values: estimates of all parameters there, by name.
@@ -159,7 +158,6 @@ class Screened:
 
     effect: Effect | None
     log_evidence: float
-    by_size: np.ndarray
     best: Hypothesis | None
     columns: Columns | None
     values: dict[str, float]
@@ -261,12 +259,10 @@ def screen(
             apart = [abs(found[i].point.get("moment", 0.0) - best.point.get("moment", 0.0)) > WINDOW for i in mine]
             next_best = np.where(apart, part, -np.inf)
             other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
-            by_size = logsumexp(part, axis=1)
             screened.append(
                 Added(
                     best.effect,
                     float(logsumexp(part)),
-                    by_size,
                     best,
                     Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
                     _estimates(best, results[size], mine[place]),
@@ -276,7 +272,7 @@ def screen(
                     path,
                 )
             )
-    screened.append(Screened(None, float(logsumexp(none)), none, None, None, {}, None, 0.0, np.inf, path))
+    screened.append(Screened(None, float(logsumexp(none)), None, None, {}, None, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)
 
 

@@ -42,7 +42,7 @@ class Hypothesis:
         effect: bound.
         point: values of all parameters about which it is expanded, by name.
         free: names of the parameters that the columns belong to.
-        mean, sd: prior of their deviations from ``point``.
+        sd: of their deviations from ``point``, whose prior mean is 0.
         lower, upper: (p,) smallest and largest deviation.
         log_weight: prior weight of the grid point within the effect.
         columns: numbers of the columns of ``free``, from 0.
@@ -52,7 +52,6 @@ class Hypothesis:
     effect: Effect
     point: dict[str, float]
     free: tuple[str, ...]
-    mean: tuple[float, ...]
     sd: tuple[float, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -139,7 +138,7 @@ def hypotheses(
         rare = -np.log(len(points))
     # What is not on a grid is expanded about its absence, which it then has.
     absent: dict[str, float] = {p.name: p.absent for p in straight if p.absent is not None}
-    sets = [absent | points[0]]
+    sets: list[dict[str, float]] = []
     found: list[Hypothesis] = []
     pieces: list[tuple[int, int | None, float]] = []
     for point in points:
@@ -149,7 +148,7 @@ def hypotheses(
             for p in straight:
                 step = STEP * prior_sd(p)
                 sets.append(base | {p.name: absent[p.name] + step})
-                pieces.append((len(sets) - 1, 0, step))
+                pieces.append((len(sets) - 1, None, step))
             offset: int | None = None
         else:
             free, offset = bent, len(pieces)
@@ -169,7 +168,6 @@ def hypotheses(
                 effect,
                 base,
                 tuple(p.name for p in free),
-                (0.0,) * len(free),
                 tuple(sd),
                 tuple(low - base[p.name] for p, (low, _) in zip(free, ends, strict=True)),
                 tuple(high - base[p.name] for p, (_, high) in zip(free, ends, strict=True)),
@@ -183,8 +181,7 @@ def hypotheses(
 
     def column(values: Tensor, plain: Tensor, which: tuple) -> Tensor:
         here, other, step = which
-        before = plain if other is None or (straight and other == 0) else values[other]
-        return (values[here] - before) / step
+        return (values[here] - (plain if other is None else values[other])) / step
 
     g = torch.stack([column(f, f0, which) for which in pieces], -1)
     d = torch.stack([column(h, h0, which) for which in pieces], -1)

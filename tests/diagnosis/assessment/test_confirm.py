@@ -10,8 +10,8 @@ from pendulum import DAMPING, FRICTION, LOOSE, PENDULUM, at_best, causes, path_o
 from pyro.infer.smcfilter import SMCFailed
 
 from invdyn.diagnosis.assessment.confirm import confirm, confirm_all, posterior, scaled
-from invdyn.diagnosis.hypotheses.predict import best_size
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.problem.cause import best_size
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
+from invdyn.diagnosis.assessment.credible import credible
 from invdyn.diagnosis.assessment.model_posterior import _alone, only, weigh
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.credible import credible
 from invdyn.diagnosis.hypotheses.innovation_tests import (
     correlation,
     prediction_errors,

@@ -165,7 +165,7 @@ def test_turns_are_told_by_what_feels_them():
     assert whole_turns_away(none) == []
     assert whole_turns_away(friction) == []
     one = {"effect.joint_stiffness.pivot.stiffness": torch.ones(1)}
-    spring = none.moved_to(here.model.with_effects(SPRING).replace(**one), none.path)
+    spring = replace(none, model=here.model.with_effects(SPRING).replace(**one))
     for there, turn in zip(whole_turns_away(spring), (2 * np.pi, -2 * np.pi), strict=True):
         _, angle, velocity = here.model.split(there.path - none.path)
         assert torch.allclose(angle, torch.full_like(angle, turn))
@@ -174,4 +174,4 @@ def test_turns_are_told_by_what_feels_them():
         assert begins.item() == pytest.approx(turn)
     counted = replace(recorded(), angles=here.model.split(none.path)[1].numpy(), joint_names=("pivot",))
     model = diagnosis_problem(counted, PENDULUM).model.with_effects(SPRING).replace(**one)
-    assert whole_turns_away(spring.moved_to(model, none.path)) == []
+    assert whole_turns_away(replace(spring, model=model)) == []

@@ -108,7 +108,7 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch, gain, barred)
     screened = sorted((replace(s, dprime=50.0) for s in screened), key=lambda s: -s.log_evidence)
     tried, room, left = [], sys.modules[add.__module__], False
     monkeypatch.setattr(room, "refine", lambda *given, **more: tried.append(given[1][0].name))
-    monkeypatch.setattr(room, "screened_with", lambda *_: (screened, screened))
+    monkeypatch.setattr(room, "screened_with", lambda *_: screened)
     monkeypatch.setattr(room, "show_more", lambda *_: left)
     monkeypatch.setattr(room, "refine_searched", lambda *_: None)
     none = refine(bound, (), {}, path, LOOSE)

@@ -73,7 +73,7 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
 
     monkeypatch.setattr(sys.modules[drop.__module__], "refine", refined)
     drop(bound, HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray), both)
-    assert tried == {("outliers",): both.searched, ("viscous_friction",): {}}
+    assert tried == {("outliers",): both.searched, ("viscous_friction",): both.searched}
 
 
 def test_what_is_left_of_two_that_were_searched_is_searched_anew():

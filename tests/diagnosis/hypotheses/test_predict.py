@@ -38,7 +38,7 @@ def test_parameters_are_integrated_over_on_rows_that_they_have_not_seen():
     here, _, cause = causes()
     broad = replace(cause, mean=cause.mean + 4 * cause.sd, covariance=9 * cause.covariance)
     among = unknowns(here, cause.effects)
-    broad = broad.moved_to(among.set_in(cause.model, broad.mean), cause.path)
+    broad = replace(broad, model=among.set_in(cause.model, broad.mean), path=cause.path)
     unseen = np.arange(80) >= 30
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
     plain = np.array(

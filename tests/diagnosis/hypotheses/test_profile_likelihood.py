@@ -56,7 +56,7 @@ def test_noise_that_grows_with_speed_and_stray_detections_make_room_for_each_oth
     here = diagnosis_problem(astray, PENDULUM)
     path, _ = data_path(here)
     none = refine(here, (), {}, path, LOOSE)
-    cause = none.moved_to(none.model, path)
+    cause = replace(none, path=path)
     for name in order:
         cause = refine_searched(here, cause, EFFECTS[name]().bound(PENDULUM))
     found, sd = cause.noise, cause.noise_sd
@@ -106,7 +106,7 @@ def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
     path, far = data_path(here)
     assert far
     none = refine(here, (), {}, path, LOOSE)
-    cause = refine_searched(here, none.moved_to(none.model, path), EFFECTS["outliers"]().bound(PENDULUM))
+    cause = refine_searched(here, replace(none, path=path), EFFECTS["outliers"]().bound(PENDULUM))
     assert cause.noise["outliers.rate"] == pytest.approx(stray.mean(), abs=0.03)
     assert cause.noise["outliers.scale"] == pytest.approx(0.3, rel=0.3)
     assert not cause.complete

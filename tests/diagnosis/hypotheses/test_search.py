@@ -278,7 +278,7 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
         pool.add(like(complete, limit, nats=200.0 + gain))
 
     monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
-    monkeypatch.setattr(module, "screened_with", lambda *_: (None, screened))
+    monkeypatch.setattr(module, "screened_with", lambda *_: screened)
     monkeypatch.setattr(module, "refine_best", promising)
     _mistaken(bound, found)
     assert asked == ([] if taken is None else [("", screened, FEW)])
