@@ -23,7 +23,7 @@ from invdyn.diagnosis.assessment.matters import matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.decision import RULE, TOLD, Decision, ruled
-from invdyn.diagnosis.hypotheses.predict import residual
+from invdyn.diagnosis.prediction.predict import residual
 
 ROOM: Any = import_module(weigh.__module__)
 CONFIRM = ROOM.confirm_all

@@ -32,7 +32,7 @@ from invdyn.diagnosis.assessment.symbolic_regression import Formula
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
+from invdyn.diagnosis.prediction.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise

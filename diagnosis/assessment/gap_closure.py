@@ -27,13 +27,14 @@ from invdyn.diagnosis.assessment.transfer import carried, leaves_there
 from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
+from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.drop import without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, others
-from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect

@@ -35,8 +35,8 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.assessment.confirm import Confirmed, confirm_all
 from invdyn.diagnosis.assessment.credible import credible
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.innovation_tests import along_motion, prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.prediction.innovation_tests import along_motion, prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another

@@ -20,11 +20,12 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import CLOSE, FIRM, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import CLOSE, led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
-from invdyn.diagnosis.hypotheses.predict import posterior_columns, scores, whitened
+from invdyn.diagnosis.prediction.predict import posterior_columns, scores, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path

@@ -25,11 +25,11 @@ import numpy as np
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, TIMES, needed
-from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import fair_chance, follow_neighbours, softer
+from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched

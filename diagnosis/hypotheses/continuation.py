@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
@@ -15,8 +16,6 @@ from invdyn.models.fixed_point import settled
 
 STRAY = 5.0
 """Standard deviations beyond which a detection counts as stray when the first path is judged."""
-FIRM = 1e-3
-"""Smallest size of the residual under which a path is sought: stiffer chains would only take more steps."""
 SLACK = (1000.0, 100.0, 10.0, 1.0)
 """Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
 ITERATIONS, PATIENT, CLOSE = 6, 20, 0.3

@@ -5,7 +5,6 @@ selection in regression", ch. 3). A set may be what it took to get near the para
 """
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -13,6 +12,7 @@ from invdyn.diagnosis.hypotheses.swap import refine_softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models.effects.base import Effect
 
 

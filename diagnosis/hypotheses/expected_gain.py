@@ -24,5 +24,5 @@ TIMES = {False: 10.0, True: 2.0}
 
 
 def needed(wanted: float, times: float) -> float:
-    """Nats that a candidate must gain in the screen for its refinement to gain ``wanted``: ERRS more, or ``times`` as many."""
+    """Nats that a candidate must gain in the screen, for its refinement may gain ERRS more, or so many ``times``."""
     return min(wanted - ERRS, wanted / times)

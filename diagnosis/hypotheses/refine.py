@@ -22,10 +22,11 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM, firmed, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import firmed, led, lifted
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.diagnosis.sensitivity.evidence import learned
 from invdyn.diagnosis.sensitivity.memory import expansions

@@ -33,7 +33,7 @@ from torch import Tensor
 from invdyn.diagnosis.budget import SEARCH, Spent
 from invdyn.diagnosis.hypotheses.add import add, refine_best, screened_with
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import FIRM, led
+from invdyn.diagnosis.hypotheses.continuation import led
 from invdyn.diagnosis.hypotheses.drop import drop
 from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
@@ -42,6 +42,7 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 

@@ -18,9 +18,9 @@ from torch import Tensor
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.expected_gain import ERRS, TIMES, needed
-from invdyn.diagnosis.hypotheses.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, own
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import PASSIVE

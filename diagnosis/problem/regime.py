@@ -20,6 +20,8 @@ SPIKE = 1e-4
 SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
 LIMB = tuple(np.geomspace(0.03, 30.0, 15))
 """Sizes of a limb's own torque, which in fast motions is far above what holds the limb up."""
+FIRM = 1e-3
+"""Smallest size under which a path is sought: stiffer chains would only take more steps."""
 
 
 @dataclass(frozen=True)

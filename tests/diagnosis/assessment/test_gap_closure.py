@@ -12,11 +12,11 @@ from pendulum import DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, record
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, borne_out, by_effect, closed, split, unseen
-from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.predict import Scores, scores
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record

@@ -12,14 +12,14 @@ from invdyn.diagnosis.assessment.credible import credible
 from invdyn.diagnosis.assessment.model_posterior import _alone, only, weigh
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.innovation_tests import (
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
+from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.innovation_tests import (
     correlation,
     prediction_errors,
     show_more,
 )
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
-from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
-from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
 from invdyn.diagnosis.problem.unknowns import upper_bound

@@ -12,10 +12,11 @@ from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment import transfer as elsewhere
 from invdyn.diagnosis.assessment.gap_closure import closed, unseen
 from invdyn.diagnosis.assessment.transfer import carried, whole_turns_away
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
-from invdyn.diagnosis.hypotheses.predict import scores
+from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError

@@ -6,13 +6,14 @@ from dataclasses import replace
 import pytest
 from pendulum import LOOSE, PENDULUM, driven
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
+from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.drop import drop, without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models.effects import EFFECTS
 
 

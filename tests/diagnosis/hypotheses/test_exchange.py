@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from pendulum import LOOSE, PENDULUM, driven
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path
+from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS

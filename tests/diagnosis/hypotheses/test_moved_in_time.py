@@ -6,11 +6,11 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, path_of
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 

@@ -29,13 +29,13 @@ from scipy.stats import halfnorm
 
 from invdyn.diagnosis.assessment.confirm import confirm
 from invdyn.diagnosis.assessment.findings import finding, tempered_covariance
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path, firmed, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import data_path, firmed, led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
-from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, diagnosis_problem
-from invdyn.diagnosis.problem.regime import UNKNOWN_TORQUE
+from invdyn.diagnosis.problem.regime import FIRM, UNKNOWN_TORQUE
 from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns

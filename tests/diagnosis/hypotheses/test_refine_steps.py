@@ -10,10 +10,9 @@ from pendulum import ARM, DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, r
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.hypotheses.refine import SETTLED, SHORTER, STEPS, _distance, _promised, _within, refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import Regime, log_prior
+from invdyn.diagnosis.problem.regime import FIRM, Regime, log_prior
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record

@@ -13,10 +13,10 @@ from scipy.stats import multivariate_normal
 from invdyn.diagnosis.assessment.model_posterior import _alone
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.diagnose import diagnose
-from invdyn.diagnosis.hypotheses.innovation_tests import correlation, prediction_errors
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.predict import scores
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.innovation_tests import correlation, prediction_errors
+from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.sensitivity.memory import MOST, expansions, forgotten

@@ -8,11 +8,12 @@ import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.add import _aside
-from invdyn.diagnosis.hypotheses.continuation import FIRM, data_path, led
+from invdyn.diagnosis.hypotheses.continuation import data_path, led
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import prior_sd, unknowns
 from invdyn.diagnosis.sensitivity.screen import _cost, _halved, screen, screen_in_halves, windows
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.decision import RULE
-from invdyn.diagnosis.hypotheses.predict import seen_tips, whitened
+from invdyn.diagnosis.prediction.predict import seen_tips, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm

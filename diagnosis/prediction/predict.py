@@ -18,10 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.continuation import FIRM
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import SPIKE
+from invdyn.diagnosis.problem.regime import FIRM, SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes

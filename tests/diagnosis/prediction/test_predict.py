@@ -9,8 +9,8 @@ import torch
 from pendulum import ARM, DAMPING, LOOSE, PENDULUM, at_best, causes, path_of, recording_of
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.hypotheses.predict import replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import replay, replay_rms, residual, scores, smoothed
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 

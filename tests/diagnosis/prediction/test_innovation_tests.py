@@ -9,15 +9,15 @@ from pendulum import ARM, PENDULUM, causes, recording_of
 
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.innovation_tests import (
+from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.innovation_tests import (
     along_motion,
     correlation,
     in_concert,
     loudness,
     prediction_errors,
 )
-from invdyn.diagnosis.hypotheses.predict import seen_tips
-from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.prediction.predict import seen_tips
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.inference.posterior.jitter import MEDIAN
 from invdyn.models import ArmModel
