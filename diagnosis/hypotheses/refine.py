@@ -177,7 +177,7 @@ def refine(
             descend(best.mean, firm, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
         descend(best.mean, best.path, best_size(problem, best), 0.0, rounds, fresh=False)
-    if best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
