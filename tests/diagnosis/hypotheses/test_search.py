@@ -159,7 +159,7 @@ def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swap
     by_size = np.where((np.arange(len(given.by_size)) == 0) == complete, 0.0, -100.0)
     pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
     found = HypothesisPool(candidates, pool if best else {given.key: given}, [], path, False, most=most)
-    made = _moves(found, True, {exchange} if swapped else set())
+    made = _moves(found, True, {(exchange, "")} if swapped else set())
     assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
