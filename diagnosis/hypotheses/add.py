@@ -24,7 +24,7 @@ import numpy as np
 
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, TIMES, needed
+from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, RIVAL, UNEXPLAINED, needed
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -35,7 +35,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.problem.regime import imitable
-from invdyn.diagnosis.problem.unknowns import stands
+from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, screen, screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
@@ -66,7 +66,7 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
 
 def screened_with(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
     """The screen beside ``base`` along its path; of the first effect of all, each where it does best."""
-    free, (model, common, point) = free_beside(found, base.effects), stands(problem, base)
+    free, (model, common, point) = free_beside(found, base.effects), expanded_about(problem, base)
     path, few = (base.path if base.effects else found.path), base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if not others(base) and not few and found.aside is not None:
@@ -130,7 +130,8 @@ def refine_best(
         wanted = [s for s in _seen(screened) if s.log_evidence > idle(screened)]
     few, refined = wanted[:width], list[Added]()
     for pair in (few[:1], *(few[i : i + PAIR] for i in range(1, len(few), PAIR))):
-        least = nothing + needed(screened[0].log_evidence - nothing, TIMES[found.best.complete])
+        times = RIVAL if found.best.complete else UNEXPLAINED
+        least = nothing + needed(screened[0].log_evidence - nothing, times)
         pair = [each for each in pair if not refined or each.log_evidence >= least]
         found.add_all(problem, [partial(_refined, problem, base, each, fair_chance(found, base)) for each in pair])
         refined += pair
@@ -169,7 +170,7 @@ def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: Fitte
     slips = slips and not (found.explained and ((base.effects and base.complete) or behind > ERRS))
 
     def searched(effect: Effect) -> list[FittedHypothesis | None]:
-        enough = base.log_evidence + behind / TIMES[False] if isinstance(effect, HiddenHinge) else found.top - ERRS
+        enough = base.log_evidence + behind / UNEXPLAINED if isinstance(effect, HiddenHinge) else found.top - ERRS
         return [attempt(refine_searched, problem, base, effect, max(enough, least))]
 
     keys = {effect.key for effect in base.effects}

@@ -12,13 +12,13 @@ import numpy as np
 
 from invdyn.diagnosis.hypotheses.add import free_beside, refine_best
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import TIMES, needed
+from invdyn.diagnosis.hypotheses.expected_gain import RIVAL, needed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.unknowns import stands
+from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.models.effects.base import Effect
 
@@ -44,12 +44,12 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
             free = [effect for effect in _likely(found, free) if effect.key not in arrived]
         if not free:
             continue
-        model, common, point = stands(problem, base)
+        model, common, point = expanded_about(problem, base)
         path = lifted(model, best.path)
         screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
-        least = nothing + needed(found.top - nothing, TIMES[True])
+        least = nothing + needed(found.top - nothing, RIVAL)
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
         refine_best(problem, found, replace(base, model=model, path=path, log_evidence=nothing), near, SWAPS)
     follow_neighbours(problem, found, len(best.effects))

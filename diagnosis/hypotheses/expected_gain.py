@@ -10,7 +10,9 @@ r/s on development cases. Nineteen in twenty (99 in 100) stay under
 
 Errors are largest where no candidate has explained the gap yet. So what a refinement may gain at most is taken to be
 
-    s + max(ERRS, (TIMES − 1) s).
+    s + max(ERRS, (times − 1) s),
+
+with so many ``times`` as are stated below.
 """
 
 DOUBT = 5.0
@@ -19,8 +21,8 @@ DOUBT = 5.0
 ERRS = 60.0
 """Nats by which it errs, at least, where there is much."""
 
-TIMES = {False: 10.0, True: 2.0}
-"""Times as much as it says, where no cause leaves nothing, and where one does: a rival that is as good shows half."""
+UNEXPLAINED, RIVAL = 10.0, 2.0
+"""Times as much as it says: where every cause leaves something; and of a rival of what is known, which shows half."""
 
 
 def needed(wanted: float, times: float) -> float:

@@ -17,14 +17,14 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import ERRS, TIMES, needed
+from invdyn.diagnosis.hypotheses.expected_gain import ERRS, RIVAL, UNEXPLAINED, needed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
-from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, own
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import PASSIVE
-from invdyn.diagnosis.problem.unknowns import stands
+from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.neighbours import Neighbour, neighbours
@@ -78,7 +78,7 @@ def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> lis
     """
     least, none = found.top - ERRS, found.pool[""].log_evidence
     if not found.explained:
-        least = none + needed(found.top - none, TIMES[True])
+        least = none + needed(found.top - none, RIVAL)
     ideal = [c for c in _near(found, number, least) if any(effect.softened() is not None for effect in c.effects)]
     rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     return sorted(rough, key=lambda cause: -cause.log_evidence)
@@ -92,7 +92,7 @@ def _swap_each(
     for mine in cause.effects:
         if "moment" in mine.located:
             _refine_moved(problem, found, cause, mine)
-        values, sd = own(mine, cause.values), own(mine, cause.spread)
+        values, sd = of_effect(mine, cause.values), of_effect(mine, cause.spread)
         for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
             if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
                 _follow(problem, found, cause, mine, other)
@@ -138,7 +138,7 @@ def _as_soft(
     for _ in range(mine.softness):
         form = form.softened() or form
     wanted = {p.name for p in form.parameters(problem.model.scale)}
-    kept = {name: value for name, value in own(mine, cause.values).items() if name in wanted}
+    kept = {name: value for name, value in of_effect(mine, cause.values).items() if name in wanted}
     return form, [kept | dict(start) for start in other.starts]
 
 
@@ -165,12 +165,12 @@ def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **l
     if form is None:
         return None
     size = max(best_size(problem, cause), SOFTENED)
-    return instead(problem, cause, mine, form, form.as_soft(own(mine, cause.values)), cause.path, size, **limits)
+    return instead(problem, cause, mine, form, form.as_soft(of_effect(mine, cause.values)), cause.path, size, **limits)
 
 
 def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
     """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
-    doubtful = base.log_evidence + needed(found.top - base.log_evidence, TIMES[False])
+    doubtful = base.log_evidence + needed(found.top - base.log_evidence, UNEXPLAINED)
     return {"enough": found.top - ERRS, "doubtful": doubtful}
 
 
@@ -195,11 +195,11 @@ def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
     of its peaks. Along the path that it has found, each of a few moments and durations about its own is one regression.
     """
     while not _followed(found, cause, mine, mine, " moved"):
-        there = own(mine, cause.values)
+        there = of_effect(mine, cause.values)
         (first, last), width = problem.model.time[[0, -1]].tolist(), max(there["duration"], SHORT)
         middles = [(there["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
-        model, common, point = stands(problem, cause.less(problem, mine))
+        model, common, point = expanded_about(problem, cause.less(problem, mine))
         (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))
         found.add(instead(problem, cause, mine, mine, likely.values, cause.path, likely.size))
         cause = found.pool[cause.key]

@@ -92,7 +92,10 @@ class FittedHypothesis:
         return {"noise_log": self.noise_log, "noise_sd": self.noise_sd}
 
     def less(self, problem: DiagnosisProblem, effect: Effect) -> "FittedHypothesis":
-        """The same path and parameters without one of the effects, nothing refined; the path keeps its states."""
+        """The same without one of the effects and its parameters, nothing refined.
+
+        Path, evidence and ``learned`` are those of the whole.
+        """
         rest = tuple(other for other in self.effects if other.key != effect.key)
         gone = {f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)}
         kept = [i for i, name in enumerate(self.names) if name not in gone]
@@ -103,6 +106,7 @@ class FittedHypothesis:
             names=tuple(self.names[i] for i in kept),
             mean=self.mean[kept],
             covariance=self.covariance[np.ix_(kept, kept)],
+            about=None if self.about is None else self.about[kept],
             model=model.replace(**{n: v for n, v in self.model.parameters.items() if n in model.parameters}),
             noise={n: v for n, v in self.noise.items() if n not in gone},
             noise_sd={n: v for n, v in self.noise_sd.items() if n not in gone},
@@ -141,7 +145,7 @@ def key_of(effects: Sequence[Effect]) -> str:
     return "+".join(sorted(effect.key for effect in effects))
 
 
-def own(effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
+def of_effect(effect: Effect, known: Mapping[str, float]) -> dict[str, float]:
     """Of what is ``known`` by "<effect key>.<name>" that of one effect, by its parameters' own names."""
     parts = ((*name.rpartition(".")[::2], value) for name, value in known.items())
     return {name: value for key, name, value in parts if key == effect.key}

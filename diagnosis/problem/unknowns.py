@@ -86,8 +86,11 @@ def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
 
 
-def stands(problem: DiagnosisProblem, base: FittedHypothesis) -> tuple[ArmModel, Unknowns, np.ndarray]:
-    """Model, unknowns and their values (p,) of a base; without a cause as stated: there numbers stood in for one."""
+def expanded_about(problem: DiagnosisProblem, base: FittedHypothesis) -> tuple[ArmModel, Unknowns, np.ndarray]:
+    """Model, unknowns and their values (p,) that a screen beside ``base`` is expanded about.
+
+    Without a cause those of the body as it is stated: what was found of its numbers has stood in for one.
+    """
     common = unknowns(problem, base.effects)
     return (base.model, common, base.mean) if base.effects else (problem.model, common, common.mean)
 

@@ -118,6 +118,11 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch, gain, barred)
     left = True
     add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
     assert tried[2:] == ["lens_distortion", "base_motion", *barred]
+    # And what was more promising than those is no less worth it for having had no room before.
+    monkeypatch.setattr(room, "WIDTH", (1, 1))
+    tried.clear()
+    add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    assert tried == ["lens_distortion", "base_motion", *barred]
 
 
 @pytest.mark.parametrize(("second", "refined"), [(400.0, 1), (600.0, 2)])

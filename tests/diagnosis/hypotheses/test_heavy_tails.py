@@ -9,6 +9,7 @@ from pendulum import ARM, FEW, MANY, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.heavy_tails import DEGREES, heavy_tailed
+from invdyn.diagnosis.hypotheses.pool import MISTAKES
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
@@ -48,6 +49,10 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     assert best.log_evidence > found.ranked[0].log_evidence
     assert "" in carried.pool
     assert not any("outliers" in key for key in carried.pool)
+    # Of what was looked for the report still tells, but for what the law says now.
+    mistimed = EFFECTS["timestamp_jitter"]()
+    _, other = heavy_tailed(here, replace(found, candidates=[*found.candidates, mistimed]))
+    assert {e.name for e in other.candidates} == {e.name for e in (*found.candidates, mistimed)} - set(MISTAKES)
     other = diagnosis_problem(recording_of(FRICTION, ARM, seed=1, damping=0.05), ARM)
     there = best.carried_to(other)
     assert there.observation.family == "multivariate_t"

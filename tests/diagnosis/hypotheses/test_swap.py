@@ -11,7 +11,8 @@ from pendulum import ARM, LOOSE, PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours
+from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours, instead
+from invdyn.diagnosis.problem.cause import of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.neighbours import Neighbour
@@ -139,6 +140,26 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
     assert stand_in.starts_of(EFFECTS["load_friction"]("other"), {}, bound.model.scale) == ()
     assert friction.starts_of(stand_in, {"coefficient": 0.2}, bound.model.scale) == ()
+
+
+def test_another_form_of_an_effect_keeps_its_values_where_one_is_swapped(monkeypatch):
+    """The key of the one is what the key of the other begins with."""
+    places = ("soft_tissue", "wrist"), ("soft_tissue", "wrist", "sliding"), ("link_flexibility", "forearm")
+    swings, slides, bends = (EFFECTS[name](*where).bound(ARM) for name, *where in places)
+    bound = diagnosis_problem(recording_of(body=ARM), ARM)
+    path, _ = data_path(bound)
+    none, started = refine(bound, (), {}, path, LOOSE, rounds=1), []
+    names = tuple(f"{each.key}.{p.name}" for each in (swings, slides) for p in each.parameters(bound.model.scale))
+    values = np.arange(1.0, len(names) + 1)
+    both = replace(none, effects=(swings, slides), names=names, mean=values, covariance=np.eye(len(names)))
+    monkeypatch.setattr(SWAP, "refine", lambda _, effects, values, *__, **___: started.append((effects, values)))
+    instead(bound, both, swings, bends, {"stiffness": 7.0}, path, LOOSE)
+    ((effects, begun),) = started
+    assert effects == (slides, bends)
+    assert begun[f"{bends.key}.stiffness"] == 7.0
+    for form in (swings, slides):
+        assert of_effect(form, both.values).keys() == {p.name for p in form.parameters(bound.model.scale)}
+    assert of_effect(slides, begun) == of_effect(slides, both.values)
 
 
 def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
