@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import torch
 
 from invdyn.diagnosis.budget import Budget
+from invdyn.inference.execution.executors import deaf_to_interrupt
 
 T = TypeVar("T")
 
@@ -81,7 +82,8 @@ def _begun(
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)
     child = context.Process(target=_work, args=(parts, turn, outbox), daemon=True)
-    child.start()
+    with deaf_to_interrupt():  # the copy is so from its first line: Ctrl-C is its parent's
+        child.start()
     outbox.close()
     return child, inbox
 

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import torch
@@ -28,3 +30,28 @@ def noise_or_death(seed, marker, progress=None):
 def failing(seed, progress=None):
     """As a filter that loses all its particles."""
     raise ArithmeticError(f"no particles left with seed {seed}")
+
+
+LARGE = 2**20
+"""Bytes, far more than a pipe holds."""
+
+
+def half_a_result(told):
+    """A large result of which the worker sends half and no more; the file ``told`` is there once it has."""
+    whole = Connection._send
+
+    def stops(self, buffer, *_):
+        if len(buffer) < LARGE:
+            return whole(self, buffer)
+        whole(self, buffer[: LARGE // 2])
+        without_end(told)
+
+    Connection._send = stops
+    return bytes(LARGE)
+
+
+def without_end(told):
+    """Work that never ends; the file ``told`` is there once it has begun."""
+    Path(told).touch()
+    while True:
+        time.sleep(1)

@@ -6,11 +6,13 @@ Whatever follows :class:`concurrent.futures.Executor` serves as well; these are 
 import asyncio
 import os
 import signal
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing import get_context, parent_process
 from threading import Thread, current_thread, main_thread
+from typing import Any
 
 import torch
 
@@ -19,6 +21,9 @@ from invdyn.recordings.errors import first_line
 
 PATIENCE = 10
 """Seconds in which a scheduler must answer."""
+
+GRACE = 2
+"""Seconds for what a worker is sending, before it is ended."""
 
 
 @contextmanager
@@ -54,18 +59,38 @@ def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
     try:
-        with _deaf_to_interrupt():  # the children inherit that, from before their first line of Python
+        with deaf_to_interrupt():  # the children inherit that, from before their first line of Python
             for _ in range(pool._max_workers):  # type: ignore[attr-defined]  # it says nowhere else how many it has
                 pool.submit(os.getpid)
+        # Only the workers write results: of one that is killed while it writes, the rest is then not waited for.
+        pool._result_queue._writer.close()  # type: ignore[attr-defined]
         yield pool
     finally:
-        for process in list((pool._processes or {}).values()):
+        _end(pool)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End the pool at once: by itself it waits for what its workers are doing."""
+    manager: Any = pool._executor_manager_thread
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    if manager is None:  # nothing was ever submitted
+        return
+    heard = time.monotonic() + GRACE
+    try:
+        # Its thread must hear of that before the workers die, or takes their end for a failure and trips over what was
+        # cancelled. While it receives a result it hears nothing, and a worker may stop in the middle of one.
+        while pool._cancel_pending_futures and manager.is_alive() and time.monotonic() < heard:
+            manager.join(0.01)
+    finally:
+        for process in processes:
             process.terminate()
-        pool.shutdown(cancel_futures=True)
+    manager.join()
 
 
 @contextmanager
-def _deaf_to_interrupt() -> Iterator[None]:
+def deaf_to_interrupt() -> Iterator[None]:
+    """Ignore Ctrl-C within the block, and in the processes that are begun there for as long as they live."""
     if current_thread() is not main_thread():  # where signals are not ours to set
         yield
         return

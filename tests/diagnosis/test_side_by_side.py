@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import signal
 from functools import partial
 
 import pytest
@@ -41,6 +42,17 @@ def test_each_but_the_first_runs_elsewhere():
     assert here == os.getpid()
     assert len({here, *others}) == 3
     assert side_by_side([os.getpid] * 3, 1) == [here] * 3
+
+
+def test_ctrl_c_is_left_to_the_first():
+    """None of the others dies of it, nor says a word: a terminal sends it to all of them."""
+
+    def handler():
+        both_have_begun()
+        return signal.getsignal(signal.SIGINT)
+
+    both_have_begun = FORK.Barrier(2).wait
+    assert side_by_side([handler] * 2, 2) == [signal.getsignal(signal.SIGINT), signal.SIG_IGN]
 
 
 def test_who_is_free_takes_the_next_part():
