@@ -25,6 +25,6 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
     time, torque = problem.model.time, float(hidden.max() * problem.typical.max())
     rows, seconds = len(time), float(time[-1] - time[0])
     return (
-        f"{problem.problem.recording.name}: not enough data: in {rows} rows of {seconds:.2g} s a torque of "
+        f"{problem.problem.recording.name}: in {rows} rows of {seconds:.2g} s a torque of "
         f"{torque:.2g} N·m could be missing and not show; give a longer recording, or a less noisy one"
     )

@@ -46,7 +46,7 @@ FEWEST = 20
 
 
 class NotEnoughData(InputError):
-    """Too few rows with an observation to say anything."""
+    """Too few rows with an observation, or too few tracks, to say anything."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +131,20 @@ class DiagnosisProblem:
 def diagnosis_problem(
     recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False
 ) -> DiagnosisProblem:
-    """Bind one or several recordings to ``body``; raises InputError where they do not fit or too few rows were seen."""
+    """Bind one or several recordings to ``body``.
+
+    Raises InputError where they do not fit; NotEnoughData for too few rows, or tracks that leave a pose open.
+    """
     given = [recording] if isinstance(recording, Recording) else recording
     recording, begins = joined([part for each in given for part in looked_at(each)])
     regime = regime_of(recording.torques, passive)
     uncertain = uncertain_numbers(body)
+    if not regime.knows_torque and (untracked := _untracked(recording, body)):
+        # A hand alone shows as well in a pose and its mirror image, and an unknown torque may lead from one to the other.
+        raise NotEnoughData(
+            f"{recording.name}: torques are unknown and keypoint {', '.join(untracked)} is not "
+            "tracked, so several poses show the same points; track it too, or give encoders or the commanded torques"
+        )
     if not regime.knows_torque:
         # There only its rough prior would tell of masses: it pulls them down as far as they may go.
         uncertain = tuple(u for u in uncertain if u.quantity in GEOMETRY)
@@ -144,7 +153,8 @@ def diagnosis_problem(
     seen = int(rows.sum())
     if seen < FEWEST:
         raise NotEnoughData(
-            f"{recording.name}: not enough data: {seen} rows with an observation, a diagnosis needs {FEWEST} or more"
+            f"{recording.name}: {seen} rows with an observation, a diagnosis needs {FEWEST} or more: record longer, or "
+            "with more frames in which keypoints are seen"
         )
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=regime.decay, underway=regime.commanded)
@@ -165,6 +175,15 @@ def diagnosis_problem(
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model = model.in_substeps(sufficient_substeps(model, usual))
     return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
+
+
+def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:
+    """The body's keypoints that were never seen, where there are no encoders either."""
+    if recording.angles is not None and np.isfinite(recording.angles).any():
+        return []
+    seen = np.isfinite(recording.keypoints).any(axis=(0, 2))
+    tracked = {name for name, once in zip(recording.keypoint_names, seen, strict=True) if once}
+    return [name for name in body.keypoint_names if name not in tracked]
 
 
 def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor) -> None:

@@ -148,7 +148,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     """The sentences under the verdict."""
     answer = kind(diagnosis)
     if answer == "not_enough_data":
-        return ["Record longer, or with more frames in which keypoints are seen, and run the diagnosis again."]
+        return []  # the reason has the remedy
     found = []
     if answer != "none":
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]

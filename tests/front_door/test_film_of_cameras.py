@@ -94,7 +94,7 @@ def test_diagnose(folder, run, monkeypatch):
     """Of the points that are triangulated, with too few rows for a search."""
     outcome = run("diagnose", *TRACKS, *CALL[:-1], "report", "--passive")
     assert outcome.exit_code == 0, outcome.output
-    assert "not enough data" in outcome.stdout
+    assert "Not enough data" in outcome.stdout
     assert (folder / "report" / "report.html").exists()
 
 
