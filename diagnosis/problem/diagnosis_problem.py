@@ -140,7 +140,7 @@ def diagnosis_problem(
     regime = regime_of(recording.torques, passive)
     uncertain = uncertain_numbers(body)
     if not regime.knows_torque and (untracked := _untracked(recording, body)):
-        # A hand alone shows as well in a pose and its mirror image, and an unknown torque may lead from one to the other.
+        # A hand alone fits a pose and its mirror image, and an unknown torque may lead from one to the other.
         raise NotEnoughData(
             f"{recording.name}: torques are unknown and keypoint {', '.join(untracked)} is not "
             "tracked, so several poses show the same points; track it too, or give encoders or the commanded torques"

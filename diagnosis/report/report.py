@@ -182,7 +182,8 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     what = {
         "nominal": "Mean log density that the simulation as it is gives to the next frame, from the frames before it.",
         "corrected": "The same with the cause added; the difference between the two is the gap that was closed.",
-        "noise_floor": "What a perfect simulation would reach: the noise of the keypoints alone.",
+        "noise_floor": "What a perfect simulation would reach in the mean, for the noise alone. Where there is less "
+        "noise than usual, a prediction may be better.",
     }
     for name, value in gap.elpd_per_frame.items():
         label = f"Prediction, {name.replace('_', ' ')}"

@@ -215,6 +215,11 @@ def _closed(diagnosis: Diagnosis) -> str | None:
         parts.append(
             f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"
         )
+    replayed = [diagnosis.gap.replay_rms_m.get(name) for name in ("corrected", "nominal")]
+    if diagnosis.tracks is not None and all(map(known, replayed)):
+        errors = ", not ".join(handy(value, "m") for value in replayed)
+        length = f"{diagnosis.tracks.replay_window:g} s"
+        parts.append(f"run for {length} on its own, the simulation then errs by {errors}")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else None
 

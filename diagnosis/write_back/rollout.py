@@ -1,17 +1,19 @@
 """A file's own simulation against a log: MuJoCo loads it, replays the commands, and what it is off by is counted.
 
 The engine is set to the recorded state every ``WINDOW`` seconds and left to run between. States are local cubics of the
-recorded angles, which know of no simulation. A file that says a joint has a delay keeps its past across a window.
+recorded angles, which know of no simulation; cross-validation says how long.
+A file that says a joint has a delay keeps its past across a window.
 
 Shapes: T rows, K joints.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
@@ -21,8 +23,10 @@ from invdyn.recordings import InputError, Recording
 
 WINDOW = 1.0
 """s between the states that the engine is set to."""
-SMOOTH = 13
-"""Rows of a local cubic that a state is taken from."""
+SPANS = (5, 7, 9, 13, 19, 27, 39, 55)
+"""Rows that a local cubic may span, from which a state is taken."""
+FEWEST = 13
+"""Rows with all angles under which nothing is replayed."""
 
 
 @dataclass(frozen=True)
@@ -112,17 +116,29 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
 
 
 def states(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed angles and velocities (T, K) at each row, NaN before the first and after the last that has angles."""
+    """Smoothed angles and velocities (T, K) at each row, NaN before the first and after the last that has angles.
+
+    A joint's local cubic spans as many rows as predict a row that is left out best.
+    """
     use = np.isfinite(angle).all(1)
-    if use.sum() < SMOOTH:
-        raise InputError(f"expected {SMOOTH} rows with all angles or more, got {use.sum()}")
+    if use.sum() < FEWEST:
+        raise InputError(f"expected {FEWEST} rows with all angles or more, got {use.sum()}")
     seen = time[use]
     step = float(np.median(np.diff(seen)))
     even = seen[0] + step * np.arange(int((seen[-1] - seen[0]) / step + 1e-6) + 1)
-    rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
-    window = min(SMOOTH, len(even) - 1 + len(even) % 2)
-    found: list[np.ndarray] = []
-    for order in (0, 1):
-        smooth = savgol_filter(rows, window, 3, deriv=order, delta=step, axis=0)
-        found.append(np.stack([np.interp(time, even, each, np.nan, np.nan) for each in smooth.T], -1))
-    return found[0], found[1]
+    found: list[list[np.ndarray]] = [[], []]
+    for joint in angle[use].T:
+        rows = np.interp(even, seen, joint)
+        span = min((span for span in SPANS if span <= len(even)), key=partial(_left_out, rows))
+        for order, columns in enumerate(found):
+            smooth = savgol_filter(rows, span, 3, deriv=order, delta=step)
+            columns.append(np.interp(time, even, smooth, np.nan, np.nan))
+    q, qd = (np.stack(columns, -1) for columns in found)
+    return q, qd
+
+
+def _left_out(rows: np.ndarray, span: int) -> float:
+    """Mean square of what a local cubic over ``span`` rows, without a row (T,), is off by there."""
+    own = savgol_coeffs(span, 3)[span // 2]
+    inner = slice(span // 2, len(rows) - span // 2)
+    return float((((rows - savgol_filter(rows, span, 3)) / (1 - own))[inner] ** 2).mean())

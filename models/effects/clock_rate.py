@@ -16,15 +16,15 @@ class ClockRate(Effect):
     """The frame clock runs at s times the stated rate: true time = stated time / s.
 
     One clock stamps all rows, commands keep to those that they were recorded in. Passive, it cannot be told from
-    another strength of gravity. ``ClockRate("frames")`` is a camera with a clock of its own, while commands keep true
-    time; both agree at the first row. Encoders go by the camera's clock then.
+    another strength of gravity. ``ClockRate("frames")`` are sensors with a clock of their own, while commands keep
+    true time; both agree at the first row.
     """
 
     phrase = "a clock-rate error"
     meaning = "frames that are further apart in time, or less far, than stated"
     shown_by = "a clock in view of the camera"
     form_words: ClassVar[Mapping[str, str]] = {
-        "frames": "of the camera alone, while commands keep true time",
+        "frames": "of the sensors alone, while commands keep true time",
     }
 
     side, site, order = "observation", "arm", 1

@@ -136,3 +136,11 @@ def test_what_each_of_several_effects_closes_is_told():
     for fewer in (render(replace(case, shrinkage=replace(case.shrinkage, by_effect=alone))), render(case)):
         assert "Leaving out" not in fewer
         assert "do not confirm" not in fewer
+
+
+def test_what_a_replay_is_off_by_stands_beside_the_share():
+    d = diagnosis()
+    d = replace(d, gap=replace(d.gap, replay_rms_m={"nominal": 0.0634, "corrected": 0.0361}))
+    said = plainly(" ".join(details(d)))
+    assert "run for 0.5 s on its own, the simulation then errs by 36 mm, not 63 mm." in said
+    assert "on its own" not in " ".join(details(replace(d, tracks=None)))

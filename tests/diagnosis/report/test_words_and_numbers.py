@@ -71,7 +71,7 @@ def test_a_softer_form_is_said_to_be_one():
         ("coulomb_friction.elbow", "Coulomb friction at the elbow"),
         ("soft_tissue.elbow", "soft-tissue motion at keypoint elbow"),
         ("soft_tissue.elbow.sliding", "soft-tissue motion at keypoint elbow that slides as the joint turns"),
-        ("clock_rate.frames", "a clock-rate error of the camera alone, while commands keep true time"),
+        ("clock_rate.frames", "a clock-rate error of the sensors alone, while commands keep true time"),
         ("inertial_error.upper_arm", "an inertial error of the upper arm"),
         ("joint_coupling.shoulder.elbow", "joint coupling between the shoulder and the elbow"),
         ("armature.shoulder+camera_roll", "rotor inertia at the shoulder and camera roll"),
