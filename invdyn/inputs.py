@@ -220,8 +220,9 @@ def read_log(
         return read_logs(name, body, mapping, [episode or 0], frames, units)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
-    plane = FLAT if body.space == 2 else None
-    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=plane)
+    if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:
+        units = ",".join([units, *own] if units else own)
+    recording = load(name, joints=body.joint_names, units=units, plane=FLAT if body.space == 2 else None)
     start, stop = frame_range(frames)
     return Reading(recording.select(start, stop), said)
 

@@ -54,3 +54,10 @@ def test_the_units_of_a_log_are_put_right_in_its_mapping(tmp_path):
     refused = CliRunner().invoke(app, list(map(str, diagnosing)))
     assert refused.exit_code == 2
     assert 'the times are in milliseconds, it seems: write time_unit = "ms"' in refused.output
+
+
+def test_a_known_recording_is_checked_and_its_units_left_out_if_given():
+    known = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects")
+    assert "torques    what the body and friction leave" in known.output, known.output
+    given = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects", "--units", "rad")
+    assert "has known units and times: leave --units out" in given.output
