@@ -1,5 +1,6 @@
 """Options of `diagnose`: more recordings, logs of robots, what the search may do, what its answer is checked on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -120,32 +121,39 @@ class Diagnosed(Recorded):
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
-        from dataclasses import replace
-
-        from .inputs import is_log, load_body, load_log, load_logs
+        from .inputs import load_body
 
         body = freed(load_body(self.body), self.free)
         if self.calibration:
             return self.arguments(self.triangulated(), [], body, None)
-
-        def read(name: str, frames: str = ":") -> Any:
-            if self.mapping is not None or is_log(name):
-                recording = load_log(name, body, None, frames, self.mapping)
-            else:
-                recording = self.read(name, body, as_filmed=True, frames=frames)
-            if self.hide_torque and recording.torques is not None:
-                joints = recording.joint_names if recording.angles is not None else ()
-                recording = replace(recording, torques=None, joint_names=joints)
-            return recording
-
-        recording = read(self.recording, self.frames)
-        more = [*map(read, self.others)]
-        if self.mapping is not None or is_log(self.recording):
-            recording, *rest = load_logs(self.recording, body, self.mapping, self.numbers, self.frames)
-            more = [*rest, *more]
+        recording, *more = self.episodes_of(self.recording, body, self.numbers, self.frames)
+        more += [each for name in self.others for each in self.episodes_of(name, body)]
         if self.beside is not None:
             recording = self.joined(recording, self.read(self.beside, body, as_filmed=True), body)
-        return self.arguments(recording, more, body, None if self.held_out is None else read(self.held_out))
+        held_out = None if self.held_out is None else self.episodes_of(self.held_out, body)[0]
+        return self.arguments(recording, more, body, held_out)
+
+    def episodes_of(self, name: str, body: Any, numbers: Sequence[int] = (0,), frames: str = ":") -> list:
+        """A robot's log, whose units are right, an episode each; or the one recording of another file."""
+        from dataclasses import replace
+
+        from invdyn.diagnosis.check.units import check_units
+
+        from .inputs import is_log, read_logs
+
+        if self.mapping is not None or is_log(name):
+            readings = read_logs(name, body, self.mapping, numbers, frames, self.units)
+            for reading in readings:
+                check_units(reading, body)
+            found = [reading.recording for reading in readings]
+        else:
+            found = [self.read(name, body, as_filmed=True, frames=frames)]
+        if not self.hide_torque:
+            return found
+        return [
+            replace(each, torques=None, joint_names=each.joint_names if each.angles is not None else ())
+            for each in found
+        ]
 
     def triangulated(self) -> Any:
         """Points in space of several cameras' tracks."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.inference.fits import check_fits
 from invdyn.models import Body, Tree
 from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
@@ -19,7 +20,6 @@ from invdyn.recordings import (
     Recording,
     Truth,
     bridged,
-    check_plausible,
     check_readable,
     in_body_lengths,
     load,
@@ -35,6 +35,7 @@ from invdyn.recordings.logs import LogMap, recordings_of
 from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import nearest
 from invdyn.recordings.plane import FLAT
+from invdyn.recordings.reading import Reading
 
 from .inputs_in_space import load_in_space
 
@@ -131,7 +132,7 @@ def load_recording(
             f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"
         )
     with about(name):
-        check_plausible(recording, lengths, body.base, units)
+        check_fits(recording, body, units)
         start, stop = frame_range(frames)
         first = slice(start, stop).indices(recording.num_frames)[0]
         return bridged(recording.select(start, stop), sum(lengths), first)
@@ -147,11 +148,33 @@ def load_logs(
 
     Raises InputError for a log, a mapping or episodes that make no sense, and targets of a joint without a servo.
     """
+    return [reading.recording for reading in read_logs(name, body, mapping, episodes, frames)]
+
+
+def read_logs(
+    name: str,
+    body: Body | Tree,
+    mapping: str | None = None,
+    episodes: Sequence[int] | None = None,
+    frames: str = ":",
+    units: str | None = None,
+) -> list[Reading]:
+    """As :func:`load_logs`, with where the units stand, and how the log reads in others; raises for other ``units``."""
+    if units is not None:
+        place = mapping or "a mapping (--map)"
+        raise InputError(f"--units {units}: a log's units stand in {place}, track by track: leave --units out")
     given = None if mapping is None else LogMap.load(check_readable(mapping))
     start, stop = frame_range(frames)
+
+    def read(**scales: float) -> list[Recording]:
+        found = recordings_of(name, body.joint_names, given, episodes, **scales)
+        return [_in_the_bodys_terms(logged, body).select(start, stop) for logged in found]
+
+    declared = (given or LogMap()).units
+    targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
     return [
-        _in_the_bodys_terms(logged, body).select(start, stop)
-        for logged in recordings_of(name, body.joint_names, given, episodes)
+        Reading(recording, declared, lambda n=n, **scales: read(**scales)[n], targets)
+        for n, recording in enumerate(read())
     ]
 
 
@@ -181,26 +204,27 @@ def is_log(name: str) -> bool:
     return kind_of(Path(name)) not in (None, "csv")
 
 
-def load_log(
+def read_log(
     name: str,
     body: Body | Tree,
     units: str | None = None,
     frames: str = ":",
     mapping: str | None = None,
     episode: int | None = None,
-) -> Recording:
+) -> Reading:
     """A robot's log as it stands, for a check: numbers are taken to be SI, whatever their size, unless ``units`` say.
 
-    Raises as readers do.
+    Raises as readers do, and InputError for ``units`` beside a mapping, in which they stand.
     """
     if mapping is not None or is_log(name):
-        return load_logs(name, body, mapping, [episode or 0], frames)[0]
+        return read_logs(name, body, mapping, [episode or 0], frames, units)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
-    plane = FLAT if body.space == 2 else None
-    recording = load(name, joints=body.joint_names, units=",".join([units, *own] if units else own), plane=plane)
+    if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:
+        units = ",".join([units, *own] if units else own)
+    recording = load(name, joints=body.joint_names, units=units, plane=FLAT if body.space == 2 else None)
     start, stop = frame_range(frames)
-    return recording.select(start, stop)
+    return Reading(recording.select(start, stop), said)
 
 
 def _with_keypoints(recording: Recording, order: Sequence[int]) -> Recording:

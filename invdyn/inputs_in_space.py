@@ -1,31 +1,22 @@
 """A recording of a body in space: which of its sites and joints it shows, and whether it can be this body's."""
 
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-
+from invdyn.inference.fits import check_fits
 from invdyn.models import Tree, dynamics_for
 from invdyn.recordings import (
     FORMATS,
     InputError,
     Recording,
     bridged,
-    check_in_space,
     load,
     parse_units,
 )
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
 from invdyn.recordings.naming import nearest
-
-POSES = (0.0, 0.7, -1.3)
-"""Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
-KEPT = 1e-9
-"""Of the reach: what a distance may change by for rounding."""
 
 
 def load_in_space(
@@ -70,33 +61,10 @@ def load_in_space(
         keypoint_names=tuple(names[place] for place in order),
         confidence=None if confidence is None else confidence[:, order],
     )
-    numbers, dynamics = body.parameters(), dynamics_for(body)
+    numbers = body.parameters()
     if base in names:
         recording = replace(recording, keypoints=recording.keypoints + numbers.position[0].numpy())
-    reach = dynamics.reach(numbers).item()
-    turning = {motion.name for _, motion in body.motions() if motion.turns}
-    levers = zip(body.joint_names, dynamics.levers(numbers).tolist(), strict=True)
     with about(name):
-        check_in_space(
-            recording,
-            reach,
-            rigid_distances(body),
-            {joint: lever for joint, lever in levers if joint in turning},
-            parse_units(options.get("units")),
-        )
+        check_fits(recording, body, parse_units(options.get("units")))
         first = frames.indices(recording.num_frames)[0]
-        return bridged(recording.at(frames), reach, first)
-
-
-def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
-    """Distances, m, of two sites that keep it however the body moves."""
-    dynamics, numbers = dynamics_for(body), body.parameters()
-    poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
-    points = dynamics.keypoints(torch.tensor(poses, dtype=torch.float64), numbers)
-    apart = torch.cdist(points, points).numpy()
-    found = {}
-    for one, other in combinations(range(len(body.keypoint_names)), 2):
-        lengths = apart[:, one, other]
-        if np.ptp(lengths) <= KEPT * apart.max() < lengths[0]:
-            found[body.keypoint_names[one], body.keypoint_names[other]] = float(lengths[0])
-    return found
+        return bridged(recording.at(frames), dynamics_for(body).reach(numbers).item(), first)

@@ -35,12 +35,11 @@ def check(
     from invdyn.recordings import write_text
 
     from .check_text import check_text
-    from .inputs import load_body, load_log
+    from .inputs import load_body, read_log
 
     check_outputs([out], [Path(robot), Path(log)])
     body = load_body(robot)
-    recording = load_log(log, body, units, frames, mapping, episode)
-    found = run(recording, body, passive=passive, effects=effects)
+    found = run(read_log(log, body, units, frames, mapping, episode), body, passive=passive, effects=effects)
     typer.echo(check_text(found))
     if out is not None:
         write_text(out, json.dumps(found.to_json(), indent=1, ensure_ascii=False) + "\n")

@@ -22,7 +22,7 @@ import numpy as np
 
 from .errors import InputError
 from .recording import Recording
-from .units import TIMES
+from .units import TIMES, Units
 
 GRAVITY = 9.81  # m/s²
 QUICKEST = 1e-5  # s, a tenth of a fast camera's interval and of a motor controller's
@@ -36,12 +36,13 @@ def swing(length: float) -> float:
     return 2 * np.pi * float(np.sqrt(length / GRAVITY))
 
 
-def check_interval(recording: Recording, length: float) -> None:
+def check_interval(recording: Recording, length: float, units: Units) -> None:
     """Raise InputError when rows with an observation are too far apart, or too near, for seconds.
 
     Args:
         recording: its times, whatever they were meant to be.
         length: of the body, m.
+        units: what was declared, and where.
     """
     time = recording.time[_observed(recording)]
     if len(time) < 2:
@@ -57,16 +58,16 @@ def check_interval(recording: Recording, length: float) -> None:
     whole = bool((time == np.round(time)).all()) and interval == 1.0
     fitting = [unit for unit, size in TIMES.items() if 10 * QUICKEST <= interval * size <= slowest]
     likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / USUAL)), default=None)
-    if whole:
+    if whole and units.mapping is None:
         hint = "these look like frame numbers: pass --units frames --fps with the frame rate"
     elif likely is not None:
-        hint = f"these look like {likely}: pass --units {likely}"
+        hint = f"these look like {likely}: {units.put(likely)}"
     else:
         hint = "give times in seconds, and the right --fps"
     limit = f"swings once in {4 * slowest:.2g} s" if interval > slowest else "is filmed and read less often"
     raise InputError(
         f"rows are {interval:.3g} s apart (median), but an arm of {length:.2g} m {limit}; {hint} "
-        "(--units s if seconds they are)"
+        f"({units.accepts('s')} if seconds they are)"
     )
 
 

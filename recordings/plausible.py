@@ -32,7 +32,7 @@ def check_magnitudes(recording: Recording, units: Units) -> None:
         if largest > LARGEST_ANGLE:
             raise InputError(
                 f"angles reach {largest:.3g}, too much for radians; these look like degrees: "
-                "pass --units deg (--units rad if radians they are)"
+                f"{units.put('deg')} ({units.accepts('rad')} if radians they are)"
             )
 
 
@@ -66,7 +66,7 @@ def check_plausible(
             "give lengths that add up to 1, or scale the keypoints by the body's own length"
         )
     if units.time is None:
-        check_interval(recording, total)
+        check_interval(recording, total, units)
     if recording.length_unit == "px" or recording.keypoints.shape[1] not in (len(lengths), len(lengths) + 1):
         chain = None
     else:
@@ -101,7 +101,7 @@ def check_in_space(
     """
     units = units or Units()
     if units.time is None:
-        check_interval(recording, reach)
+        check_interval(recording, reach, units)
     known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
     for (one, other), length in distances.items():
         if one in known and other in known:
@@ -110,7 +110,7 @@ def check_in_space(
     if recording.angles is not None and units.angle is None:
         for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
             if name in levers:
-                _check_turning(name, angle, recording.time, levers[name])
+                _check_turning(name, angle, recording.time, levers[name], units)
 
 
 def _check_length(one: str, other: str, observed: float, length: float, unit: str = "m") -> None:
@@ -121,12 +121,12 @@ def _check_length(one: str, other: str, observed: float, length: float, unit: st
         )
 
 
-def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float) -> None:
+def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float, units: Units) -> None:
     if (number := froude(length * angle[:, None], time, length)) > FASTEST:
         raise InputError(
             f"joint {joint} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
-            f"{number:.3g} times gravity. These look like degrees: pass --units deg. If they are radians, "
-            "check that times are seconds; --units rad accepts them"
+            f"{number:.3g} times gravity. These look like degrees: {units.put('deg')}. If they are radians, "
+            f"check that times are seconds; {units.accepts('rad')} accepts them"
         )
 
 
@@ -146,14 +146,14 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
     angles = recording.angles
     if angles is not None and angles.shape[1] == len(lengths) and units.angle is None:
         for name, angle, length in zip(recording.joint_names, angles.T, lengths, strict=True):
-            _check_turning(name, angle, recording.time, length)
+            _check_turning(name, angle, recording.time, length, units)
     if chain is not None and units.time is None:
         for k, length in enumerate(lengths):
             if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:
                 raise InputError(
                     f"{recording.keypoint_names[k - len(lengths)]} moves too fast: in a quarter of the rows it feels "
                     f"{number:.3g} times gravity about the joint before it. Check --fps, and that times are seconds; "
-                    "--units s accepts them"
+                    f"{units.accepts('s')} accepts them"
                 )
 
 
@@ -174,7 +174,7 @@ def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> Non
     if off(1.0) > OFF and off(RADIANS[other] / RADIANS[said]) < CLOSE:
         raise InputError(
             f"angles taken as {said} are {off(1.0):.2g} rad (median) from the directions that the keypoints show, "
-            f"taken as {other} they fit: pass --units {other}"
+            f"taken as {other} they fit: {units.put(other)}"
         )
 
 

@@ -21,11 +21,30 @@ KINDS = {"length": (*METRES, "px"), "angle": tuple(RADIANS), "time": (*TIMES, FR
 
 @dataclass(frozen=True)
 class Units:
-    """What a file's numbers mean: of `KINDS`, None = not declared."""
+    """What a file's numbers mean: of `KINDS`, None = not declared; and where that stands.
+
+    `mapping` is the file that declares them for a robot's log, None for the option `--units`.
+    """
 
     length: str | None = None
     angle: str | None = None
     time: str | None = None
+    mapping: str | None = None
+
+    def put(self, unit: str, tracks: Sequence[str] = ("angle",)) -> str:
+        """What to do where numbers, of a mapping's ``tracks``, are in another ``unit``: "pass --units deg"."""
+        if self.mapping is None:
+            return f"pass --units {unit}"
+        if unit in TIMES:
+            return f'write time_unit = "{unit}" in {self.mapping}'
+        lines = " and ".join(f'"{track} = …"' for track in tracks)
+        return f'write unit = "{unit}" in each line {lines} of {self.mapping}'
+
+    def accepts(self, unit: str) -> str:
+        """What says that numbers are in this ``unit``, whatever their size: "--units rad"."""
+        if self.mapping is None:
+            return f"--units {unit}"
+        return f'time_unit = "{unit}" in {self.mapping}' if unit in TIMES else f'unit = "{unit}" in {self.mapping}'
 
 
 def parse_units(text: str | None) -> Units:

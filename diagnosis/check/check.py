@@ -1,26 +1,24 @@
 """`invdyn check`: whether a log is what it says it is, what its motion excites, and which effects it could show.
 
-Each step needs the one before. First come units, by their size (:mod:`invdyn.recordings.plausible`). Then come signs,
+Each step needs the one before. First come units, by their size (:mod:`.units`). Then come signs,
 zeros, columns, gears and offsets, by torques against motion (:mod:`..problem.mistakes`); each is put right before the
 next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
+from invdyn.diagnosis.check.units import motions, wrong_units
 from invdyn.diagnosis.check.visible import Visible, visible
-from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, units
-from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain, smoothings
-from invdyn.models import ArticulatedBody, Body
+from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
+from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
-from invdyn.recordings import InputError, Recording, check_plausible
-from invdyn.recordings.plausible import check_magnitudes
-from invdyn.recordings.units import Units
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.reading import Reading
 
 
 @dataclass(frozen=True)
@@ -95,21 +93,27 @@ class Check:
         }
 
 
-def check(recording: Recording, body: ArticulatedBody, *, passive: bool = False, effects: bool = True) -> Check:
+def check(
+    recording: Recording | Reading, body: ArticulatedBody, *, passive: bool = False, effects: bool = True
+) -> Check:
     """Check a log against a body; ``effects`` False leaves out which ones it could show, which takes seconds.
 
-    Raises InputError where log and body have nothing to do with each other: other joints, or nothing observed.
+    A `Reading` says where the log's units stand, so that a mistake of them is put right there. Raises InputError where
+    log and body have nothing to do with each other: other joints, or nothing observed.
     """
-    wrong, recording = _unit_mistakes(recording, body)
-    mistakes: list[Wrong] = list(wrong)
+    reading = Reading(recording) if isinstance(recording, Recording) else recording
+    told, units_wrong, recording = wrong_units(reading, body)
+    mistakes = [_in_words(each, body.joint_names) for each in units_wrong]
+    if told is not None and not units_wrong:
+        mistakes.append(Wrong("refused", (), told, "see there", float("nan")))
     left: Explained | None = None
     base: list[BaseParameter] = []
     encoders = recording.angles is not None
     dynamics = dynamics_for(body)
-    motion = None if passive else _motion(recording, body, wrong)
+    motion = None if passive else _motion(recording, body)
     if motion is not None:
-        for each in find(dynamics, body, motion, encoders=encoders):
-            mistakes.append(_in_words(each, body.joint_names))
+        for each in find(dynamics, body, motion, encoders=encoders, said=reading.units):
+            mistakes.append(_in_words(each.mistake, body.joint_names, each))
             motion = each.mistake.right(motion)
         left = explain(dynamics, body, motion)
         base = excited(dynamics, body, motion, left.by_joint)
@@ -129,70 +133,29 @@ def check(recording: Recording, body: ArticulatedBody, *, passive: bool = False,
     )
 
 
-def _unit_mistakes(recording: Recording, body: ArticulatedBody) -> tuple[list[Wrong], Recording]:
-    """What the size of numbers says of their units, and the recording in the right ones."""
-    if (told := _implausible(recording, body)) is None:
-        return [], recording
-    singles: list[tuple[Mistake, ...]] = [(mistake,) for mistake in units()]
-    several = [pair for pair in combinations(units(), 2) if pair[0].kind != pair[1].kind]
-    for tried in (*singles, *several):
-        righted = recording
-        for mistake in tried:
-            righted = _with_units(righted, mistake)
-        if _implausible(righted, body) is None:
-            return [Wrong(m.kind, (), m.words, m.remedy, m.value) for m in tried], righted
-    return [Wrong("refused", (), told, "see there", float("nan"))], recording
-
-
-def _with_units(recording: Recording, mistake: Mistake) -> Recording:
-    if mistake.kind == "time":
-        return replace(recording, time=recording.time * mistake.value)
-    return replace(recording, angles=None if recording.angles is None else recording.angles * mistake.value)
-
-
-def _implausible(recording: Recording, body: ArticulatedBody) -> str | None:
-    """What :mod:`invdyn.recordings.plausible` says against it; None for nothing."""
-    try:
-        check_magnitudes(recording, Units())
-        if isinstance(body, Body):
-            check_plausible(recording, [link.nominal("length") for link in body.links], body.base)
-    except InputError as error:
-        return str(error)
-    return None
-
-
-def _motion(recording: Recording, body: ArticulatedBody, wrong: Sequence[Wrong]) -> Motion | None:
+def _motion(recording: Recording, body: ArticulatedBody) -> Motion | None:
     """Motion and torques under the window in which they explain most, whatever is wrong with them; None of neither."""
-    if recording.torques is None or not np.isfinite(recording.torques).all() or not recording.torques.any():
+    every = motions(recording, body)
+    if not every:
         return None
-    order = [recording.joint_names.index(name) for name in body.joint_names if name in recording.joint_names]
-    if len(order) < body.num_joints:
-        missing = next(name for name in body.joint_names if name not in recording.joint_names)
-        raise InputError(
-            f"{recording.name}: expected torques of every joint of the body, {', '.join(body.joint_names)}, "
-            f"got none of {missing!r}: rename the columns, or map them (--map)"
-        )
-    encoders = recording.angles is not None
-    angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    motions = smoothings(body, recording.time, angle, recording.torques[:, order])
-    if not motions:
-        return None
-    dynamics = dynamics_for(body)
+    dynamics, encoders = dynamics_for(body), recording.angles is not None
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
 
     def best(motion: Motion) -> float:
         tried = (motion, as_large(dynamics, body, motion), *(mistake.right(motion) for mistake in known))
         return min(explain(dynamics, body, each).misfit for each in tried)
 
-    return min(motions, key=best)
+    return min(every, key=best)
 
 
-def _in_words(found: Found, joints: Sequence[str]) -> Wrong:
-    mistake = found.mistake
+def _in_words(mistake: Mistake, joints: Sequence[str], found: Found | None = None) -> Wrong:
+    """A mistake with its joints' names; where torques tell, what they miss before and after, and what else it is."""
 
     def told(other: Mistake) -> str:
         return f"at {' and '.join(joints[k] for k in other.joints)} {other.words}" if other.joints else other.words
 
-    names = tuple(joints[k] for k in mistake.joints)
+    wrong = Wrong(mistake.kind, tuple(joints[k] for k in mistake.joints), mistake.words, mistake.remedy, mistake.value)
+    if found is None:
+        return wrong
     others = tuple(dict.fromkeys(told(other) for other in found.others))[:2]
-    return Wrong(mistake.kind, names, mistake.words, mistake.remedy, mistake.value, found.before, found.after, others)
+    return replace(wrong, before=found.before, after=found.after, others=others)

@@ -12,8 +12,8 @@ Shapes: K joints.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, explain
 from invdyn.models.dynamics.interface import Dynamics
+from invdyn.recordings.units import Units
 
 ZEROS = np.radians(np.arange(-165, 181, 15))
 """rad, where a zero is looked for, before it is found to a fraction of a degree."""
@@ -58,6 +59,7 @@ class Mistake:
         remedy: what to do about it.
         value: the zero, rad; the factor that torques or times lack; the offset, N·m.
         right: the motion with it put right.
+        scales: of a unit, the factors of `angle`, `target` and `time` that a :class:`.Reading` is put right by.
     """
 
     kind: str
@@ -66,6 +68,7 @@ class Mistake:
     remedy: str
     value: float
     right: Callable[[Motion], Motion]
+    scales: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,14 +81,17 @@ class Found:
     others: tuple[Mistake, ...] = ()
 
 
-def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool) -> list[Found]:
-    """Mistakes of a log, none where it is right; of angles and columns only where there are ``encoders``."""
+def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said: Units | None = None) -> list[Found]:
+    """Mistakes of a log, none where it is right; of angles and columns only where there are ``encoders``.
+
+    ``said`` are its units, and where they stand.
+    """
     found: list[Found] = []
     while len(found) < MANY:
         own = explain(dynamics, body, motion).misfit
         if not own > MISSED:
             break
-        tried = sorted(_tried(dynamics, body, motion, encoders), key=lambda each: each[0])
+        tried = sorted(_tried(dynamics, body, motion, encoders, said), key=lambda each: each[0])
         worth = [(misfit, mistake) for misfit, mistake in tried if misfit < BETTER * own and misfit < NEAR]
         if not worth:
             break
@@ -124,24 +130,35 @@ def _groups(joints: int) -> list[tuple[int, ...]]:
     return [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
 
 
-def units() -> Iterator[Mistake]:
-    """Of angles and times, in which :mod:`invdyn.recordings.plausible` may already have seen something wrong."""
-    words, turn = "the angles are in degrees", "pass --units deg"
-    yield Mistake("degrees", (), words, turn, math.pi / 180, _scaled(angle=math.pi / 180))
-    words, turn = "the angles are in radians already", "pass --units rad"
-    yield Mistake("radians", (), words, turn, 180 / math.pi, _scaled(angle=180 / math.pi))
+def units(said: Units | None = None, targets: bool = False) -> Iterator[Mistake]:
+    """Of angles and times, in which :mod:`invdyn.recordings.plausible` may already have seen something wrong.
+
+    Args:
+        said: what was declared, and where: there it is put right.
+        targets: there are servos' targets, which may be in another unit together with the angles.
+    """
+    said = said or Units()
+    ways = (("degrees", "deg", "in degrees", math.pi / 180), ("radians", "rad", "in radians already", 180 / math.pi))
+    for tracks in (("angle",), ("angle", "target"))[: 1 + targets]:
+        what = " and ".join({"angle": "the angles", "target": "the servos' targets"}[track] for track in tracks)
+        for kind, unit, words, factor in ways:
+            right, scales = _scaled(angle=factor), dict.fromkeys(tracks, factor)
+            yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, right, scales)
     for unit, name, factor in (("ms", "milliseconds", 1e-3), ("us", "microseconds", 1e-6), ("ns", "nanoseconds", 1e-9)):
-        yield Mistake("time", (), f"the times are in {name}", f"pass --units {unit}", factor, _scaled(time=factor))
+        right, scales = _scaled(time=factor), {"time": factor}
+        yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
 
-def _tried(dynamics: Dynamics, body: Any, motion: Motion, encoders: bool) -> Iterator[tuple[float, Mistake]]:
+def _tried(
+    dynamics: Dynamics, body: Any, motion: Motion, encoders: bool, said: Units | None
+) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
     joints = motion.q.shape[1]
 
     def fit(mistake: Mistake, offsets: tuple[int, ...] = ()) -> Explained:
         return explain(dynamics, body, mistake.right(motion), offsets)
 
-    for mistake in (*fixed(joints, encoders), *(units() if encoders else ())):
+    for mistake in (*fixed(joints, encoders), *(units(said) if encoders else ())):
         yield fit(mistake).misfit, mistake
     for k in range(joints if encoders else 0):
         yield from _searched(partial(zero, k), fit, ZEROS, math.radians(15), SMALL_ZERO)

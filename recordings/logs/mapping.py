@@ -13,7 +13,7 @@ called as ROS's JointState has them, "….elbow.position" and "….elbow.effort"
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from ..errors import InputError, about
 from ..toml_tables import read_toml
-from ..units import RADIANS, TIMES
+from ..units import RADIANS, TIMES, Units
 from .tracks import Episode, Track, track
 
 ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
@@ -48,6 +48,10 @@ class Source:
             raise InputError(f"{where}: no row of track {self.track!r} has a time")
         return Track(found.time, found.values * self.factor + self.offset)
 
+    def times(self, factor: float) -> "Source":
+        """The source in another unit: values ``factor`` times as large, about the same zero."""
+        return replace(self, factor=self.factor * factor)
+
 
 @dataclass(frozen=True)
 class JointMap:
@@ -60,17 +64,36 @@ class JointMap:
 
 @dataclass(frozen=True)
 class LogMap:
-    """A whole mapping: joints by name, the column of times, and how many seconds its unit has."""
+    """A whole mapping: joints by name, the column of times, how many seconds its unit has, and which units it says.
+
+    `units` have an angle where all angles have a unit, and a time where there is a `time_unit`: what is only taken for
+    radians or seconds is not declared.
+    """
 
     joints: Mapping[str, JointMap] = field(default_factory=dict)
     time: str | None = None
     second: float = 1.0
+    units: Units = field(default_factory=lambda: Units(mapping="a mapping (--map)"))
+
+    def rescaled(self, angle: float = 1.0, target: float = 1.0, time: float = 1.0) -> "LogMap":
+        """The mapping in other units: angles, targets and times so many times as large, about the same zeros."""
+
+        def of(joint: JointMap) -> JointMap:
+            return replace(
+                joint,
+                angle=None if joint.angle is None else joint.angle.times(angle),
+                target=None if joint.target is None else joint.target.times(target),
+            )
+
+        joints = {name: of(joint) for name, joint in self.joints.items()}
+        return replace(self, joints=joints, second=self.second * time)
 
     @classmethod
     def load(cls, path: str | Path) -> "LogMap":
         """Read a mapping. Raises InputError for what is none, OSError where it cannot be read."""
         with about(path):
-            return cls.of(read_toml(path, "a mapping"))
+            found = cls.of(read_toml(path, "a mapping"))
+        return replace(found, units=replace(found.units, mapping=str(path)))
 
     @classmethod
     def of(cls, tables: dict[str, Any]) -> "LogMap":
@@ -90,7 +113,11 @@ class LogMap:
                 raise InputError(f"joints.{name}: expected a table with {', '.join(KEYS)}")
             _known(table, tuple(KEYS), f"joints.{name}")
             found[name] = JointMap(**{kind: _source(table[kind], kind, f"joints.{name}.{kind}") for kind in table})
-        return cls(found, time, TIMES[unit])
+        angles = [table["angle"] for table in joints.values() if "angle" in table]
+        own = cls(found, time, TIMES[unit])
+        every = all(isinstance(each, dict) and "unit" in each for each in angles)
+        said = {"angle": "rad" if every else None, "time": unit if "time_unit" in tables else None}
+        return replace(own, units=replace(own.units, **said))
 
     @classmethod
     def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":

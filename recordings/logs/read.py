@@ -52,12 +52,17 @@ def read_log(path: str | Path, time: str | None = None) -> list[Episode]:
 
 
 def recordings_of(
-    path: str | Path, joints: Sequence[str], mapping: LogMap | None = None, episodes: Sequence[int] | None = None
+    path: str | Path,
+    joints: Sequence[str],
+    mapping: LogMap | None = None,
+    episodes: Sequence[int] | None = None,
+    **scales: float,
 ) -> list[Logged]:
     """A log's episodes as recordings of ``joints``; all of them, or those of the numbers given.
 
     Rows are all times at which an angle or a command was logged; commands are held, and an angle stays missing in a row
-    that has none of its own. Raises InputError for a log that is none, and tracks or episodes that it lacks.
+    that has none of its own. ``scales`` are :meth:`.LogMap.rescaled`'s, of units other than the mapping's.
+    Raises InputError for a log that is none, and tracks or episodes that it lacks.
     """
     found = read_log(path, None if mapping is None else mapping.time)
     chosen = range(len(found)) if episodes is None else episodes
@@ -65,11 +70,12 @@ def recordings_of(
         raise InputError(f"{path}: no episode {beyond[0]}; it has {len(found)}, from 0 on")
     with about(path):
         name = Path(path).stem
-        return [_recording(found[n], joints, mapping, name if len(found) == 1 else f"{name} {n}") for n in chosen]
+        titles = {n: name if len(found) == 1 else f"{name} {n}" for n in chosen}
+        maps = {n: (mapping or LogMap.by_name(found[n], joints)).rescaled(**scales) for n in chosen}
+        return [_recording(found[n], joints, maps[n], titles[n]) for n in chosen]
 
 
-def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap | None, name: str) -> Logged:
-    mapping = mapping or LogMap.by_name(episode, joints)
+def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: str) -> Logged:
     if strange := [joint for joint in mapping.joints if joint not in joints]:
         raise InputError(f"the mapping has joint {strange[0]!r}, the robot has {', '.join(joints)}")
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from robot_log import ARM, robot_log
+from servo_log import SERVO_ARM, write_mapping, write_servo_log
 from typer.testing import CliRunner
 
 from invdyn.cli import app
@@ -35,3 +36,28 @@ def test_what_is_right_and_what_is_wrong(files):
     said = json.loads((files / "check.json").read_text())
     assert said["mistakes"][0]["kind"] == "torque sign"
     assert said["mistakes"][0]["joints"] == ["elbow"]
+
+
+def test_the_units_of_a_log_are_put_right_in_its_mapping(tmp_path):
+    write_servo_log(tmp_path / "log.csv")
+    write_mapping(tmp_path / "map.toml", time="")
+    SERVO_ARM.to_toml(tmp_path / "arm.toml")
+    mapped = ("--map", tmp_path / "map.toml")
+    wrong = run(tmp_path / "arm.toml", tmp_path / "log.csv", *mapped, "--no-effects")
+    assert wrong.exit_code == 2
+    assert f'the times are in milliseconds: write time_unit = "ms" in {tmp_path / "map.toml"}' in wrong.output
+    diagnosing = ("diagnose", tmp_path / "log.csv", "--body", tmp_path / "arm.toml", *mapped, "--out", tmp_path / "out")
+    for command in (("check", tmp_path / "arm.toml", tmp_path / "log.csv", *mapped), diagnosing):
+        refused = CliRunner().invoke(app, [*map(str, command), "--units", "ms"])
+        assert refused.exit_code == 2
+        assert f"units stand in {tmp_path / 'map.toml'}, track by track: leave --units out" in refused.output
+    refused = CliRunner().invoke(app, list(map(str, diagnosing)))
+    assert refused.exit_code == 2
+    assert 'the times are in milliseconds, it seems: write time_unit = "ms"' in refused.output
+
+
+def test_a_known_recording_is_checked_and_its_units_left_out_if_given():
+    known = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects")
+    assert "torques    what the body and friction leave" in known.output, known.output
+    given = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects", "--units", "rad")
+    assert "has known units and times: leave --units out" in given.output

@@ -8,8 +8,8 @@ import torch
 import xarray as xr
 
 from invdyn.film import arm_points, film_frames, skeleton, still_parts
+from invdyn.inference.fits import rigid_distances
 from invdyn.inputs import load_body, load_recording
-from invdyn.inputs_in_space import rigid_distances
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.plots import plot_comparison, plot_posterior
 from invdyn.recordings import InputError, Recording, write_keypoint_csv

@@ -1,0 +1,102 @@
+"""Units of a log that are wrong: by the size of its numbers, and by its torques where somebody said the unit.
+
+A unit that nobody declared is wrong where its numbers cannot be the body's, and can in another one
+(:mod:`..problem.mistakes`). One that was declared is wrong where, beside that, the torques are far from what the motion
+asks for, and near it in the other unit. Of several units that will do, that one is taken in which the torques fit best.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from invdyn.diagnosis.problem.angles import recorded_angles
+from invdyn.diagnosis.problem.mistakes import BETTER, NEAR, Mistake, units
+from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
+from invdyn.inference.fits import check_fits
+from invdyn.models import ArticulatedBody
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.plausible import check_magnitudes
+from invdyn.recordings.reading import Reading
+from invdyn.recordings.units import Units
+
+
+def check_units(reading: Reading, body: ArticulatedBody) -> None:
+    """Raise InputError, with the mistake and its remedy, for units that are wrong."""
+    told, mistakes, _ = wrong_units(reading, body)
+    if mistakes:
+        what = ", and ".join(f"{each.words}, it seems: {each.remedy}" for each in mistakes)
+        raise InputError(f"{reading.recording.name}: {what}; `invdyn check` says more")
+    if told is not None:
+        raise InputError(f"{reading.recording.name}: {told}")
+
+
+def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Recording]:
+    """What speaks against the units, the mistakes that explain it, and the recording without them.
+
+    None, no mistakes and the recording as it is where nothing does; no mistakes where no other unit will do.
+    """
+    recording = reading.recording
+    told = _implausible(recording, body, reading.units)
+    if told is None and _implausible(recording, body, Units()) is None:
+        return None, (), recording
+    found: list[tuple[float, tuple[Mistake, ...], Recording]] = []
+    for tried in _combined(reading):
+        scales: dict[str, float] = {}
+        for mistake in tried:
+            scales |= mistake.scales
+        try:
+            righted = reading.rescaled(**scales)
+        except InputError:  # no times of any recording
+            continue
+        if _implausible(righted, body, Units()) is None:
+            found.append((_missed(righted, body), tried, righted))
+    if not found:
+        return told, (), recording
+    # the first one where no torque tells
+    missed, mistakes, righted = min(found, key=lambda each: each[0])
+    if told is None and not missed < min(BETTER * _missed(recording, body), NEAR):
+        return None, (), recording
+    return told, mistakes, righted
+
+
+def motions(recording: Recording, body: ArticulatedBody) -> list[Motion]:
+    """Motion and torques under each window; none where no torque is known.
+
+    Raises InputError where a joint of the body has no torques.
+    """
+    if recording.torques is None or not np.isfinite(recording.torques).all() or not recording.torques.any():
+        return []
+    order = [recording.joint_names.index(name) for name in body.joint_names if name in recording.joint_names]
+    if len(order) < body.num_joints:
+        missing = next(name for name in body.joint_names if name not in recording.joint_names)
+        raise InputError(
+            f"{recording.name}: expected torques of every joint of the body, {', '.join(body.joint_names)}, "
+            f"got none of {missing!r}: rename the columns, or map them (--map)"
+        )
+    angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
+    return smoothings(body, recording.time, angle, recording.torques[:, order])
+
+
+def _missed(recording: Recording, body: ArticulatedBody) -> float:
+    """The misfit of the torques under the window that it is least under; 0 where none are known."""
+    dynamics = dynamics_for(body)
+    return min((explain(dynamics, body, each).misfit for each in motions(recording, body)), default=0.0)
+
+
+def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
+    """One mistake, or one of angles and one of times."""
+    every = list(units(reading.units, reading.targets))
+    yield from ((mistake,) for mistake in every)
+    yield from (pair for pair in combinations(every, 2) if len({each.kind == "time" for each in pair}) == 2)
+
+
+def _implausible(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
+    """What speaks against the size of the numbers; None for nothing."""
+    try:
+        check_magnitudes(recording, units)
+        check_fits(recording, body, units)
+    except InputError as error:
+        return str(error)
+    return None

@@ -1,0 +1,53 @@
+"""Whether a recording can be one of a body: lengths, times and angles against it, in the plane and in space.
+
+:mod:`invdyn.recordings.plausible` compares numbers with numbers; here these are a body's.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from invdyn.models import ArticulatedBody, Body, Tree
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.recordings import Recording, check_in_space, check_plausible
+from invdyn.recordings.units import Units
+
+POSES = (0.0, 0.7, -1.3)
+"""Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
+KEPT = 1e-9
+"""Of the reach: what a distance may change by for rounding."""
+
+
+def check_fits(recording: Recording, body: ArticulatedBody, units: Units) -> None:
+    """Raise InputError for distances, times or speeds that are not this body's, unless ``units`` declare them.
+
+    Keypoints are in the body's frame. Of a body of another kind than a chain in the plane or a tree, nothing is asked.
+    """
+    if isinstance(body, Body):
+        check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units)
+    elif isinstance(body, Tree):
+        numbers, dynamics = body.parameters(), dynamics_for(body)
+        turning = {motion.name for _, motion in body.motions() if motion.turns}
+        levers = zip(body.joint_names, dynamics.levers(numbers).tolist(), strict=True)
+        check_in_space(
+            recording,
+            dynamics.reach(numbers).item(),
+            rigid_distances(body),
+            {joint: lever for joint, lever in levers if joint in turning},
+            units,
+        )
+
+
+def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
+    """Distances, m, of two sites that keep it however the body moves."""
+    dynamics, numbers = dynamics_for(body), body.parameters()
+    poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
+    points = dynamics.keypoints(torch.tensor(poses, dtype=torch.float64), numbers)
+    apart = torch.cdist(points, points).numpy()
+    found = {}
+    for one, other in combinations(range(len(body.keypoint_names)), 2):
+        lengths = apart[:, one, other]
+        if np.ptp(lengths) <= KEPT * apart.max() < lengths[0]:
+            found[body.keypoint_names[one], body.keypoint_names[other]] = float(lengths[0])
+    return found

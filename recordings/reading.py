@@ -1,0 +1,37 @@
+"""A recording with what was said of its units, and what it would be in others: what stands in a mapping changes there.
+
+A log's angles are counted from zeros, and a servo's targets are torques by now. So a recording in another unit is read
+once more, and not multiplied.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from .recording import Recording
+from .units import Units
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A recording, and how it was read.
+
+    Attributes:
+        recording: in SI units, if the units are right.
+        units: what was declared, and where.
+        again: of factors `angle`, `target` and `time`, the recording with these so many times as large; None where the
+            recording has the file's own zeros and no targets, so that its numbers may be multiplied.
+        targets: whether some of its torques are servos' targets.
+    """
+
+    recording: Recording
+    units: Units = field(default_factory=Units)
+    again: Callable[..., Recording] | None = None
+    targets: bool = False
+
+    def rescaled(self, **scales: float) -> Recording:
+        """The recording in other units; factors of `angle`, `target` and `time`."""
+        if self.again is not None:
+            return self.again(**scales)
+        recording, angle = self.recording, scales.get("angle", 1.0)
+        angles = None if recording.angles is None else recording.angles * angle
+        return replace(recording, angles=angles, time=recording.time * scales.get("time", 1.0))

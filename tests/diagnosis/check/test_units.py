@@ -1,0 +1,84 @@
+"""Units that a mapping has wrong: named with the line to change, put right there, and nothing false beside them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from servo_log import SERVO_ARM, write_mapping, write_servo_log
+
+from invdyn.diagnosis.check.check import check
+from invdyn.diagnosis.check.units import check_units
+from invdyn.inputs import read_logs
+from invdyn.models import Body, Link
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.reading import Reading
+from invdyn.recordings.units import parse_units
+
+WRONG = {
+    "times": ({"time": ""}, "the times are in milliseconds", 'write time_unit = "ms" in {map}'),
+    "angles": ({"angle": ""}, "the angles are in degrees", 'write unit = "deg" in each line "angle = …" of {map}'),
+    "angles and targets": (
+        {"angle": "", "target": ""},
+        "the angles and the servos' targets are in degrees",
+        'write unit = "deg" in each line "angle = …" and "target = …" of {map}',
+    ),
+    # what was said is believed unless the torques contradict it
+    "what was said": (
+        {"angle": "rad", "target": "rad"},
+        "the angles and the servos' targets are in degrees",
+        'write unit = "deg" in each line "angle = …" and "target = …" of {map}',
+    ),
+}
+
+
+@pytest.fixture
+def log(tmp_path):
+    write_servo_log(tmp_path / "log.csv")
+    return tmp_path / "log.csv"
+
+
+def read(log, **units):
+    write_mapping(log.parent / "map.toml", **units)
+    (reading,) = read_logs(str(log), SERVO_ARM, str(log.parent / "map.toml"))
+    return reading
+
+
+def test_a_mapping_that_is_right_has_no_mistake(log):
+    reading = read(log)
+    check_units(reading, SERVO_ARM)
+    assert not check(reading, SERVO_ARM, effects=False).mistakes
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_the_line_to_change_is_named_and_nothing_else_is_found(log, case):
+    units, words, remedy = WRONG[case]
+    remedy = remedy.format(map=log.parent / "map.toml")
+    reading = read(log, **units)
+    (wrong,) = check(reading, SERVO_ARM, effects=False).mistakes
+    assert (wrong.words, wrong.remedy) == (words, remedy)
+    with pytest.raises(InputError) as refused:
+        check_units(reading, SERVO_ARM)
+    assert f"log: {words}, it seems: {remedy}" in str(refused.value)
+    right = read(log).recording
+    righted = reading.rescaled(**{"time": 1e-3} if "times" in words else {"angle": np.pi / 180})
+    np.testing.assert_allclose(righted.angles, right.angles)
+    np.testing.assert_allclose(righted.time, right.time)
+
+
+def test_times_and_angles_that_are_both_wrong_are_both_named(log):
+    kinds = [wrong.kind for wrong in check(read(log, time="", angle="", target=""), SERVO_ARM, effects=False).mistakes]
+    assert sorted(kinds) == ["degrees", "time"]
+
+
+def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against_it():
+    """A rotor that turns a hundred times is no arm in degrees, if somebody says so and no torque contradicts it."""
+    rotor = Body("rotor", [Link("disc", "axle", "rim", 0.1, 1.0)], gravity=(0.0, 0.0))
+    time = np.arange(0, 4, 0.01)
+    turning = Recording(time, np.empty((len(time), 0, 2)), (), angles=150 * time[:, None], joint_names=("axle",))
+    check_units(Reading(turning, parse_units("rad")), rotor)
+    with pytest.raises(InputError, match="the angles are in degrees, it seems: pass --units deg"):
+        check_units(Reading(turning), rotor)
+    # spinning up by a torque that is asked for in radians
+    spun = replace(turning, angles=(40 * time**2)[:, None], torques=np.full((len(time), 1), 80 * 0.01 / 3))
+    check_units(Reading(spun, parse_units("rad")), rotor)
+    assert not check(Reading(spun, parse_units("rad")), rotor, effects=False).mistakes
