@@ -28,7 +28,7 @@ class Recorded:
     units: Annotated[
         str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
     ] = None
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file has no times.")] = None
     format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[

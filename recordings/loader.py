@@ -11,7 +11,7 @@ import numpy as np
 from . import catalogue
 from .errors import InputError, about
 from .formats import FORMATS, Format, recognise
-from .keypoint_csv import read_keypoint_csv
+from .keypoint_csv import numbers_frames, read_keypoint_csv
 from .lost import without_lost
 from .naming import alike, nearest
 from .paths import check_readable, resolved
@@ -42,7 +42,7 @@ def load(
         path_or_name: a file, or a name of `catalogue.names()`.
         units: a comma-separated list such as "px" or "mm,deg"; what the numbers in the file are. Only the
             project's own CSV (metres, radians) and files that carry their units go without.
-        fps: frames a second, for files without times.
+        fps: frames a second, for files without times and for numbers of frames.
         keypoints: the names to keep and their order, from a body; the default keeps all. The project's own
             CSV may hold no others; other files may.
         joints: likewise, of angles and commands.
@@ -99,8 +99,14 @@ def read_file(
     form = FORMATS[kind]
     with about(path):
         declared = parse_units(units)
+        if form.read is None and numbers_frames(path):
+            form = replace(form, title=f"frame-numbered {form.title}", own_times=False)
+            declared = replace(declared, time=None if declared.time == FRAMES else declared.time)
         if form.own_times and fps is not None and declared.time != FRAMES:
-            raise InputError(f"a {form.title} file carries its own times: leave --fps out")
+            raise InputError(
+                f"a {form.title} file carries its own times: leave --fps out, or add --units frames if they are "
+                "numbers of frames"
+            )
         if not form.own_units and declared.length is None:
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
@@ -113,7 +119,7 @@ def read_file(
             raise InputError(f"a {form.title} file holds one body: leave --individual out")
         _check_time_unit(form, declared, fps)
         if form.read is None:
-            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base)
+            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
         else:
             recording = form.read(path, fps, individual)
         recording = without_lost(recording, pixels=declared.length == "px")
