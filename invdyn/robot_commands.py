@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .console import BAD_INPUT, check_outputs
+from .console import BAD_INPUT, check_ending, check_outputs
 
 
 def register(app: typer.Typer) -> None:
@@ -38,6 +38,7 @@ def check(
     from .inputs import load_body, load_log
 
     check_outputs([out], [Path(robot), Path(log)])
+    check_ending("a check", out, ".json")
     body = load_body(robot)
     recording = load_log(log, body, units, frames, mapping, episode)
     found = run(recording, body, passive=passive, effects=effects)
