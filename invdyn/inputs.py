@@ -223,9 +223,11 @@ def load_known(name: str, body: Body | Tree) -> Truth:
 
 
 def frame_range(text: str) -> tuple[int | None, int | None]:
-    """Start and stop of "50:250", "50:" or ":250". Raises InputError for anything else."""
+    """Start and stop of "50:250", "50:" or ":250". Raises InputError for anything else, and for no rows."""
     try:
         start, stop = (int(part) if part.strip() else None for part in text.split(":"))
     except ValueError:
         raise InputError(f"--frames is START:STOP, such as 50:250, got {text!r}") from None
+    if start is not None and stop is not None and (start < 0) == (stop < 0) and start >= stop:
+        raise InputError(f"--frames is START:STOP, the first row and the one after the last, got {text}: no rows")
     return start, stop

@@ -49,6 +49,15 @@ class Recorded:
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
 
+    def __post_init__(self) -> None:
+        """Raise InputError for a scale that is given and said to be unknown."""
+        from invdyn.recordings import InputError
+
+        if self.scale is not None and self.body_lengths:
+            raise InputError(
+                "--scale says how long a pixel is, --body-lengths that this is not known: leave one of them out"
+            )
+
     @property
     def recording(self) -> str:
         """The one that is given. Raises InputError for several, which only cameras are."""

@@ -126,7 +126,14 @@ def read_file(
         if plane is not None:
             recording = planar(recording, plane, form.axes)
         recording = to_si(recording, declared, scale, fps)
-        check_magnitudes(recording, declared)
+        try:
+            check_magnitudes(recording, declared)
+        except InputError:
+            if scale is None or recording.angles is not None:
+                raise
+            raise InputError(
+                f"--scale {scale:g} makes these keypoints larger than any body: expected metres a pixel, such as 0.002"
+            ) from None
         if base is not None and base not in recording.keypoint_names:
             _tell_no_base(recording, base, keypoints or (), own_frame=form.read is None)
         return recording
