@@ -33,7 +33,7 @@ from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
 from invdyn.recordings.logs import LogMap, recordings_of
 from invdyn.recordings.logs.read import Logged, kind_of
-from invdyn.recordings.naming import nearest
+from invdyn.recordings.naming import closest
 from invdyn.recordings.plane import FLAT
 
 from .inputs_in_space import load_in_space
@@ -106,8 +106,9 @@ def load_recording(
         strange = [point for point in recording.keypoint_names if point not in (base, *tips)]
         if strange:
             raise InputError(
-                f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join((base, *tips))} "
-                f"(closest: {nearest(strange[0], (base, *tips))!r}): rename one of them"
+                f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join((base, *tips))}"
+                f"{closest(strange[0], [tip for tip in (base, *tips) if tip not in recording.keypoint_names])}: "
+                "rename one of them"
             )
         order = [recording.keypoint_names.index(tip) for tip in tips if tip in recording.keypoint_names]
         recording = _with_keypoints(recording, order)

@@ -20,7 +20,7 @@ from invdyn.recordings import (
 )
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
-from invdyn.recordings.naming import nearest
+from invdyn.recordings.naming import closest
 
 POSES = (0.0, 0.7, -1.3)
 """Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
@@ -59,8 +59,8 @@ def load_in_space(
     own_file = Path(name).exists() and FORMATS[recognise(Path(name), options.get("format"))].read is None
     if strange and (own_file or len(strange) == len(names)):
         raise InputError(
-            f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)} "
-            f"(closest: {nearest(strange[0], sites)!r}): rename one of them"
+            f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)}"
+            f"{closest(strange[0], [site for site in sites if site not in names])}: rename one of them"
         )
     order = [place for place, point in enumerate(names) if point in sites]
     confidence = recording.confidence

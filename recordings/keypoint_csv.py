@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError, about
-from .naming import nearest
+from .naming import closest, nearest
 from .recording import Recording, check_time
 from .tables import read_header, read_table, write_table
 
@@ -143,7 +143,7 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
             near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
-                f"unknown column {column!r}; the closest known is {near_one!r} "
+                f"unknown column {column!r}{'' if near_one is None else f'; the closest known is {near_one!r}'} "
                 f"(known are time, frame and <name>_{', _'.join(SUFFIXES)})"
             )
     return found
@@ -159,9 +159,7 @@ def _expected(
     missing = [name for name in expected if name not in in_file]
     if unknown or (missing and kind == "keypoint"):
         hints = [
-            f"unknown {name!r} (closest: {nearest(name, [*expected, *others])!r})"
-            for name in unknown[:HINTS]
-            if expected or others
+            f"unknown {name!r}{closest(name, [*missing, *others])}" for name in unknown[:HINTS] if expected or others
         ]
         wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:HINTS])])
         raise InputError(

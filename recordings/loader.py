@@ -13,7 +13,7 @@ from .errors import InputError, about
 from .formats import FORMATS, Format, recognise
 from .keypoint_csv import numbers_frames, read_keypoint_csv
 from .lost import without_lost
-from .naming import alike, nearest
+from .naming import alike, closest
 from .paths import check_readable, resolved
 from .plane import FLAT, planar
 from .plausible import check_magnitudes
@@ -174,7 +174,7 @@ def _keep(
     if base in recording.keypoint_names:
         recording = recording.relative_to(base)
     if keypoints is not None and recording.keypoint_names:
-        order = [_index("keypoint", name, recording.keypoint_names) for name in keypoints]
+        order = _index("keypoint", keypoints, recording.keypoint_names)
         confidence = recording.confidence
         recording = replace(
             recording,
@@ -183,7 +183,7 @@ def _keep(
             confidence=None if confidence is None else confidence[:, order],
         )
     if joints is not None and recording.joint_names:
-        order = [_index("joint", name, recording.joint_names) for name in joints]
+        order = _index("joint", joints, recording.joint_names)
         recording = replace(
             recording,
             joint_names=tuple(joints),
@@ -193,12 +193,12 @@ def _keep(
     return recording
 
 
-def _index(kind: str, name: str, known: Sequence[str]) -> int:
-    if name not in known:
-        raise InputError(
-            f"{kind} {name!r} is missing: the file has {', '.join(known)} (closest: {nearest(name, known)!r})"
-        )
-    return list(known).index(name)
+def _index(kind: str, names: Sequence[str], known: Sequence[str]) -> list[int]:
+    for name in names:
+        if name not in known:
+            hint = closest(name, [other for other in known if other not in names])
+            raise InputError(f"{kind} {name!r} is missing: the file has {', '.join(known)}{hint}; rename one of them")
+    return [list(known).index(name) for name in names]
 
 
 def _no_such_file(path: Path) -> tuple[int, str, str]:
