@@ -73,8 +73,9 @@ def diagnose(
         most: effects at once, at most. More take longer, and may imitate what the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
-        budget: seconds that the search may take; the result then depends on the machine. By default the search
-            counts its work instead (:mod:`.budget`), and the result does not.
+        budget: seconds after which no more candidate is begun, three quarters of them for the search; the fit without
+            any effect and what is said of the causes come on top. The result then depends on the machine. By default
+            the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
             nor does what a cause leaves.
         progress: called with (done, total, what).

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import ProgressBar, check_outputs
+from .console import ProgressBar, check_ending, check_outputs
 
 
 def register(app: typer.Typer) -> None:
@@ -39,6 +39,7 @@ def calibrate(
             raise InputError(f"camera {name!r} has two films: write CAMERA=FILM, each with its own name")
         sources[name] = path
     check_outputs([out], sources.values())
+    check_ending("a calibration", out, ".toml")
     shown = Board.parse(board, square, marker, dictionary)
     with ProgressBar() as progress:
         calibration, lenses = run(sources, shown, every, progress)
@@ -120,6 +121,9 @@ def triangulate(
     cameras = read_calibration(calibration, unit)
     files = match_names(tracks, cameras.names)
     check_outputs([out, errors, sd, calibration_out], [*calibration, *files.values()])
+    for table_out in (out, errors, sd):
+        check_ending("a table", table_out, ".csv")
+    check_ending("a calibration", calibration_out, ".toml")
     with ProgressBar() as progress:
         films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
         clocks = {} if find is None else find_offsets(films, cameras, find, progress)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import blind_commands, camera_commands, film_commands, robot_commands
-from .console import Commands, ProgressBar, check_outputs
+from .console import Commands, ProgressBar, check_ending, check_outputs
 from .diagnosis_options import Diagnosed
 from .film_commands import ArmSide, NetworkFile, PersonSeen
 from .inference_options import Inference
@@ -80,6 +80,8 @@ def simulate(
     from .simulate import random_arm, record
 
     check_outputs([out, truth], [Path(body)])
+    check_ending("a recording", out, ".csv")
+    check_ending("a truth", truth, ".csv")
     model = random_arm(
         load_body(body),
         duration=duration,
@@ -138,6 +140,7 @@ def infer(
     outputs.check(*given.files, *([] if filmed is None else filmed.files))
     if filmed is not None:
         check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])
+        check_ending("a file of tracks", filmed.tracks, ".csv")
         with ProgressBar() as progress:
             given = filmed.track(checkpoint, progress)
     arguments = given.load()
@@ -227,6 +230,7 @@ def diagnose(
         check_write_back(given.body, write_back)
     if filmed is not None:
         check_outputs([filmed.tracks, write_back], files)
+        check_ending("a file of tracks", filmed.tracks, ".csv")
         with ProgressBar() as progress:
             given = filmed.track(None, progress)
     arguments = given.load()

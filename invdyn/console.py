@@ -8,6 +8,7 @@ import errno
 import sys
 import warnings
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from tqdm import tqdm
 from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
+WORDS = "invdyn.words"  # where a context keeps the command line
 LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
 UsageError: Any = typer.BadParameter.__base__
@@ -23,6 +25,11 @@ UsageError: Any = typer.BadParameter.__base__
 
 class Commands(TyperGroup):
     """The commands' group, the one place where errors become a line on stderr and an exit code."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse, and keep the words as they were given: an error about a file names the option that it came by."""
+        ctx.meta[WORDS] = list(args)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -41,12 +48,24 @@ class Commands(TyperGroup):
             except OSError as error:
                 if error.errno == errno.EPIPE:  # whoever read our output has left
                     raise
-                _say("error", f"{error.filename}: {error.strerror}" if error.filename else error)
+                _say("error", f"{self._given(ctx, error.filename)}: {error.strerror}" if error.filename else error)
             except (ValueError, ArithmeticError) as error:
                 if not isinstance(error, _input_errors()):
                     raise
                 _say("error", error)
             raise typer.Exit(BAD_INPUT)
+
+    def _given(self, ctx: Any, file: Any) -> str:
+        """A file, behind the option that it was given by; alone where it is an argument, or of our own making."""
+        command, *words = ctx.meta[WORDS]
+        options = [one for one in self.commands[command].params if not getattr(one, "is_flag", True)]
+        taking = {name for option in options for name in option.opts}
+        parts = [word.split("=", 1) if word.partition("=")[0] in taking else [word] for word in words]
+        words = [part for each in parts for part in each]
+        for option, given in pairwise(words):
+            if option in taking and Path(str(file)) in (Path(given), *map(Path, given.split(","))):
+                return f"{option} {file}"
+        return str(file)
 
 
 def _input_errors() -> tuple[type[Exception], ...]:
@@ -97,6 +116,14 @@ class ProgressBar:
         self._bar.total = total
         self._bar.set_postfix_str(detail)
         self._bar.update(done - self._bar.n)
+
+
+def check_ending(what: str, path: Path | None, *endings: str) -> None:
+    """Raise InputError where an output, `what`, is called as a file of another kind; None is not wanted."""
+    from invdyn.recordings import InputError
+
+    if path is not None and path.suffix.lower() not in endings:
+        raise InputError(f"{path}: {what} ends in {' or '.join(endings)}, got {path.suffix!r}; give it such a name")
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:

@@ -33,7 +33,10 @@ class Diagnosed(Recorded):
     most: Annotated[int, typer.Option(min=1, help="Most effects in one cause; more take longer.")] = 4
     budget: Annotated[
         float | None,
-        typer.Option(help="Seconds the search may take; default: counted work, the same result on every machine."),
+        typer.Option(
+            help="Seconds after which no more candidate is begun; the program's start, the fit without any and the "
+            "report come on top, 10 s or more. Default: counted work, the same result on every machine."
+        ),
     ] = None
     tolerance: Annotated[
         float,

@@ -27,6 +27,7 @@ from PIL import Image
 from invdyn.inference import pooled
 from invdyn.recordings import InputError, atomic_path
 
+from .console import check_ending
 from .plots import (
     BLUE,
     INK,
@@ -72,16 +73,14 @@ def save_film(
     shown = shown_frames(time)
     frames = film_frames(idata, shown, progress, overlay)
     with atomic_path(path) as temporary:
-        write = write_gif if temporary.suffix == ".gif" else write_mp4
+        write = write_gif if temporary.suffix.lower() == ".gif" else write_mp4
         write(frames, time[shown], temporary)
 
 
 def check_film(path: str | Path) -> None:
     """Raise InputError when a film of this suffix cannot be made here; call it before a long run."""
-    suffix = Path(path).suffix
-    if suffix not in FILM_SUFFIXES:
-        raise InputError(f"{path}: a film ends in {' or '.join(FILM_SUFFIXES)}, got '{suffix}'")
-    if suffix == ".mp4":
+    check_ending("a film", Path(path), *FILM_SUFFIXES)
+    if Path(path).suffix.lower() == ".mp4":
         try:
             import imageio_ffmpeg  # noqa: F401
         except ImportError:

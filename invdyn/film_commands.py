@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import ProgressBar, check_outputs
+from .console import ProgressBar, check_ending, check_outputs
 from .options import Seed
 
 FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
@@ -58,6 +58,7 @@ def label(
     from .label_server import LabelServer
 
     check_outputs([out], [path for path in (film, posterior, network) if path is not None])
+    check_ending("a file of labels", out, ".csv")
     before = read_labels(out) if out.exists() else None
     names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
     names = names or (() if before is None else before.names)
@@ -151,6 +152,7 @@ def train(
     if len(labels) != len(films):
         raise InputError(f"{len(films)} films and {len(labels)} files of labels: give --labels once for each film")
     check_outputs([out], [*films, *labels])
+    check_ending("a network", out, ".safetensors")
     import_safetensors()
     told = [read_labels(path, individual) for path in labels]
     given = examples([Film(path) for path in films], told, size)
@@ -196,6 +198,7 @@ def track(
 
     inputs = [film, *([] if network is None else [network])]
     check_outputs([out], inputs)
+    check_ending("a file of tracks", out, ".csv")
     with ProgressBar() as progress:
         names, tracks = tracks_of(film, out, network, arm, person, checkpoint, progress)
     known = np.isfinite(tracks[..., 0])

@@ -33,7 +33,7 @@ from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
 from invdyn.recordings.logs import LogMap, recordings_of
 from invdyn.recordings.logs.read import Logged, kind_of
-from invdyn.recordings.naming import nearest
+from invdyn.recordings.naming import closest
 from invdyn.recordings.plane import FLAT
 from invdyn.recordings.reading import Reading
 
@@ -107,8 +107,9 @@ def load_recording(
         strange = [point for point in recording.keypoint_names if point not in (base, *tips)]
         if strange:
             raise InputError(
-                f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join((base, *tips))} "
-                f"(closest: {nearest(strange[0], (base, *tips))!r}): rename one of them"
+                f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join((base, *tips))}"
+                f"{closest(strange[0], [tip for tip in (base, *tips) if tip not in recording.keypoint_names])}: "
+                "rename one of them"
             )
         order = [recording.keypoint_names.index(tip) for tip in tips if tip in recording.keypoint_names]
         recording = _with_keypoints(recording, order)
@@ -247,9 +248,11 @@ def load_known(name: str, body: Body | Tree) -> Truth:
 
 
 def frame_range(text: str) -> tuple[int | None, int | None]:
-    """Start and stop of "50:250", "50:" or ":250". Raises InputError for anything else."""
+    """Start and stop of "50:250", "50:" or ":250". Raises InputError for anything else, and for no rows."""
     try:
         start, stop = (int(part) if part.strip() else None for part in text.split(":"))
     except ValueError:
         raise InputError(f"--frames is START:STOP, such as 50:250, got {text!r}") from None
+    if start is not None and stop is not None and (start < 0) == (stop < 0) and start >= stop:
+        raise InputError(f"--frames is START:STOP, the first row and the one after the last, got {text}: no rows")
     return start, stop

@@ -16,7 +16,7 @@ from invdyn.recordings import (
 )
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
-from invdyn.recordings.naming import nearest
+from invdyn.recordings.naming import closest
 
 
 def load_in_space(
@@ -50,8 +50,8 @@ def load_in_space(
     own_file = Path(name).exists() and FORMATS[recognise(Path(name), options.get("format"))].read is None
     if strange and (own_file or len(strange) == len(names)):
         raise InputError(
-            f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)} "
-            f"(closest: {nearest(strange[0], sites)!r}): rename one of them"
+            f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)}"
+            f"{closest(strange[0], [site for site in sites if site not in names])}: rename one of them"
         )
     order = [place for place, point in enumerate(names) if point in sites]
     confidence = recording.confidence

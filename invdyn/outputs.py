@@ -11,10 +11,13 @@ import numpy as np
 from invdyn.inference import Comparison, save_posterior
 from invdyn.recordings import InputError, write_moments, write_motion, write_table, write_text
 
-from .console import check_outputs
+from .console import check_ending, check_outputs
 from .film import check_film, save_film
 from .overlay import Overlay
 from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure, shifts
+
+FILES = {*FIGURE_SUFFIXES, ".nc", ".csv", ".json", ".html"}
+"""Endings of what lies in the folders that commands leave."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +39,11 @@ class Outputs:
     def check(self, *inputs: Path) -> None:
         """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
         check_outputs(self.paths, inputs)
-        if self.figure is not None and self.figure.suffix not in FIGURE_SUFFIXES:
-            raise InputError(
-                f"{self.figure}: a figure ends in {', '.join(FIGURE_SUFFIXES)}, got '{self.figure.suffix}'"
-            )
+        check_ending("a posterior", self.posterior, ".nc")
+        check_ending("a figure", self.figure, *FIGURE_SUFFIXES)
+        check_ending("a table of torques", self.csv, ".csv")
+        check_ending("a file of torques for OpenSim", self.sto, ".sto")
+        check_ending("a file of angles for OpenSim", self.mot, ".mot")
         if self.film is not None:
             check_film(self.film)
 
@@ -142,6 +146,8 @@ class DiagnosisOutputs:
 def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Raise OSError or InputError unless a folder, there or not, can take those outputs, over no input."""
     if not folder.exists():
+        if folder.suffix.lower() in FILES:
+            raise InputError(f"{folder}: expected the name of a folder, got that of a file: leave {folder.suffix} out")
         parent = next(parent for parent in folder.absolute().parents if parent.exists())
         check_outputs([parent / folder.name], inputs)
     elif not folder.is_dir():

@@ -28,7 +28,7 @@ class Recorded:
     units: Annotated[
         str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
     ] = None
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file does not say.")] = None
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file has no times.")] = None
     format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
     scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
     body_lengths: Annotated[
@@ -48,6 +48,15 @@ class Recorded:
     frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
     passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a scale that is given and said to be unknown."""
+        from invdyn.recordings import InputError
+
+        if self.scale is not None and self.body_lengths:
+            raise InputError(
+                "--scale says how long a pixel is, --body-lengths that this is not known: leave one of them out"
+            )
 
     @property
     def recording(self) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .console import BAD_INPUT, check_outputs
+from .console import BAD_INPUT, check_ending, check_outputs
 
 
 def register(app: typer.Typer) -> None:
@@ -38,6 +38,7 @@ def check(
     from .inputs import load_body, read_log
 
     check_outputs([out], [Path(robot), Path(log)])
+    check_ending("a check", out, ".json")
     body = load_body(robot)
     found = run(read_log(log, body, units, frames, mapping, episode), body, passive=passive, effects=effects)
     typer.echo(check_text(found))

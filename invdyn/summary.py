@@ -45,6 +45,34 @@ def quantity_table(idata: az.InferenceData, quantity: str) -> pd.DataFrame:
     return table
 
 
+FEWEST_DRAWS = 20
+"""Independent draws of which one lies beyond each end of a 90 % band; of fewer its ends say nothing."""
+
+
+def independent_draws(idata: az.InferenceData) -> float:
+    """How many independent trajectories the bands rest on, at most, at a typical row.
+
+    Filters count by their weights, and draws of one that are the same particle count once; of chains the effective
+    sample size is known.
+    """
+    angle = np.sort(idata["posterior"]["angle"].isel(joint=0).transpose("chain", "draw", "time").values, axis=1)
+    distinct = 1 + (np.diff(angle, axis=1) > 0).sum(axis=1)  # chain, time
+    weight = np.exp(idata["sample_stats"]["log_weight"].values)[:, None]
+    drawn = float(np.median(1 / (weight**2 / distinct).sum(axis=0)))
+    return min(drawn, float(idata["sample_stats"].attrs.get("ess_bulk", drawn)))
+
+
+def _too_few(idata: az.InferenceData) -> list[str]:
+    """A warning where the draws are too few for bands; none of a method that gives one path and no bands."""
+    draws = independent_draws(idata)
+    if draws >= FEWEST_DRAWS or idata.attrs["method"] == "differentiate":
+        return []
+    return [
+        f"warning: bands of {FEWEST_DRAWS} independent draws or more mean something, these rest on {draws:.2g}: "
+        "raise --filters, --particles or --draws"
+    ]
+
+
 def summary_text(idata: az.InferenceData) -> str:
     """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
     filters, frames = idata["sample_stats"].sizes["chain"], idata["posterior"].sizes["time"]
@@ -66,7 +94,7 @@ def summary_text(idata: az.InferenceData) -> str:
         others = " and ".join(f"{name} {torques[best] - torques[name]:.1f} nat" for name in torques if name != best)
         lines.append(f"torque process {best}, by evidence; behind it {others}")
     lines += [str(idata.attrs[note]) for note in ("charts", "unseen") if note in idata.attrs]
-    return "\n".join(lines)
+    return "\n".join(lines + _too_few(idata))
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}

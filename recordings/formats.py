@@ -3,7 +3,6 @@
 A new format is a new entry of `FORMATS`.
 """
 
-import csv
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
 from .sleap_csv import FIRST, read_sleap_csv
+from .tables import read_header
 from .tracking.film import is_film
 
 
@@ -116,12 +116,7 @@ def recognise(path: Path, name: str | None = None) -> str:
 
 
 def _recognise_csv(path: Path) -> str:
-    check_readable(path)
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            header = [cell.strip() for cell in next(csv.reader(file), [])]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a text table ({first_line(error)})") from None
+    header = read_header(path)
     if header[:1] == ["scorer"]:
         return "deeplabcut"
     if tuple(header[: len(FIRST)]) == FIRST:

@@ -1,6 +1,7 @@
 """The project's own file: one row a sample, SI units, a header that says what each column is.
 
-    time                        s
+    time                        s; or in its place
+    frame                       number of the frame, of a film whose frame rate is told
     <keypoint>_x,_y[,_z]        m; x right, y up in 2-D; z up in 3-D
     <keypoint>_likelihood       the tracker's confidence, optional
     <joint>_torque              N·m, the commanded torque, held until the next row that has one; optional
@@ -16,12 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError, about
-from .naming import nearest
+from .naming import closest, nearest
 from .recording import Recording, check_time
-from .tables import read_table, write_table
+from .tables import read_header, read_table, write_table
 
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
+TIME, FRAME = CLOCKS = ("time", "frame")  # columns that say when a row was, one of them a file
 HINTS = 5  # names that a message goes into
 
 
@@ -31,6 +33,7 @@ def read_keypoint_csv(
     keypoints: Sequence[str] | None = None,
     joints: Sequence[str] | None = None,
     base: str | None = None,
+    fps: float | None = None,
 ) -> Recording:
     """Read one such file.
 
@@ -39,10 +42,12 @@ def read_keypoint_csv(
         keypoints: the names to expect and their order, from a body; by default those in the header.
         joints: likewise for the joints.
         base: one more keypoint that may be there, the first joint's; it then comes first.
+        fps: frames a second, of a file with numbers of frames in place of times.
 
     Raises:
-        InputError: a column that is unknown or missing, a time that does not increase, a cell that is not a
-            number, a command whose first value is missing: the message names the row and column.
+        InputError: a column that is unknown or missing, a time that does not increase, numbers of frames without
+            `fps`, a cell that is not a number, a command whose first value is missing: the message names the row and
+            column.
         OSError: a file that cannot be opened.
     """
     columns, where = read_table(path)
@@ -64,9 +69,12 @@ def read_keypoint_csv(
         axes = AXES if any(suffix == "z" for _, suffix in found) else AXES[:2]
         for missing in (f"{p}_{axis}" for p in points for axis in axes if f"{p}_{axis}" not in columns):
             raise InputError(f"column '{missing}' is missing: every keypoint needs {', '.join(axes)}")
-        check_time(columns["time"], where)
+        if FRAME in columns and fps is None:
+            raise InputError("column 'frame' numbers the frames of a film: pass --fps, frames a second")
+        time = columns[FRAME] / fps if fps is not None and FRAME in columns else columns[TIME]
+        check_time(time, where)
 
-        unknown = np.full(len(columns["time"]), np.nan)
+        unknown = np.full(len(time), np.nan)
 
         def stack(stems: Sequence[str], suffix: str) -> np.ndarray:
             return np.stack([columns.get(f"{s}_{suffix}", unknown) for s in stems], axis=-1)
@@ -76,7 +84,7 @@ def read_keypoint_csv(
 
         torques = optional(names, "torque")
         return Recording(
-            time=columns["time"],
+            time=time,
             keypoints=np.stack([stack(points, axis) for axis in axes], axis=-1)
             if points
             else np.empty((len(unknown), 0, 2)),
@@ -87,6 +95,12 @@ def read_keypoint_csv(
             joint_names=names,
             name=Path(path).stem,
         )
+
+
+def numbers_frames(path: str | Path) -> bool:
+    """Whether such a file numbers its frames and has no times. Raises as :func:`read_header`."""
+    header = read_header(path)
+    return FRAME in header and TIME not in header
 
 
 def write_keypoint_csv(recording: Recording, path: str | Path) -> None:
@@ -111,22 +125,26 @@ def write_keypoint_csv(recording: Recording, path: str | Path) -> None:
 
 
 def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[str]) -> list[tuple[str, str]]:
-    """Column names as (stem, suffix), `time` left out; InputError for one that is neither."""
-    if "time" not in columns:
-        near = difflib.get_close_matches("time", columns, 1)
-        hint = f"; rename {near[0]!r}?" if near else ", in seconds"
-        raise InputError(f"no column 'time'{hint}")
-    found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c != "time")]
+    """Column names as (stem, suffix), the clock left out; InputError for one that is neither, and not one clock."""
+    columns = list(columns)
+    clocks = [clock for clock in CLOCKS if clock in columns]
+    if not clocks:
+        near = [close for clock in CLOCKS for close in difflib.get_close_matches(clock, map(str.lower, columns), 1)]
+        hint = f": rename {next(c for c in columns if c.lower() == near[0])!r}?" if near else ""
+        raise InputError(f"no column 'time', in seconds, nor 'frame', numbers of frames for --fps{hint}")
+    if len(clocks) > 1:
+        raise InputError("expected one column that says when, got 'time' and 'frame': leave one of them out")
+    found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c not in clocks)]
     for stem, suffix in found:
         if not stem or suffix not in SUFFIXES:
             stems = {s for s, _ in found if s} | {*keypoints, *joints}
-            known = ["time", *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
+            known = [*CLOCKS, *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
             column = f"{stem}_{suffix}" if stem else suffix
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
             near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
-                f"unknown column {column!r}; the closest known is {near_one!r} "
-                f"(known are time and <name>_{', _'.join(SUFFIXES)})"
+                f"unknown column {column!r}{'' if near_one is None else f'; the closest known is {near_one!r}'} "
+                f"(known are time, frame and <name>_{', _'.join(SUFFIXES)})"
             )
     return found
 
@@ -141,9 +159,7 @@ def _expected(
     missing = [name for name in expected if name not in in_file]
     if unknown or (missing and kind == "keypoint"):
         hints = [
-            f"unknown {name!r} (closest: {nearest(name, [*expected, *others])!r})"
-            for name in unknown[:HINTS]
-            if expected or others
+            f"unknown {name!r}{closest(name, [*missing, *others])}" for name in unknown[:HINTS] if expected or others
         ]
         wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:HINTS])])
         raise InputError(

@@ -11,9 +11,9 @@ import numpy as np
 from . import catalogue
 from .errors import InputError, about
 from .formats import FORMATS, Format, recognise
-from .keypoint_csv import read_keypoint_csv
+from .keypoint_csv import numbers_frames, read_keypoint_csv
 from .lost import without_lost
-from .naming import alike, nearest
+from .naming import alike, closest
 from .paths import check_readable, resolved
 from .plane import FLAT, planar
 from .plausible import check_magnitudes
@@ -42,7 +42,7 @@ def load(
         path_or_name: a file, or a name of `catalogue.names()`.
         units: a comma-separated list such as "px" or "mm,deg"; what the numbers in the file are. Only the
             project's own CSV (metres, radians) and files that carry their units go without.
-        fps: frames a second, for files without times.
+        fps: frames a second, for files without times and for numbers of frames.
         keypoints: the names to keep and their order, from a body; the default keeps all. The project's own
             CSV may hold no others; other files may.
         joints: likewise, of angles and commands.
@@ -99,8 +99,14 @@ def read_file(
     form = FORMATS[kind]
     with about(path):
         declared = parse_units(units)
+        if form.read is None and numbers_frames(path):
+            form = replace(form, title=f"frame-numbered {form.title}", own_times=False)
+            declared = replace(declared, time=None if declared.time == FRAMES else declared.time)
         if form.own_times and fps is not None and declared.time != FRAMES:
-            raise InputError(f"a {form.title} file carries its own times: leave --fps out")
+            raise InputError(
+                f"a {form.title} file carries its own times: leave --fps out, or add --units frames if they are "
+                "numbers of frames"
+            )
         if not form.own_units and declared.length is None:
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
@@ -113,14 +119,21 @@ def read_file(
             raise InputError(f"a {form.title} file holds one body: leave --individual out")
         _check_time_unit(form, declared, fps)
         if form.read is None:
-            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base)
+            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
         else:
             recording = form.read(path, fps, individual)
         recording = without_lost(recording, pixels=declared.length == "px")
         if plane is not None:
             recording = planar(recording, plane, form.axes)
         recording = to_si(recording, declared, scale, fps)
-        check_magnitudes(recording, declared)
+        try:
+            check_magnitudes(recording, declared)
+        except InputError:
+            if scale is None or recording.angles is not None:
+                raise
+            raise InputError(
+                f"--scale {scale:g} makes these keypoints larger than any body: expected metres a pixel, such as 0.002"
+            ) from None
         if base is not None and base not in recording.keypoint_names:
             _tell_no_base(recording, base, keypoints or (), own_frame=form.read is None)
         return recording
@@ -161,7 +174,7 @@ def _keep(
     if base in recording.keypoint_names:
         recording = recording.relative_to(base)
     if keypoints is not None and recording.keypoint_names:
-        order = [_index("keypoint", name, recording.keypoint_names) for name in keypoints]
+        order = _index("keypoint", keypoints, recording.keypoint_names)
         confidence = recording.confidence
         recording = replace(
             recording,
@@ -170,7 +183,7 @@ def _keep(
             confidence=None if confidence is None else confidence[:, order],
         )
     if joints is not None and recording.joint_names:
-        order = [_index("joint", name, recording.joint_names) for name in joints]
+        order = _index("joint", joints, recording.joint_names)
         recording = replace(
             recording,
             joint_names=tuple(joints),
@@ -180,12 +193,12 @@ def _keep(
     return recording
 
 
-def _index(kind: str, name: str, known: Sequence[str]) -> int:
-    if name not in known:
-        raise InputError(
-            f"{kind} {name!r} is missing: the file has {', '.join(known)} (closest: {nearest(name, known)!r})"
-        )
-    return list(known).index(name)
+def _index(kind: str, names: Sequence[str], known: Sequence[str]) -> list[int]:
+    for name in names:
+        if name not in known:
+            hint = closest(name, [other for other in known if other not in names])
+            raise InputError(f"{kind} {name!r} is missing: the file has {', '.join(known)}{hint}; rename one of them")
+    return [list(known).index(name) for name in names]
 
 
 def _no_such_file(path: Path) -> tuple[int, str, str]:

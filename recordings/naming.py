@@ -10,9 +10,15 @@ def alike(name: str, known: Iterable[str]) -> str | None:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The one of `known` that `name` most probably stands for; None if nothing is known."""
+    """The one of `known` that `name` probably stands for; None if it is like none of them."""
     known = list(known)
-    return alike(name, known) or next(iter(difflib.get_close_matches(name, known, 1, cutoff=0.0)), None)
+    return alike(name, known) or next(iter(difflib.get_close_matches(name, known, 1)), None)
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Words for a message that has `name`: " (closest: 'wrist')", or nothing where none is like it."""
+    near = nearest(name, known)
+    return "" if near is None else f" (closest: {near!r})"
 
 
 def _letters(name: str) -> str:

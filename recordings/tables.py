@@ -40,6 +40,21 @@ def read_rows(path: str | Path) -> list[Row]:
     return rows
 
 
+def read_header(path: str | Path) -> list[str]:
+    """Cells of the first line, stripped; none of an empty file.
+
+    Raises:
+        InputError: a file that is not text in UTF-8.
+        OSError: a file that cannot be opened, or is no ordinary one.
+    """
+    check_readable(path)
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            return [cell.strip() for cell in next(csv.reader(file), [])]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a text table ({first_line(error)})") from None
+
+
 def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarray, Callable[[int], str]]:
     """Turn rows of cells into numbers, (rows, columns), NaN where a cell is empty.
 

@@ -7,6 +7,7 @@ from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.scalars import QUANTITIES, SMALLEST, BodyError, Scalar, check_name, checked, nominal
 
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
+MAX_GYRATION = 20.0  # lengths, √(inertia/mass): a rod has 0.29, one with a geared rotor some; in kg·cm² it has 29
 
 
 @dataclass(frozen=True)
@@ -15,9 +16,9 @@ class Link:
 
     `parts` are what its joint has besides the hinge: friction, a spring, a motor; None for nothing.
 
-    Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive, a negative
-    inertia, a prior that allows such, a centre of mass more than three lengths from the joint, and a link
-    that has neither com nor inertia to resist a torque.
+    Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive or too large for an arm,
+    a negative inertia, a prior that allows such, a centre of mass more than three lengths from the joint, an inertia
+    as of mass more than twenty lengths away, and a link that has neither com nor inertia to resist a torque.
     """
 
     name: str
@@ -42,6 +43,11 @@ class Link:
             raise BodyError(
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
+            )
+        if inertia > mass * (MAX_GYRATION * length) ** 2:
+            raise BodyError(
+                f"{where}: expected an inertia as of mass within {MAX_GYRATION:g} lengths, up to "
+                f"{mass * (MAX_GYRATION * length) ** 2:.3g} kg·m², got {inertia:g}; is it in kg·m²?"
             )
         about_joint = inertia + mass * com * com
         if not math.isfinite(about_joint):

@@ -16,6 +16,8 @@ SMALLEST = {"length": 1e-6, "mass": 1e-9, "inertia": 1e-21}
 """A micrometre, a microgram, and less than a fly's leg: what is smaller, but not 0, is a slip of the unit."""
 LARGEST = 1e7
 """Of any number of a body, in its unit: products of a few of them stay within a float's range."""
+LARGEST_LENGTH, LARGEST_MASS = 30.0, 1e5
+"""m and kg of a link: no longer than a crane's boom, no heavier than a crane. A limb in millimetres is longer."""
 LARGEST_NAME = 100
 """Characters."""
 KNOWN, UNKNOWN = 1e-7, 10.0
@@ -65,16 +67,23 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
     what = f"{where}: {quantity} in {UNITS[quantity]}"
     if quantity == "com":
         return checked_scalar(value, what, signed=True)
-    return checked_scalar(value, what, positive=quantity in ("length", "mass"), smallest=SMALLEST[quantity])
+    largest = {"length": LARGEST_LENGTH, "mass": LARGEST_MASS}.get(quantity, LARGEST)
+    positive = quantity in ("length", "mass")
+    return checked_scalar(value, what, positive=positive, smallest=SMALLEST[quantity], largest=largest)
 
 
 def checked_scalar(
-    value: Scalar, what: str, signed: bool = False, positive: bool = False, smallest: float = 0.0
+    value: Scalar,
+    what: str,
+    signed: bool = False,
+    positive: bool = False,
+    smallest: float = 0.0,
+    largest: float = LARGEST,
 ) -> Scalar:
     """Return a scalar, numbers as float. Raises `BodyError`, which begins with `what`.
 
-    One that is not ``signed`` is not negative, and not 0 where it is ``positive`` or learned, nor between 0 and
-    ``smallest``.
+    One that is not ``signed`` is not negative, and not 0 where it is ``positive`` or learned. None is between 0 and
+    ``smallest``, or beyond ``largest``, but for its sign.
     """
     if isinstance(value, dist.Distribution):
         if value.shape() != ():
@@ -92,14 +101,16 @@ def checked_scalar(
         raise BodyError(f"{what}: expected a positive number, got 0")
     if 0 < abs(centre) < smallest:
         raise BodyError(f"{what}: expected {smallest:.0e} or more, got {centre:g}; is the unit right?")
+    if abs(centre) > largest:
+        raise BodyError(f"{what}: expected up to {largest:g}, as of any arm, got {centre:g}; is the unit right?")
     return value
 
 
-def checked_scalars(values: object, count: int, what: str) -> tuple[Scalar, ...]:
-    """Return `count` scalars of either sign. Raises `BodyError`, which begins with `what`."""
+def checked_scalars(values: object, count: int, what: str, largest: float = LARGEST) -> tuple[Scalar, ...]:
+    """Return `count` scalars of either sign, up to ``largest``. Raises `BodyError`, which begins with `what`."""
     if isinstance(values, str) or not isinstance(values, Iterable) or len(values := tuple(values)) != count:
         raise BodyError(f"{what}: expected {count} numbers, got {values!r:.60}")
-    return tuple(checked_scalar(value, what, signed=True) for value in values)
+    return tuple(checked_scalar(value, what, signed=True, largest=largest) for value in values)
 
 
 def number(value: object, what: str) -> float:

@@ -6,7 +6,18 @@ from dataclasses import dataclass, field
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.rotations import UNTURNED, from_rows
-from invdyn.models.bodies.scalars import SMALLEST, BodyError, Scalar, check_name, checked_scalar, checked_scalars
+from invdyn.models.bodies.scalars import (
+    LARGEST,
+    LARGEST_LENGTH,
+    LARGEST_MASS,
+    SMALLEST,
+    BodyError,
+    Scalar,
+    check_name,
+    checked_scalar,
+    checked_scalars,
+    nominal,
+)
 
 Vector = Sequence[Scalar]
 
@@ -16,8 +27,9 @@ class SpatialLink:
     """One rigid link and its joint. Its scalars are numbers, scalar Pyro distributions (priors) or `Learned`.
 
     `rotation` has the rows of a matrix. `parts` are what a hinge or a slide has besides: friction, a spring, a motor;
-    None for nothing. Raises `BodyError` for parts of another joint, scalars that are not finite, a mass, length or
-    moment that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
+    None for nothing. Raises `BodyError` for parts of another joint, scalars that are not finite or too large for an
+    arm, a mass, length or moment that is negative or whose prior allows it, and a rotation that is not right-handed
+    and orthonormal.
     """
 
     name: str
@@ -44,24 +56,37 @@ class SpatialLink:
                 f"{where}: expected friction, springs and motors at hinges and slides, got {self.joint.type}"
             )
         keep = object.__setattr__
-        keep(self, "mass", checked_scalar(self.mass, f"{where}: mass in kg", smallest=SMALLEST["mass"]))
-        for key, unit in (("origin", "m"), ("com", "m")):
+        what = f"{where}: mass in kg"
+        keep(self, "mass", checked_scalar(self.mass, what, smallest=SMALLEST["mass"], largest=LARGEST_MASS))
+        # A base may stand anywhere in the world.
+        for key, largest in (("origin", LARGEST if self.parent == WORLD else LARGEST_LENGTH), ("com", LARGEST_LENGTH)):
             if getattr(self, key) is not None:
-                keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in {unit}"))
+                keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in m", largest))
         if self.inertia is not None:
             what = f"{where}: inertia in kg·m²"
             products = checked_scalars(self.inertia, 6, what)
             moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
             keep(self, "inertia", (*moments, *products[3:]))
+            most, mass = max(map(nominal, moments)), nominal(self.mass)
+            if mass > 0 and most > mass * LARGEST_LENGTH**2:
+                raise BodyError(
+                    f"{what}: expected moments as of mass within {LARGEST_LENGTH:g} m, up to "
+                    f"{mass * LARGEST_LENGTH**2:.3g}, got {most:g}; is the unit right?"
+                )
         if self.length is not None:
             what = f"{where}: length in m"
-            keep(self, "length", checked_scalar(self.length, what, positive=True, smallest=SMALLEST["length"]))
+            smallest = SMALLEST["length"]
+            length = checked_scalar(self.length, what, positive=True, smallest=smallest, largest=LARGEST_LENGTH)
+            keep(self, "length", length)
         if (self.tip is not None) != (self.length is not None):
             raise BodyError(f"{where}: expected length and tip together: the tip is a site at (length, 0, 0)")
         keep(self, "rotation", from_rows(self.rotation, f"{where}: rotation"))
         for name in (*([] if self.tip is None else [self.tip]), *self.sites):
             check_name(name, f"{where}: name of a site")
-        sites = {name: checked_scalars(at, 3, f"{where}: site '{name}' in m") for name, at in self.sites.items()}
+        sites = {
+            name: checked_scalars(at, 3, f"{where}: site '{name}' in m", LARGEST_LENGTH)
+            for name, at in self.sites.items()
+        }
         keep(self, "sites", sites)
 
     @property

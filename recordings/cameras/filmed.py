@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 
 from ..errors import InputError
-from ..naming import nearest
 from ..recording import Recording
 from .formats import read_calibration
 from .scene import reconstruct
@@ -102,10 +101,9 @@ def load_filmed(
     views = put_in_order(views)
     known = [name for name in keypoints if name in views.keypoint_names]
     if not known:
-        asked = keypoints[0]
         raise InputError(
             f"no keypoint of the body is in the tracks: it has {', '.join(keypoints)}, they have "
-            f"{', '.join(views.keypoint_names)} (closest to {asked!r}: {nearest(asked, views.keypoint_names)!r})"
+            f"{', '.join(views.keypoint_names)}: rename them"
         )
     views = views.select(known)
     for name, seen in zip(known, np.isfinite(views.pixels).all(-1).any((0, 1)), strict=True):

@@ -12,6 +12,7 @@ import pytest
 import invdyn.inference
 from invdyn.plots import quantiles
 from invdyn.recordings import load, read_sto, read_table, read_truth
+from invdyn.summary import independent_draws, summary_text
 
 GIVEN = {"arm.toml", "rec.csv", "hand.csv"}
 
@@ -171,6 +172,34 @@ def test_simulate_infer_plot_end_to_end(folder, run):
     assert idata.posterior.torque.dims == ("chain", "draw", "time", "joint")
     assert np.isfinite(idata.posterior.torque).all()
     assert run("plot", "p.nc", "--out", "again.png").exit_code == 0
+
+
+def test_a_posterior_of_too_few_draws_says_so(make_posterior):
+    told = "warning: bands of 20 independent draws or more mean something, these rest on "
+    assert told not in summary_text(make_posterior(num_filters=6))
+    assert f"{told}4: raise --filters, --particles or --draws" in summary_text(make_posterior(num_filters=1))
+    one = make_posterior(num_filters=6)
+    one.sample_stats["log_weight"][:] = np.log([1 - 5e-9, *[1e-9] * 5])  # one filter carries all
+    assert f"{told}4:" in summary_text(one)
+    same = make_posterior(num_filters=6)
+    same.posterior["angle"][:, 1:] = same.posterior["angle"][:, :1].values  # one particle a filter
+    assert independent_draws(same) == pytest.approx(6, abs=1)
+    same.attrs["method"] = "differentiate"
+    assert told not in summary_text(same)
+    chains = make_posterior(num_filters=6)
+    chains.sample_stats.attrs["ess_bulk"] = 7.0
+    assert f"{told}7:" in summary_text(chains)
+
+
+def test_three_rows_are_enough_and_their_bands_wide(folder, run):
+    run("simulate", "--body", "arm.toml", "--duration", 1, "--out", "sim.csv")
+    widths = []
+    for rows in ("0:3", "0:30"):
+        call = ("infer", "sim.csv", "--body", "arm.toml", "--frames", rows, "--method", "laplace", "--csv", "c.csv")
+        assert run(*call, "--out", "p.nc").exit_code == 0
+        table, _ = read_table("c.csv")
+        widths.append(np.mean(table["shoulder_torque_q95"] - table["shoulder_torque_q05"]))
+    assert widths[0] > 2 * widths[1]
 
 
 def test_a_known_recording_by_its_name(folder, run, with_human_arm):

@@ -112,6 +112,8 @@ BAD = {
     ),
     "short row": ([HEADER, ROWS[0], "0.1,0.3"], "row 2 .* has 2 cells, the header has 5"),
     "no time": (["t,wrist_x,wrist_y", "0,1,1", "1,1,1"], "no column 'time'"),
+    "two clocks": (["frame,time,wrist_x,wrist_y", "0,0,1,1", "1,1,1,1"], "'time' and 'frame': leave one"),
+    "frame misspelt": (["Frame,wrist_x,wrist_y", "0,1,1", "1,1,1"], "rename 'Frame'"),
     "time misspelt": (["Time,wrist_x,wrist_y", "0,1,1", "1,1,1"], "rename 'Time'"),
     "twice": (["time,wrist_x,wrist_x", "0,1,1", "1,1,1"], "'wrist_x' twice"),
     "nameless": (["time,,wrist_y", "0,1,1", "1,1,1"], "without a name"),
@@ -132,6 +134,14 @@ BAD = {
     "semicolons": (["time;a_x;a_y", "0;1;1", "1;1;1"], "separated by commas, these are by ';'"),
     "tabs": (["time\ta_x\ta_y", "0\t1\t1", "1\t1\t1"], "separated by commas"),
 }
+
+
+def test_numbers_of_frames_are_no_seconds(tmp_path):
+    path = tmp_path / "rec.csv"
+    path.write_text("frame,wrist_x,wrist_y\n0,1,1\n1,1,1\n")
+    assert read_keypoint_csv(path, fps=50).time.tolist() == [0.0, 0.02]
+    with pytest.raises(InputError, match="'frame' numbers the frames of a film: pass --fps"):
+        read_keypoint_csv(path)
 
 
 @pytest.mark.parametrize(("lines", "words"), BAD.values(), ids=BAD.keys())

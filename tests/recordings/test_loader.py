@@ -73,6 +73,21 @@ def test_the_csv_has_its_own_times(tmp_path):
         load(tmp_path / "rec.csv", fps=30)
 
 
+@pytest.mark.parametrize("units", [None, "frames", "mm,frames"])
+def test_numbers_of_frames_become_times_by_the_frame_rate(tmp_path, units):
+    (tmp_path / "rec.csv").write_text(GOOD.replace("time", "frame"))
+    assert load(tmp_path / "rec.csv", units=units, fps=20).time.tolist() == [0.0, 0.05]
+    with pytest.raises(InputError, match="does not say its frame rate: pass --fps"):
+        load(tmp_path / "rec.csv", units=units)
+
+
+def test_a_column_of_times_may_hold_numbers_of_frames(tmp_path):
+    (tmp_path / "rec.csv").write_text(GOOD)
+    assert load(tmp_path / "rec.csv", units="frames", fps=20).time.tolist() == [0.0, 0.05]
+    with pytest.raises(InputError, match="leave --fps out, or add --units frames"):
+        load(tmp_path / "rec.csv", fps=20)
+
+
 def test_joints_are_put_in_the_bodys_order(tmp_path):
     (tmp_path / "rec.csv").write_text("time,b_angle,a_angle,a_torque\n0,1,2,3\n1,1,2,3\n")
     recording = load(tmp_path / "rec.csv", joints=("a", "b"))

@@ -10,6 +10,17 @@ def test_names_alike_differ_in_case_and_separators_alone():
     assert nearest("Knee", ["keen", "knee"]) == "knee"
     assert nearest("wirst", ["elbow", "wrist"]) == "wrist"
     assert nearest("x", []) is None
+    assert nearest("hand", ["shoulder", "elbow"]) is None
+
+
+def test_no_name_is_offered_that_is_unlike_or_taken(tmp_path):
+    with pytest.raises(InputError, match="'wrist' is missing: the file has shoulder, elbow, hand; rename one of them"):
+        load(film(tmp_path, "shoulder", "elbow", "hand"), units="px", fps=30, keypoints=("elbow", "wrist"))
+    with pytest.raises(InputError, match=r"'elbow_b' is missing: .* \(closest: 'Elbow B'\)"):
+        load(film(tmp_path, "elbow", "Elbow B"), units="px", fps=30, keypoints=("elbow", "elbow_b"))
+    (tmp_path / "rec.csv").write_text("time,elbow_x,elbow_y,hand_x,hand_y\n0,0,0,.3,0\n.1,0,0,.3,0\n")
+    with pytest.raises(InputError, match="unknown 'hand', missing 'wrist'"):
+        load(tmp_path / "rec.csv", keypoints=("elbow", "wrist"), base="shoulder")
 
 
 def film(tmp_path, *names):

@@ -40,6 +40,10 @@ BAD_FILES = {
     "truth": (ARM.replace("mass = 1.5", "mass = true"), "expected a finite number, got True"),
     "negative inertia": (ARM.replace("0.004", "-0.004"), "'forearm': inertia.*got -0.004"),
     "com in mm": (ARM.replace("com = 0.1", "com = 100.0"), "com within 3 lengths.*0.75 m.*100 m"),
+    "length in mm": (ARM.replace("0.30", "300"), r"'upper_arm': length in m: expected up to 30,.*got 300; is the unit"),
+    "mass in mg": (ARM.replace("mass = 1.5", "mass = 1.5e6"), r"mass in kg: expected up to 100000, .*got 1.5e\+06"),
+    "prior of a length in mm": (ARM.replace("0.30", "{mean = 300, sd = 1}"), "length in m: expected up to 30,"),
+    "inertia in kg·cm²": (ARM.replace("0.004", "200"), "inertia as of mass within 20 lengths, .*got 200"),
     "no resistance": (
         ARM.replace("com = 0.1\ninertia = 0.004", "com = 0\ninertia = 0"),
         "com and inertia are both 0",

@@ -186,6 +186,10 @@ MADE = {
     "length in m: expected 1e-06 or more, got 1e-09; is the unit right?": {"length": 1e-9, "tip": "t"},
     "inertia in kg·m²: expected 1e-21 or more, got 1e-30": {"inertia": (1e-30, 1, 1, 0, 0, 0)},
     "mass in kg: expected a positive number, got 0": {"mass": Learned(0.0)},
+    "length in m: expected up to 30, as of any arm, got 300": {"length": 300.0, "tip": "t"},
+    "com in m: expected up to 30, as of any arm, got -150": {"com": (-150.0, 0, 0)},
+    "site 'wrist' in m: expected up to 30, as of any arm, got 250": {"sites": {"wrist": (250.0, 0, 0)}},
+    "inertia in kg·m²: expected moments as of mass within 30 m, up to 900, got 4000": {"inertia": (1, 1, 4e3, 0, 0, 0)},
     "com in m: expected 3 numbers": {"com": (0.1, 0.2)},
     "com in m: expected a finite number": {"com": (0.1, math.nan, 0)},
     "inertia in kg·m²: expected 6 numbers": {"inertia": (1, 1, 1)},
@@ -205,6 +209,13 @@ MADE = {
     "fixed, got ['hinge']": {"joint": {"type": ["hinge"]}},
     "only fixed or driven ones": {"joint": {"type": "fixed"}},
 }
+
+
+def test_a_base_may_stand_anywhere_and_a_joint_only_within_reach():
+    base = SpatialLink("a", Joint("j"), mass=1.0, origin=(300.0, 0, 0), inertia=(1, 1, 1, 0, 0, 0))
+    Tree("b", [base])
+    with pytest.raises(BodyError, match=r"origin in m: expected up to 30,.* got 300; is the unit right"):
+        SpatialLink("l", Joint("k"), parent="a", mass=1.0, origin=(300.0, 0, 0))
 
 
 @pytest.mark.parametrize("said", MADE)
