@@ -19,13 +19,16 @@ KEPT = 1e-9
 """Of the reach: what a distance may change by for rounding."""
 
 
-def check_fits(recording: Recording, body: ArticulatedBody, units: Units) -> None:
+def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guessed: bool = False) -> None:
     """Raise InputError for distances, times or speeds that are not this body's, unless ``units`` declare them.
 
-    Keypoints are in the body's frame. Of a body of another kind than a chain in the plane or a tree, nothing is asked.
+    Keypoints are in the body's frame. Lengths are ``guessed`` where the body does not state them, or by whoever calls.
+    Of a body of another kind than a chain in the plane or a tree, nothing is asked.
     """
     if isinstance(body, Body):
-        check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units)
+        guessed = guessed or any(not isinstance(link.length, int | float) for link in body.links)
+        guessed = guessed or body.uncertainty.get("length", 0.0) > 0
+        check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units, guessed)
     elif isinstance(body, Tree):
         numbers, dynamics = body.parameters(), dynamics_for(body)
         turning = {motion.name for _, motion in body.motions() if motion.turns}
@@ -36,6 +39,7 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units) -> Non
             rigid_distances(body),
             {joint: lever for joint, lever in levers if joint in turning},
             units,
+            guessed or body.has_priors or bool(body.learned),
         )
 
 

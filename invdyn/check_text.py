@@ -8,7 +8,13 @@ KNOWN, MOST = 0.2, 8
 
 def check_text(found: Check) -> str:
     """Mistakes first; then what the torques leave, what is excited, what would show, and what to record."""
-    lines = [f"wrong      {wrong.sentence}" for wrong in found.mistakes] or ["right      nothing looks wrong"]
+    lines = [f"wrong      {wrong.sentence}" for wrong in found.mistakes]
+    if found.unclear:
+        lines = ["unclear    the torques are far from the motion, and no sign, zero, unit, column or gear explains it"]
+    elif not lines:
+        lines = ["right      nothing looks wrong" + (" in what could be looked at" if found.not_looked_at else "")]
+    if found.not_looked_at is not None:
+        lines.append(f"not seen   {found.not_looked_at}")
     if found.unexplained is not None:
         parts = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in found.by_joint.items())
         lines.append(f"torques    what the body and friction leave of their size: {parts}")

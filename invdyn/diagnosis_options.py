@@ -137,20 +137,23 @@ class Diagnosed(Recorded):
         return self.arguments(recording, more, body, held_out)
 
     def episodes_of(self, name: str, body: Any, numbers: Sequence[int] = (0,), frames: str = ":") -> list:
-        """A robot's log, whose units are right, an episode each; or the one recording of another file."""
+        """A robot's log, an episode each, or the one recording of another file, each of what it says it is."""
         from dataclasses import replace
 
-        from invdyn.diagnosis.check.units import check_units
+        from invdyn.diagnosis.check.before import check_before
+        from invdyn.recordings import parse_units
+        from invdyn.recordings.reading import Reading
 
         from .inputs import is_log, read_logs
 
         if self.mapping is not None or is_log(name):
             readings = read_logs(name, body, self.mapping, numbers, frames, self.units)
-            for reading in readings:
-                check_units(reading, body)
-            found = [reading.recording for reading in readings]
         else:
-            found = [self.read(name, body, as_filmed=True, frames=frames)]
+            recording = self.read(name, body, as_filmed=True, frames=frames)
+            readings = [Reading(recording, parse_units(self.units))]
+        for reading in readings:
+            check_before(reading, body, self.passive or self.hide_torque)
+        found = [reading.recording for reading in readings]
         if not self.hide_torque:
             return found
         return [

@@ -94,6 +94,11 @@ class Inference(Recorded):
         return [*named, *(self.calibration or [])]
 
     @property
+    def guessed(self) -> bool:
+        """Whether lengths are learned."""
+        return self.learn_lengths
+
+    @property
     def family(self) -> str:
         """Of the noise: a tracker's pixels stray."""
         return self.noise or ("student_t" if self.calibration else "gaussian")

@@ -71,6 +71,7 @@ def load_recording(
     body_lengths: bool,
     as_filmed: bool = False,
     frames: str = ":",
+    guessed: bool = False,
     **options: Any,
 ) -> Recording:
     """Recording of `body`'s tips and joints, checked against its lengths; `options` as `recordings.load`'s.
@@ -84,6 +85,7 @@ def load_recording(
             base must be tracked. Of planar bodies alone.
         as_filmed: leave keypoints as they are, if the file is in metres and `base` is not given. Subtracting the base
             would hide a tilted camera, and add the base's noise to all keypoints.
+        guessed: the body's lengths are, and will be learned.
         frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
         options: units, fps, format, scale … A body moves in a plane: without `plane` a constant third coordinate is
             left out.
@@ -93,7 +95,7 @@ def load_recording(
         OSError: the file cannot be opened.
     """
     if isinstance(body, Tree):
-        return load_in_space(name, body, base, body_lengths, slice(*frame_range(frames)), **options)
+        return load_in_space(name, body, base, body_lengths, slice(*frame_range(frames)), guessed, **options)
     options["plane"] = options.get("plane") or FLAT
     lengths = [link.nominal("length") for link in body.links]
     units = parse_units(options.get("units"))
@@ -133,7 +135,7 @@ def load_recording(
             f"{name}: keypoints are in px, the body is not: pass --scale (metres a pixel) or --body-lengths"
         )
     with about(name):
-        check_fits(recording, body, units)
+        check_fits(recording, body, units, guessed or body_lengths)
         start, stop = frame_range(frames)
         first = slice(start, stop).indices(recording.num_frames)[0]
         return bridged(recording.select(start, stop), sum(lengths), first)

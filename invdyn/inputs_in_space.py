@@ -20,7 +20,7 @@ from invdyn.recordings.naming import closest
 
 
 def load_in_space(
-    name: str, body: Tree, base: str | None, body_lengths: bool, frames: slice, **options: Any
+    name: str, body: Tree, base: str | None, body_lengths: bool, frames: slice, guessed: bool, **options: Any
 ) -> Recording:
     """Recording of some of `body`'s sites, of its joints, or both; see `inputs.load_recording`.
 
@@ -65,6 +65,6 @@ def load_in_space(
     if base in names:
         recording = replace(recording, keypoints=recording.keypoints + numbers.position[0].numpy())
     with about(name):
-        check_fits(recording, body, parse_units(options.get("units")))
+        check_fits(recording, body, parse_units(options.get("units")), guessed)
         first = frames.indices(recording.num_frames)[0]
         return bridged(recording.at(frames), dynamics_for(body).reach(numbers).item(), first)

@@ -70,6 +70,11 @@ class Recorded:
         return self.recordings[0]
 
     @property
+    def guessed(self) -> bool:
+        """Whether the body's lengths are guessed, and will be learned."""
+        return False
+
+    @property
     def tracked(self) -> list[str]:
         """Files of what was tracked; with a calibration a name may say the camera, "cam1=tracks.csv"."""
         return [name.rpartition("=")[2] if self.calibration else name for name in self.recordings]
@@ -96,6 +101,7 @@ class Recorded:
             self.body_lengths,
             as_filmed,
             frames,
+            self.guessed,
             units=self.units,
             fps=self.fps,
             format=self.format,

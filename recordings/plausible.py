@@ -5,17 +5,20 @@ What was declared (`--units`) is believed where nothing but its size speaks agai
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from .errors import InputError
+from .exchanged_names import check_names
 from .pace import FASTEST, check_interval, froude
 from .recording import Recording
 from .units import RADIANS, Units, median_distances
 
 LARGEST_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
 LARGEST_ANGLE = 50.0  # rad, eight turns of a joint; degrees exceed it
-WORST_LINK_RATIO = 3.0  # observed over given link length; a wrong unit is off by far more
+WORST_LINK_RATIO = 3.0  # observed over given link length, or the other way; a wrong unit is off by far more
+LONGEST_LINK_RATIO = 1.5  # of a length that is a plain number: a picture only shortens, markers and lenses do a fifth
 WORST_BODY_LENGTH = 0.2  # of a body whose lengths are shares of its own
 OFF, CLOSE = 0.5, 0.15  # rad, medians of an angle that is not what keypoints show, and of one that is
 
@@ -41,6 +44,7 @@ def check_plausible(
     link_lengths: Sequence[float],
     base: Sequence[float] | None = (0.0, 0.0),
     units: Units | None = None,
+    guessed: bool = False,
 ) -> None:
     """Compare a recording with a body: distances, its own clock, angles with keypoints. A wrong unit shows at once.
 
@@ -50,11 +54,13 @@ def check_plausible(
         base: place of the first joint in the recording's frame, when it is not itself a keypoint; None leaves the
             first link unchecked.
         units: what the file's numbers were declared to be.
+        guessed: lengths are to be learned, or uncertain.
 
     Raises:
-        InputError: a distance that is off by more than a factor of 3, times or speeds that are not this body's
-            (:mod:`.pace`), angles that are the keypoints' in the other unit. Of keypoints that are in pixels or not
-            this chain only the times are compared.
+        InputError: a distance that is off by more than a factor of 3, or too large by more than 1.5 for a length that
+            is not guessed; names of two keypoints that are exchanged (:mod:`.exchanged_names`); times or speeds that
+            are not this body's (:mod:`.pace`); angles that are the keypoints' in the other unit. Of keypoints that are
+            in pixels or not this chain only the times are compared.
     """
     units = units or Units()
     lengths, total = list(link_lengths), float(sum(link_lengths))
@@ -71,8 +77,11 @@ def check_plausible(
         chain = None
     else:
         chain, names = _chain(recording, len(lengths), base)
+        check_names(
+            dict(zip(names, chain.swapaxes(0, 1), strict=True)), dict(zip(pairwise(names), lengths, strict=True))
+        )
         for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
-            _check_length(names[k], names[k + 1], observed, length, recording.length_unit)
+            _check_length((names[k], names[k + 1]), observed, length, guessed, recording.length_unit)
     if recording.length_unit == "m":  # elsewhere g is not known
         _check_speeds(recording, chain, lengths, units)
     angles = recording.angles
@@ -86,6 +95,7 @@ def check_in_space(
     distances: Mapping[tuple[str, str], float],
     levers: Mapping[str, float],
     units: Units | None = None,
+    guessed: bool = False,
 ) -> None:
     """Compare a recording with a body of any shape: distances that no motion changes, its clock, its pace.
 
@@ -95,6 +105,7 @@ def check_in_space(
         distances: by two keypoints' names, m, of points that keep it.
         levers: by joint, m, how far a turn of it by a radian moves some point; none of joints that shift.
         units: what the file's numbers were declared to be.
+        guessed: distances are to be learned, or uncertain.
 
     Raises:
         InputError: as `check_plausible`.
@@ -103,21 +114,24 @@ def check_in_space(
     if units.time is None:
         check_interval(recording, reach, units)
     known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
-    for (one, other), length in distances.items():
-        if one in known and other in known:
-            apart = np.linalg.norm(known[one] - known[other], axis=-1)
-            _check_length(one, other, float(np.nanmedian(apart)) if np.isfinite(apart).any() else np.nan, length)
+    known_distances = {pair: length for pair, length in distances.items() if set(pair) <= known.keys()}
+    check_names(known, known_distances)
+    for pair, length in known_distances.items():
+        (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
+        _check_length(pair, observed, length, guessed)
     if recording.angles is not None and units.angle is None:
         for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
             if name in levers:
                 _check_turning(name, angle, recording.time, levers[name], units)
 
 
-def _check_length(one: str, other: str, observed: float, length: float, unit: str = "m") -> None:
-    if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= WORST_LINK_RATIO:
+def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, unit: str = "m") -> None:
+    longest = WORST_LINK_RATIO if guessed else LONGEST_LINK_RATIO
+    if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= longest:
         raise InputError(
-            f"{one} and {other} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} {unit} "
-            "long: check --units, or the body's lengths"
+            f"{ends[0]} and {ends[1]} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} "
+            f"{unit} long: check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
+            f"{WORST_LINK_RATIO:g}"
         )
 
 

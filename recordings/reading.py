@@ -28,10 +28,16 @@ class Reading:
     again: Callable[..., Recording] | None = None
     targets: bool = False
 
-    def rescaled(self, **scales: float) -> Recording:
-        """The recording in other units; factors of `angle`, `target` and `time`."""
+    @property
+    def counted(self) -> bool:
+        """Whether it is a robot's own log, which counts its joints as the robot's file does."""
+        return self.again is not None
+
+    def rescaled(self, **scales: float) -> "Reading":
+        """The reading in other units; factors of `angle`, `target` and `time`."""
         if self.again is not None:
-            return self.again(**scales)
+            return replace(self, recording=self.again(**scales))
         recording, angle = self.recording, scales.get("angle", 1.0)
         angles = None if recording.angles is None else recording.angles * angle
-        return replace(recording, angles=angles, time=recording.time * scales.get("time", 1.0))
+        righted = replace(recording, angles=angles, time=recording.time * scales.get("time", 1.0))
+        return replace(self, recording=righted)

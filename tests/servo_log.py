@@ -28,13 +28,20 @@ def write_servo_log(path: Path) -> None:
     write_table({"t": 1e3 * log.time, **angles, "tau2": log.torques[:, 1]}, path)
 
 
-def write_mapping(path: Path, time: str = 'time_unit = "ms"', angle: str = "deg", target: str = "deg") -> None:
-    """A mapping of that log; no unit at all where one is empty."""
+def write_mapping(
+    path: Path,
+    time: str = 'time_unit = "ms"',
+    angle: str = "deg",
+    target: str = "deg",
+    columns: tuple[str, str] = ("q1", "q2"),
+) -> None:
+    """A mapping of that log; no unit at all where one is empty. ``columns`` are the shoulder's and the elbow's."""
 
     def track(name: str, unit: str) -> str:
         return f'{{track = "{name}", unit = "{unit}"}}' if unit else f'"{name}"'
 
     path.write_text(
-        f'time = "t"\n{time}\n[joints.shoulder]\nangle = {track("q1", angle)}\ntarget = {track("target1", target)}\n'
-        f'[joints.elbow]\nangle = {track("q2", angle)}\ntorque = "tau2"\n'
+        f'time = "t"\n{time}\n'
+        f"[joints.shoulder]\nangle = {track(columns[0], angle)}\ntarget = {track('target1', target)}\n"
+        f'[joints.elbow]\nangle = {track(columns[1], angle)}\ntorque = "tau2"\n'
     )

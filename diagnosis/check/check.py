@@ -13,12 +13,15 @@ import numpy as np
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
 from invdyn.diagnosis.check.units import motions, wrong_units
 from invdyn.diagnosis.check.visible import Visible, visible
-from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, units
+from invdyn.diagnosis.problem.mistakes import NEAR, Found, Mistake, find, fixed, left_by, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.reading import Reading
+
+BY_TORQUES = "signs, zeros, exchanged columns and gears of joints"
+"""What torques beside a motion tell."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class Check:
         by_joint: the same of each joint.
         excited: base parameters, best known first.
         visible: effects; None where the log must be put right first, or nobody asked.
+        not_looked_at: what only torques beside a motion tell, and why this log does not; None where it was looked at.
     """
 
     recording: str
@@ -66,6 +70,12 @@ class Check:
     by_joint: dict[str, float]
     excited: tuple[BaseParameter, ...]
     visible: Visible | None
+    not_looked_at: str | None = None
+
+    @property
+    def unclear(self) -> bool:
+        """Whether the torques miss more than those of a log that is right, and no mistake explains it."""
+        return not self.mistakes and self.unexplained is not None and self.unexplained > NEAR
 
     def to_json(self) -> dict:
         """As a JSON file has it."""
@@ -83,6 +93,7 @@ class Check:
                 }
                 for wrong in self.mistakes
             ],
+            "not_looked_at": self.not_looked_at,
             "torque_unexplained": self.unexplained,
             "torque_unexplained_by_joint": self.by_joint,
             "base_parameters": [
@@ -102,7 +113,8 @@ def check(
     log and body have nothing to do with each other: other joints, or nothing observed.
     """
     reading = Reading(recording) if isinstance(recording, Recording) else recording
-    told, units_wrong, recording = wrong_units(reading, body)
+    told, units_wrong, reading = wrong_units(reading, body)
+    recording = reading.recording
     mistakes = [_in_words(each, body.joint_names) for each in units_wrong]
     if told is not None and not units_wrong:
         mistakes.append(Wrong("refused", (), told, "see there", float("nan")))
@@ -110,11 +122,11 @@ def check(
     base: list[BaseParameter] = []
     encoders = recording.angles is not None
     dynamics = dynamics_for(body)
-    motion = None if passive else _motion(recording, body)
+    motion = None if passive else _motion(reading, body)
     if motion is not None:
         for each in find(dynamics, body, motion, encoders=encoders, said=reading.units):
             mistakes.append(_in_words(each.mistake, body.joint_names, each))
-            motion = each.mistake.right(motion)
+            motion = each.mistake.right(motion) or motion
         left = explain(dynamics, body, motion)
         base = excited(dynamics, body, motion, left.by_joint)
     shown = None
@@ -130,20 +142,32 @@ def check(
         {} if left is None else dict(zip(body.joint_names, left.by_joint.tolist(), strict=True)),
         tuple(base),
         shown,
+        f"{BY_TORQUES}: {_unmoved(recording, passive)}" if motion is None else None,
     )
 
 
-def _motion(recording: Recording, body: ArticulatedBody) -> Motion | None:
+def _unmoved(recording: Recording, passive: bool) -> str:
+    """Why a log has no motion with torques."""
+    if passive:
+        return "no torque acts"
+    if recording.torques is None:
+        return "the log has no torques"
+    if not np.isfinite(recording.torques).all():
+        return "torques are missing at some joint or row"
+    return "the log has too few rows" if recording.torques.any() else "all torques are zero"
+
+
+def _motion(reading: Reading, body: ArticulatedBody) -> Motion | None:
     """Motion and torques under the window in which they explain most, whatever is wrong with them; None of neither."""
-    every = motions(recording, body)
+    every = motions(reading, body)
     if not every:
         return None
-    dynamics, encoders = dynamics_for(body), recording.angles is not None
+    dynamics, encoders = dynamics_for(body), reading.recording.angles is not None
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
 
     def best(motion: Motion) -> float:
-        tried = (motion, as_large(dynamics, body, motion), *(mistake.right(motion) for mistake in known))
-        return min(explain(dynamics, body, each).misfit for each in tried)
+        own = (explain(dynamics, body, each).misfit for each in (motion, as_large(dynamics, body, motion)))
+        return min(*own, *(left_by(mistake, dynamics, body, motion) for mistake in known))
 
     return min(every, key=best)
 

@@ -32,16 +32,16 @@ def check_units(reading: Reading, body: ArticulatedBody) -> None:
         raise InputError(f"{reading.recording.name}: {told}")
 
 
-def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Recording]:
-    """What speaks against the units, the mistakes that explain it, and the recording without them.
+def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Reading]:
+    """What speaks against the units, the mistakes that explain it, and the reading without them.
 
-    None, no mistakes and the recording as it is where nothing does; no mistakes where no other unit will do.
+    None, no mistakes and the reading as it is where nothing does; no mistakes where no other unit will do.
     """
     recording = reading.recording
     told = _implausible(recording, body, reading.units)
     if told is None and _implausible(recording, body, Units()) is None:
-        return None, (), recording
-    found: list[tuple[float, tuple[Mistake, ...], Recording]] = []
+        return None, (), reading
+    found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
         scales: dict[str, float] = {}
         for mistake in tried:
@@ -50,22 +50,23 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
             righted = reading.rescaled(**scales)
         except InputError:  # no times of any recording
             continue
-        if _implausible(righted, body, Units()) is None:
+        if _implausible(righted.recording, body, Units()) is None:
             found.append((_missed(righted, body), tried, righted))
     if not found:
-        return told, (), recording
+        return told, (), reading
     # the first one where no torque tells
     missed, mistakes, righted = min(found, key=lambda each: each[0])
-    if told is None and not missed < min(BETTER * _missed(recording, body), NEAR):
-        return None, (), recording
+    if told is None and not missed < min(BETTER * _missed(reading, body), NEAR):
+        return None, (), reading
     return told, mistakes, righted
 
 
-def motions(recording: Recording, body: ArticulatedBody) -> list[Motion]:
+def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
     """Motion and torques under each window; none where no torque is known.
 
     Raises InputError where a joint of the body has no torques.
     """
+    recording = reading.recording
     if recording.torques is None or not np.isfinite(recording.torques).all() or not recording.torques.any():
         return []
     order = [recording.joint_names.index(name) for name in body.joint_names if name in recording.joint_names]
@@ -76,13 +77,13 @@ def motions(recording: Recording, body: ArticulatedBody) -> list[Motion]:
             f"got none of {missing!r}: rename the columns, or map them (--map)"
         )
     angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    return smoothings(body, recording.time, angle, recording.torques[:, order])
+    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.counted)
 
 
-def _missed(recording: Recording, body: ArticulatedBody) -> float:
+def _missed(reading: Reading, body: ArticulatedBody) -> float:
     """The misfit of the torques under the window that it is least under; 0 where none are known."""
     dynamics = dynamics_for(body)
-    return min((explain(dynamics, body, each).misfit for each in motions(recording, body)), default=0.0)
+    return min((explain(dynamics, body, each).misfit for each in motions(reading, body)), default=0.0)
 
 
 def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.problem.mistakes import fixed, zero
+from invdyn.diagnosis.problem.mistakes import fixed, left_by, zero
 from invdyn.diagnosis.problem.torque_regression import explain, smoothings
 from invdyn.models import ArmModel, Body
 from invdyn.recordings import InputError
@@ -86,7 +86,7 @@ def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.nd
     encoders, joints = model.observation.encoders is not None, body.num_joints
     known = [each for each in fixed(joints, encoders) if each.kind in SIGNS]
     known += [zero(k, turn * math.pi / 2) for k in range(joints) for turn in (1, 2, -1) if encoders]
-    best, mistake = min(((explain(dynamics, body, e.right(motion)).misfit, e) for e in known), key=lambda each: each[0])
+    best, mistake = min(((left_by(e, dynamics, body, motion), e) for e in known), key=lambda each: each[0])
     if best > NEAR * own or best > MISSED:
         return
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)

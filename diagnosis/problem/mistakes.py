@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from invdyn.diagnosis.problem.torque_regression import Explained, Motion, explain
+from invdyn.diagnosis.problem.torque_regression import Motion, explain
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.recordings.units import Units
 
@@ -58,7 +58,7 @@ class Mistake:
         words: what is wrong, after "at joint …" where there are joints.
         remedy: what to do about it.
         value: the zero, rad; the factor that torques or times lack; the offset, N·m.
-        right: the motion with it put right.
+        right: the motion with it put right; None where that motion cannot have it.
         scales: of a unit, the factors of `angle`, `target` and `time` that a :class:`.Reading` is put right by.
     """
 
@@ -67,7 +67,7 @@ class Mistake:
     words: str
     remedy: str
     value: float
-    right: Callable[[Motion], Motion]
+    right: Callable[[Motion], Motion | None]
     scales: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -99,7 +99,7 @@ def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said:
         after, best = min(alike, key=lambda each: each[1].kind in FITTED)
         others = tuple(mistake for _, mistake in alike if mistake.kind != best.kind)
         found.append(Found(best, own, after, others))
-        motion = best.right(motion)
+        motion = best.right(motion) or motion
     return found
 
 
@@ -149,17 +149,23 @@ def units(said: Units | None = None, targets: bool = False) -> Iterator[Mistake]
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
 
+def left_by(mistake: Mistake, dynamics: Dynamics, body: Any, motion: Motion) -> float:
+    """The misfit of a motion once a mistake is put right; infinite where it cannot have it."""
+    righted = mistake.right(motion)
+    return math.inf if righted is None else explain(dynamics, body, righted).misfit
+
+
 def _tried(
     dynamics: Dynamics, body: Any, motion: Motion, encoders: bool, said: Units | None
 ) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
     joints = motion.q.shape[1]
 
-    def fit(mistake: Mistake, offsets: tuple[int, ...] = ()) -> Explained:
-        return explain(dynamics, body, mistake.right(motion), offsets)
+    def fit(mistake: Mistake) -> float:
+        return left_by(mistake, dynamics, body, motion)
 
     for mistake in (*fixed(joints, encoders), *(units(said) if encoders else ())):
-        yield fit(mistake).misfit, mistake
+        yield fit(mistake), mistake
     for k in range(joints if encoders else 0):
         yield from _searched(partial(zero, k), fit, ZEROS, math.radians(15), SMALL_ZERO)
     for group in _groups(joints):
@@ -173,15 +179,15 @@ def _tried(
 
 def _searched(
     made: Callable[[float], Mistake],
-    fit: Callable[[Mistake], Explained],
+    fit: Callable[[Mistake], float],
     grid: np.ndarray,
     width: float,
     least: float,
 ) -> Iterator[tuple[float, Mistake]]:
     """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``."""
-    best = min(grid, key=lambda value: fit(made(value)).misfit)
+    best = min(grid, key=lambda value: fit(made(value)))
     near = minimize_scalar(
-        lambda value: fit(made(value)).misfit,
+        lambda value: fit(made(value)),
         bounds=(best - width, best + width),
         method="bounded",
         options={"xatol": 2e-3},
@@ -225,5 +231,5 @@ def _scaled(**by: Any) -> Callable[[Motion], Motion]:
     return lambda motion: motion.scaled(**by)
 
 
-def _picked(angles: list[int], torques: list[int]) -> Callable[[Motion], Motion]:
+def _picked(angles: list[int], torques: list[int]) -> Callable[[Motion], Motion | None]:
     return lambda motion: motion.picked(angles, torques)

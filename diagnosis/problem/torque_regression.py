@@ -21,7 +21,7 @@ import torch
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
-from invdyn.models.articulated.as_filed import answered
+from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 
@@ -41,27 +41,33 @@ QUIET = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion and the torques given along it, each (R, K)."""
+    """A motion and the torques given along it, each (R, K); `terms` are the robot's, None where they are lost."""
 
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray
+    terms: RobotTerms | None = None
 
-    def picked(self, angles: list[int], torques: list[int]) -> "Motion":
-        """The motion with its columns in other orders."""
-        q, qd, qdd = (each[:, angles] for each in (self.q, self.qd, self.qdd))
-        return Motion(q, qd, qdd, self.torque[:, torques])
+    def picked(self, angles: list[int], torques: list[int]) -> "Motion | None":
+        """The motion with its columns in other orders; None where a servo's target would be another motor's torque."""
+        if self.terms is None:
+            q, qd, qdd = (each[:, angles] for each in (self.q, self.qd, self.qdd))
+            return Motion(q, qd, qdd, self.torque[:, torques])
+        if (terms := self.terms.commanding(torques)) is None:
+            return None
+        q, qd, qdd = (terms.angles(each, angles, n == 0) for n, each in enumerate((self.q, self.qd, self.qdd)))
+        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
 
     def scaled(self, angle: Any = 1.0, torque: Any = 1.0, time: float = 1.0) -> "Motion":
-        """Angles, torques (numbers or (K,)) and times multiplied."""
+        """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are lost."""
         return Motion(self.q * angle, self.qd * angle / time, self.qdd * angle / time**2, self.torque * torque)
 
     def turned(self, joint: int, zero: float) -> "Motion":
         """A joint's angle counted from elsewhere: less ``zero`` rad."""
         shift = np.zeros(self.q.shape[1])
         shift[joint] = zero
-        return replace(self, q=self.q - shift)
+        return replace(self, q=self.q - shift, terms=None)
 
 
 @dataclass(frozen=True)
@@ -73,18 +79,20 @@ class Explained:
     values: np.ndarray
 
 
-def smoothings(body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray) -> list[Motion]:
+def smoothings(
+    body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray, counted: bool = False
+) -> list[Motion]:
     """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s.
 
-    A servo's torque is what it makes of its target, angle and velocity.
+    A servo's torque is what it makes of its target, angle and velocity. ``counted``: the log counts its joints as the
+    body's own file does.
     """
     made = (smoothed(time, angle, torque, window) for window in WINDOWS)
-    return [_by_servos(body, motion) for motion in made if motion is not None]
+    return [_by_servos(motion, RobotTerms.of(body, motion.torque, counted)) for motion in made if motion is not None]
 
 
-def _by_servos(body: Any, motion: Motion) -> Motion:
-    command, q, qd = (torch.as_tensor(each) for each in (motion.torque, motion.q, motion.qd))
-    return replace(motion, torque=np.asarray(answered(body, command, q, qd).numpy()))
+def _by_servos(motion: Motion, terms: RobotTerms) -> Motion:
+    return replace(motion, torque=terms.torque(motion.q, motion.qd), terms=terms)
 
 
 def passive(body: Any, motion: Motion) -> np.ndarray:

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
@@ -56,7 +57,20 @@ def test_the_units_of_a_log_are_put_right_in_its_mapping(tmp_path):
     assert 'the times are in milliseconds, it seems: write time_unit = "ms"' in refused.output
 
 
-def test_a_known_recording_is_checked_and_its_units_left_out_if_given():
+def test_what_could_not_be_looked_at_and_what_is_unclear(files):
+    log = robot_log(3.0, camera=False).at(slice(None, None, 4))
+    write_keypoint_csv(replace(log, torques=None), files / "silent.csv")
+    silent = run(files / "arm.toml", files / "silent.csv", "--no-effects")
+    assert silent.exit_code == 0, silent.output
+    assert "nothing looks wrong in what could be looked at" in silent.output
+    assert "columns and gears of joints: the log has no torques" in silent.output
+    write_keypoint_csv(replace(log, torques=np.random.default_rng(0).normal(0, 5, (375, 2))), files / "noise.csv")
+    noise = run(files / "arm.toml", files / "noise.csv", "--no-effects")
+    assert "unclear    the torques are far from the motion" in noise.output
+    assert "nothing looks wrong" not in noise.output
+
+
+def test_a_known_recording_is_checked_and_its_units_left_out_if_given(data_folder):
     known = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects")
     assert "torques    what the body and friction leave" in known.output, known.output
     given = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects", "--units", "rad")

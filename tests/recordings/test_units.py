@@ -87,12 +87,17 @@ def test_degrees_taken_for_radians_are_refused_unless_declared(tmp_path):
     assert load(tmp_path / "rec.csv", units="rad").angles[1, 0] == -180
 
 
-def test_link_lengths_off_by_more_than_three_are_refused():
+def test_link_lengths_that_no_picture_shows_are_refused():
+    """A picture shortens, and never stretches; a length that is guessed may be off by three either way."""
     check_plausible(arm(), (0.3, 0.4))
-    check_plausible(arm(2.9), (0.3, 0.4))
+    check_plausible(arm(1.4), (0.3, 0.4))
+    check_plausible(arm(0.35), (0.3, 0.4))
+    check_plausible(arm(2.9), (0.3, 0.4), guessed=True)
+    with pytest.raises(InputError, match=r"shoulder and elbow lie 0.6 m apart .* link is 0.3 m .* uncertain ones may"):
+        check_plausible(arm(2.0), (0.3, 0.4))
     check_plausible(arm(), (0.3, 0.4, 0.5, 0.6))  # another chain: nothing to compare
     with pytest.raises(InputError, match=r"shoulder and elbow lie 0.93 m apart .* link is 0.3 m"):
-        check_plausible(arm(3.1), (0.3, 0.4))
+        check_plausible(arm(3.1), (0.3, 0.4), guessed=True)
     tips = Recording(arm().time, arm().keypoints[:, 1:], ("elbow", "wrist"))
     check_plausible(tips, (0.3, 0.4))
     check_plausible(tips, (30.0, 0.4), base=None)  # where the base is, nobody knows

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from robot_log import ARM, robot_log
+from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
 from invdyn.diagnosis.check.check import check
+from invdyn.inputs import read_logs
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
 
@@ -100,3 +102,38 @@ def test_effects_that_would_show_and_what_to_record(log):
 def test_joints_of_another_robot_are_refused(log):
     with pytest.raises(InputError, match="expected torques of every joint"):
         check(replace(log, joint_names=("a", "b")), ARM)
+
+
+def test_exchanged_angles_of_a_servo_are_found_about_the_joints_own_zeros(tmp_path):
+    """The shoulder counts from hanging down, and its servo would answer to the other joint's angle."""
+    write_servo_log(tmp_path / "log.csv")
+    write_mapping(tmp_path / "map.toml", columns=("q2", "q1"))
+    (reading,) = read_logs(str(tmp_path / "log.csv"), SERVO_ARM, str(tmp_path / "map.toml"))
+    (wrong,) = check(reading, SERVO_ARM, effects=False).mistakes
+    assert (wrong.kind, wrong.words) == ("exchanged", "the angles are exchanged")
+    assert wrong.after < 0.1
+
+
+@pytest.mark.parametrize(
+    ("torques", "passive", "why"),
+    [
+        (None, False, "the log has no torques"),
+        (0.0, False, "all torques are zero"),
+        (np.nan, False, "torques are missing at some joint or row"),
+        (1.0, True, "no torque acts"),
+    ],
+)
+def test_what_could_not_be_looked_at_is_said(log, torques, passive, why):
+    given = None if torques is None else np.full_like(log.torques, torques)
+    found = check(replace(log, torques=given), ARM, passive=passive, effects=False)
+    assert found.not_looked_at == f"signs, zeros, exchanged columns and gears of joints: {why}"
+    assert found.to_json()["not_looked_at"] == found.not_looked_at
+    assert check(log, ARM, effects=False).not_looked_at is None
+
+
+def test_torques_that_nothing_explains_are_not_called_right(log):
+    noise = np.random.default_rng(0).normal(0, 5, log.torques.shape)
+    found = check(replace(log, torques=noise), ARM, effects=False)
+    assert not found.mistakes
+    assert found.unclear
+    assert not check(log, ARM, effects=False).unclear

@@ -60,7 +60,7 @@ def test_the_line_to_change_is_named_and_nothing_else_is_found(log, case):
         check_units(reading, SERVO_ARM)
     assert f"log: {words}, it seems: {remedy}" in str(refused.value)
     right = read(log).recording
-    righted = reading.rescaled(**{"time": 1e-3} if "times" in words else {"angle": np.pi / 180})
+    righted = reading.rescaled(**{"time": 1e-3} if "times" in words else {"angle": np.pi / 180}).recording
     np.testing.assert_allclose(righted.angles, right.angles)
     np.testing.assert_allclose(righted.time, right.time)
 

@@ -1,0 +1,84 @@
+"""What is refused before a diagnosis, what is only said, and what goes by in silence."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from robot_log import ARM, robot_log
+from servo_log import SERVO_ARM, write_mapping, write_servo_log
+from typer.testing import CliRunner
+
+from invdyn.cli import app
+from invdyn.diagnosis.check.before import check_before
+from invdyn.recordings import InputError, write_keypoint_csv
+from invdyn.recordings.reading import Reading
+
+
+@pytest.fixture(scope="module")
+def log():
+    return robot_log(3.0, camera=False).at(slice(None, None, 4))
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (lambda log: {"time": 1e3 * log.time}, "the times are in milliseconds, it seems: pass --units ms"),
+        (lambda log: {"angles": np.degrees(log.angles)}, "the angles are in degrees, it seems: pass --units deg"),
+        (lambda log: {"angles": log.angles[:, ::-1]}, "'shoulder' and 'elbow' the angles are exchanged"),
+        (lambda log: {"torques": log.torques * [1, -1]}, "'elbow' the torques have the other sign"),
+    ],
+)
+def test_what_no_effect_looks_like_is_refused(log, changed, says):
+    with pytest.raises(InputError, match=says):
+        check_before(Reading(replace(log, **changed(log))), ARM)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (
+            lambda log: {"torques": log.torques / [10, 1]},
+            "multiply its torques by .*, unless it is a motor's gain",
+        ),
+        (lambda log: {"angles": np.add(log.angles, [0.6, 0])}, "unless it is another zero of the robot"),
+        (lambda log: {"torques": np.add(log.torques, [0, 0.6])}, "unless it is a constant torque"),
+    ],
+)
+def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
+    with pytest.warns(UserWarning, match=says):
+        check_before(Reading(replace(log, **changed(log))), ARM)
+
+
+@pytest.mark.parametrize(("friction", "masses"), [(0.0, (1.5, 1.0)), (0.4, (1.5, 1.0)), (0.0, (1.2, 1.3))])
+def test_a_log_that_is_right_goes_by_whatever_its_arm_has(friction, masses):
+    log = robot_log(3.0, (friction, friction), camera=False).at(slice(None, None, 4))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_before(Reading(log), ARM.with_values(mass=list(masses)))
+        check_before(Reading(replace(log, torques=-log.torques)), ARM, passive=True)
+
+
+def diagnosed(folder, name, *options):
+    given = (folder / name, "--body", folder / "arm.toml", "--out", folder / "out", *options)
+    return CliRunner().invoke(app, ["diagnose", *map(str, given)])
+
+
+def test_the_command_asks_first(tmp_path, log):
+    ARM.to_toml(tmp_path / "arm.toml")
+    write_keypoint_csv(replace(log, angles=log.angles[:, ::-1]), tmp_path / "log.csv")
+    refused = diagnosed(tmp_path, "log.csv")
+    assert refused.exit_code == 2
+    assert "the angles are exchanged" in refused.output
+    write_keypoint_csv(log, tmp_path / "right.csv")
+    refused = diagnosed(tmp_path, "right.csv", "--held-out", tmp_path / "log.csv")
+    assert "the angles are exchanged" in refused.output
+
+
+def test_the_command_asks_a_log_first(tmp_path):
+    SERVO_ARM.to_toml(tmp_path / "arm.toml")
+    write_servo_log(tmp_path / "log.csv")
+    write_mapping(tmp_path / "map.toml", columns=("q2", "q1"))
+    refused = diagnosed(tmp_path, "log.csv", "--map", tmp_path / "map.toml")
+    assert refused.exit_code == 2
+    assert "the angles are exchanged" in refused.output

@@ -1,0 +1,49 @@
+"""A recording against a body: what is compared, and which lengths are only guessed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from robot_log import ARM, robot_log
+
+from invdyn.inference.fits import check_fits
+from invdyn.inputs import load_body
+from invdyn.models import dynamics_for
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.units import Units
+
+
+@pytest.fixture(scope="module")
+def film():
+    log = robot_log(2.0).at(slice(None, None, 8))
+    return replace(log, angles=None, torques=None, joint_names=())
+
+
+def test_lengths_that_the_body_states_are_compared_and_guessed_ones_less_so(film):
+    twice = film.scaled(2.0, "m")
+    check_fits(film, ARM, Units())
+    with pytest.raises(InputError, match=r"base and elbow lie 0.6 m apart .*, but the body's link is 0.3 m"):
+        check_fits(twice, ARM, Units())
+    check_fits(twice, ARM, Units(), guessed=True)
+    check_fits(twice, replace(ARM, uncertainty={"length": 0.3}), Units())
+
+
+def test_exchanged_names_are_refused_whether_lengths_are_guessed_or_not(film):
+    exchanged = replace(film, keypoints=film.keypoints[:, ::-1])
+    for guessed in (False, True):
+        with pytest.raises(InputError, match="keypoints 'elbow' and 'wrist' seem to be exchanged"):
+            check_fits(exchanged, ARM, Units(), guessed)
+
+
+def test_the_same_in_space():
+    body = load_body("paper_spatial_arm")
+    time = np.arange(0, 3, 0.02)
+    rng = np.random.default_rng(0)
+    angles = np.sin(time[:, None] * rng.uniform(1, 3, body.num_joints) + rng.uniform(-1, 1, body.num_joints))
+    dynamics = dynamics_for(body)
+    points = np.asarray(dynamics.keypoints(body.parameters().gravity.new_tensor(angles), body.parameters()))
+    right = Recording(time, points, body.keypoint_names)
+    check_fits(right, body, Units())
+    with pytest.raises(InputError, match="but the body's link is"):
+        check_fits(right.scaled(2.0, "m"), body, Units())
+    check_fits(right.scaled(2.0, "m"), body, Units(), guessed=True)
