@@ -38,7 +38,10 @@ def timeline(diagnosis: Diagnosis) -> Markup | None:
 
 
 def maps(diagnosis: Diagnosis) -> list[dict]:
-    """Of each joint: name, residual torque over angle and velocity before and after, its key, whether it is quiet."""
+    """Of each joint: name, residual torque over angle and velocity before and after, its key, whether it is quiet.
+
+    Where nothing was corrected "after" is the same, and None.
+    """
     tracks = diagnosis.tracks
     if tracks is None:
         return []
@@ -55,7 +58,7 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
         edges = low + max(peak - low, low) * np.array([0.0, 1 / 3, 2 / 3])
         stride = -(-len(angle) // (2 * MOST_POINTS))
         sides, loud = [], 0.0
-        for words, residual in (("before", before), ("after", after)):
+        for words, residual in _sides(before, after):
             plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)
             plot.level(0.0)
             classes = np.where(np.isfinite(residual), np.searchsorted(edges, np.abs(residual)), -1)
@@ -67,22 +70,32 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
             rms = handy(root_mean_square(residual), "N·m")
             sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
         key = [plain(edge, 2) for edge in edges]
-        found.append({"joint": name, "before": sides[0], "after": sides[1], "key": key, "quiet": loud <= QUIET})
+        shown = {"joint": name, "before": sides[0], "after": sides[1] if len(sides) > 1 else None}
+        found.append(shown | {"key": key, "quiet": loud <= QUIET})
     return found
 
 
+def _sides(before: np.ndarray, after: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """What is drawn, in words and numbers; after is left out where it is before, as nothing was corrected."""
+    return [("before", before), *([] if np.array_equal(before, after, equal_nan=True) else [("after", after)])]
+
+
 def residuals(diagnosis: Diagnosis) -> list[dict]:
-    """Of each joint: name, residual torque over time before and after with 90 % bands, and their rms."""
+    """Of each joint: name, residual torque over time before and after with 90 % bands, and their rms.
+
+    As high as the residuals and a usual band: at the first rows a band may be the prior's. Where nothing was corrected
+    "after" is the same, and None.
+    """
     tracks = diagnosis.tracks
     if tracks is None:
         return []
     found = []
     for j, name in enumerate(diagnosis.joint_names):
-        pairs = [
-            ("before", tracks.residual_before[:, j], Z90 * tracks.residual_before_sd[:, j]),
-            ("after", tracks.residual_after[:, j], Z90 * tracks.residual_after_sd[:, j]),
-        ]
-        everything = [v for _, mean, half in pairs for v in (mean - half, mean + half)]
+        half = {"before": Z90 * tracks.residual_before_sd[:, j], "after": Z90 * tracks.residual_after_sd[:, j]}
+        sides = _sides(tracks.residual_before[:, j], tracks.residual_after[:, j])
+        pairs = [(words, mean, half[words]) for words, mean in sides]
+        usual = [np.nanmedian(half) if np.isfinite(half).any() else 0.0 for *_, half in pairs]
+        everything = [v for (_, mean, _), wide in zip(pairs, usual, strict=True) for v in (mean - wide, mean + wide)]
         plot = Plot(limits(tracks.time, margin=0), limits(*everything, zero=True), "time, s", "N·m", height=150)
         for words, mean, half in pairs:
             plot.band(tracks.time, mean - half, mean + half, f"band {words}")
@@ -90,7 +103,8 @@ def residuals(diagnosis: Diagnosis) -> list[dict]:
         for words, mean, _ in pairs:
             plot.line(tracks.time, mean, f"line {words}")
         rms = [handy(root_mean_square(mean), "N·m") for _, mean, _ in pairs]
-        label = f"Residual torque of {name} over time: {rms[0]} rms before, {rms[1]} after"
+        after = rms[1] if len(rms) > 1 else None
+        label = f"Residual torque of {name} over time: {rms[0]} rms" + (f" before, {after} after" if after else "")
         command = None if tracks.command is None else handy(root_mean_square(tracks.command[:, j]), "N·m")
-        found.append({"joint": name, "figure": plot.html(label), "before": rms[0], "after": rms[1], "command": command})
+        found.append({"joint": name, "figure": plot.html(label), "before": rms[0], "after": after, "command": command})
     return found

@@ -1,8 +1,6 @@
 """Numbers as a reader wants them: to the digits that their uncertainty supports, in units of a handy size.
 
 A number and its unit stay on one line: the space between them is one that does not break.
-
-The rule for digits is the Particle Data Group's: two digits of the uncertainty where it begins with 1 or 2, else one.
 """
 
 import math
@@ -11,6 +9,7 @@ from typing import TypeGuard
 
 import numpy as np
 
+from invdyn.diagnosis.assessment.digits import decimals
 from invdyn.diagnosis.assessment.result import Estimate
 
 NOTHING = "–"
@@ -29,12 +28,6 @@ HANDY = {
 def known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite number at all."""
     return value is not None and math.isfinite(value)
-
-
-def decimals(uncertainty: float) -> int:
-    """Decimal places that a standard deviation supports; negative: whole tens, hundreds …"""
-    exponent = math.floor(math.log10(uncertainty))
-    return (1 if uncertainty / 10.0**exponent < 2.95 else 0) - exponent
 
 
 def fixed(value: float | None, places: int) -> str:

@@ -7,7 +7,7 @@ import pytest
 from pendulum import ARM, LOOSE, recording_of
 from pyro.distributions import Normal
 
-from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, describe
+from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, _told, describe
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
@@ -77,6 +77,30 @@ def test_a_rotor_follows_the_acceleration():
     assert unit == "N·m·s²/rad"
     assert formula.variables[0] == "acceleration:elbow"
     assert inertia / 2 < -coefficient < 2 * inertia  # terms beside it take a part
+
+
+@pytest.mark.parametrize(
+    ("effect", "seed", "term", "size", "values"),
+    [
+        ("viscous_friction", 1, "dθ[elbow]/dt on elbow", -0.3, {"damping": 0.3}),
+        ("armature", 2, "d²θ[elbow]/dt² on elbow", -0.02, {"inertia": 0.02}),
+    ],
+)
+def test_a_coefficient_is_as_sure_as_it_says(effect, seed, term, size, values):
+    """Where a term stands in another's place, or the path's errors take a part of it, whitened rows alone say too much:
+    by them these two would be 6 and 10 standard deviations off.
+    """
+    formula, *_ = described(recording_of(EFFECTS[effect]("elbow"), ARM, rows=100, effort=1.0, seed=seed, **values))
+    coefficient, sd, _ = formula.terms[term]
+    assert abs(coefficient - size) < 2.5 * sd
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "told"),
+    [(-0.29512, 0.00897, "-0.295 ± 0.009"), (1.0357, 1.4142, "+1.0 ± 1.4"), (1234.5, 123.0, "+1230 ± 120")],
+)
+def test_a_coefficient_has_the_digits_that_its_error_supports(mean, sd, told):
+    assert _told(mean, sd) == told
 
 
 def test_a_part_of_the_command_is_named_as_the_torque_alone():

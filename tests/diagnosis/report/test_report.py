@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reported import HOSTILE, KINDS, Page, diagnosis, hostile, seen, tracks, two
+from reported import HOSTILE, KINDS, Page, diagnosis, hostile, none, seen, tracks, two
 
 from invdyn.diagnosis.assessment.result import Interval, Visibility
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report import render, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
+from invdyn.diagnosis.report.figures import residuals
 from invdyn.diagnosis.report.numbers import handy
 from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
@@ -114,6 +115,33 @@ def test_residuals_are_told_before_and_after():
         before, after = (handy(each, "N·m") for each in rms)
         assert before != after
         assert f"Residual torque of {name} over time: {before} rms before, {after} after" in labels
+
+
+def test_what_was_not_corrected_is_drawn_once():
+    """The best cause is "no gap": before and after are the same."""
+    d = none()
+    same = replace(d.tracks, residual_after=d.tracks.residual_before, residual_after_sd=d.tracks.residual_before_sd)
+    text = render(replace(d, tracks=same))
+    labels = [a.get("aria-label") or "" for _, a in Page(text).tags]
+    torques = [label for label in labels if label.startswith("Residual torque of shoulder")]
+    assert len(torques) == 2  # over the motion and over time
+    assert not any("after" in label for label in torques)
+    assert "rms before" not in text
+    assert "under the corrected one" not in text
+
+
+def test_residuals_are_drawn_as_high_as_they_are():
+    """Also where the first rows' bands are the prior's, a thousand times as wide as the residual."""
+    d = diagnosis()
+    wide = d.tracks.residual_before_sd.copy()
+    wide[:3] = 1e3
+    figures = [
+        [each["figure"] for each in residuals(replace(d, tracks=replace(d.tracks, residual_before_sd=sd)))]
+        for sd in (wide, d.tracks.residual_before_sd)
+    ]
+    ticks_of = [[re.findall(r"<i style[^>]*>([^<]*)</i>", figure) for figure in each] for each in figures]
+    assert any(ticks_of[0])
+    assert ticks_of[0] == ticks_of[1]
 
 
 def test_no_keypoints_and_no_lasting_intervals():
