@@ -2,7 +2,7 @@
 
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Cause, Diagnosis, Finding, named
 from invdyn.diagnosis.report.file_sentences import changes, learned, written
-from invdyn.diagnosis.report.numbers import handy, known, largest, percent
+from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
@@ -132,7 +132,7 @@ def _small(diagnosis: Diagnosis) -> str:
     shares = {n: gap.residual_torque_rms[n] / limit for n, limit in gap.tolerated_torque.items() if limit > 0}
     if (top := largest(shares)) is None:
         return ""
-    lacks, limit = handy(gap.residual_torque_rms[top[0]], "N·m"), handy(gap.tolerated_torque[top[0]], "N·m")
+    lacks, limit = handies("N·m", gap.residual_torque_rms[top[0]], gap.tolerated_torque[top[0]])
     return f", {lacks} at {place_words('joint', top[0])} where {limit} is tolerated,"
 
 
@@ -167,7 +167,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
         found.append(f"{untold}.")
     if count := diagnosis.not_looked_at:
         found.append(
-            f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at "
+            f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
             "(--budget gives more)."
         )
     if diagnosis.written is not None:
@@ -211,10 +211,9 @@ def _closed(diagnosis: Diagnosis) -> str | None:
     at = largest(diagnosis.where.joints)
     top = largest({at[0]: before[at[0]]} if at and at[0] in before else before)
     if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
-        place = place_words("joint", top[0])
-        parts.append(
-            f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"
-        )
+        old, new = handies("N·m", top[1], after)
+        goes = f"stays at {old}" if old == new else f"goes from {old} to {new}"
+        parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {goes}")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else None
 
