@@ -41,7 +41,7 @@ def check_interval(recording: Recording, length: float) -> None:
 
     Args:
         recording: its times, whatever they were meant to be.
-        length: of the body, m.
+        length: of the body, m; in pixels and body lengths it is not known in m, and a metre or so is meant.
     """
     time = recording.time[_observed(recording)]
     if len(time) < 2:
@@ -64,9 +64,9 @@ def check_interval(recording: Recording, length: float) -> None:
     else:
         hint = "give times in seconds, and the right --fps"
     limit = f"swings once in {4 * slowest:.2g} s" if interval > slowest else "is filmed and read less often"
+    size = f"of {length:.2g} m" if recording.length_unit == "m" else "of usual length"
     raise InputError(
-        f"rows are {interval:.3g} s apart (median), but an arm of {length:.2g} m {limit}; {hint} "
-        "(--units s if seconds they are)"
+        f"rows are {interval:.3g} s apart (median), but an arm {size} {limit}; {hint} (--units s if seconds they are)"
     )
 
 

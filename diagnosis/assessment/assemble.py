@@ -181,6 +181,7 @@ def assembled(
         planar_only=_planar_only(body),
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
+        length_unit=bound.problem.recording.length_unit,
     )
 
 
@@ -315,4 +316,5 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
         visibility=(),
         method={},
         not_enough_data=reason,
+        length_unit=recording.length_unit,
     )

@@ -172,6 +172,8 @@ def details(diagnosis: Diagnosis) -> list[str]:
         )
     if diagnosis.written is not None:
         found += written(diagnosis.written)
+    if diagnosis.length_unit != "m":
+        found.append(f"Lengths are in {diagnosis.length_unit}s: read that for m in every unit, of torques, too.")
     if not diagnosis.knows_torque and answer != "none":
         found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
     return found

@@ -90,6 +90,13 @@ def test_what_is_the_same_after_as_before_stays():
     assert any("goes from 0.310 N·m to 0.309 N·m." in s for s in details(near))
 
 
+def test_another_unit_of_length_is_told():
+    told = "Lengths are in body lengths: read that for m in every unit, of torques, too."
+    assert told in details(replace(diagnosis(), length_unit="body length"))
+    assert told not in details(diagnosis())
+    assert replace(diagnosis(), length_unit="body length").to_json()["length_unit"] == "body length"
+
+
 def test_what_was_written_is_named_not_counted():
     change = {"place": "elbow", "quantity": "damping", "from": 0.1, "to": 0.2, "interval_90": [0.2, 0.2], "unit": "u"}
     whole = change | {"place": "", "quantity": "gravity"}
