@@ -41,7 +41,7 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
 
     Args:
         recording: its times, whatever they were meant to be.
-        length: of the body, m.
+        length: of the body, m; in pixels and body lengths it is not known in m, and a metre or so is meant.
         units: what was declared, and where.
     """
     time = recording.time[_observed(recording)]
@@ -65,8 +65,9 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
     else:
         hint = "give times in seconds, and the right --fps"
     limit = f"swings once in {4 * slowest:.2g} s" if interval > slowest else "is filmed and read less often"
+    size = f"of {length:.2g} m" if recording.length_unit == "m" else "of usual length"
     raise InputError(
-        f"rows are {interval:.3g} s apart (median), but an arm of {length:.2g} m {limit}; {hint} "
+        f"rows are {interval:.3g} s apart (median), but an arm {size} {limit}; {hint} "
         f"({units.accepts('s')} if seconds they are)"
     )
 

@@ -181,6 +181,7 @@ def assembled(
         planar_only=_planar_only(body),
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
+        length_unit=bound.problem.recording.length_unit,
     )
 
 
@@ -258,12 +259,17 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "noise scale at its likeliest (its integral adds the same to each), what errors remember of the row before "
         f"integrated out (at its likeliest {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
-        "budget": f"{bound.budget.allowed}, the search three quarters of it; {found.missed or 'no'} candidate(s) not "
-        "looked at",
+        "budget": f"{bound.budget.allowed}, the search three quarters of it; {_looked_at(found.missed)}",
         "held out": held_out,
         **({"not looked for": f"{', '.join(flat)}: known for a chain in the plane alone"} if flat else {}),
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
+
+
+def _looked_at(missed: int) -> str:
+    if not missed:
+        return "every candidate was looked at"
+    return f"{missed} candidate{'s were' if missed > 1 else ' was'} not looked at"
 
 
 def _law(best: FittedHypothesis) -> str:
@@ -310,4 +316,5 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
         visibility=(),
         method={},
         not_enough_data=reason,
+        length_unit=recording.length_unit,
     )

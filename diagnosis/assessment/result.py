@@ -215,7 +215,8 @@ class Diagnosis:
     `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
     change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
     looked for in space. `lengths` are those of a chain in the plane, whose picture they draw; of another body `posture`
-    does. In :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's
+    does. `length_unit` is the recording's, such as "body length": m stands for it in all units, of torques too. In
+    :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's
     `stop` its "end".
     """
 
@@ -246,6 +247,7 @@ class Diagnosis:
     posture: Posture | None = None
     planar_only: tuple[str, ...] = ()
     noise: Noise | None = None
+    length_unit: str = "m"
 
     @property
     def knows_torque(self) -> bool:
@@ -262,6 +264,7 @@ class Diagnosis:
             "recording": self.recording,
             "seed": self.seed,
             "regime": self.regime,
+            "length_unit": self.length_unit,
             "not_enough_data": self.not_enough_data,
             "gap": {
                 "detected": self.gap.detected,

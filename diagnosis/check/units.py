@@ -43,6 +43,8 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
         return None, (), reading
     found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
+        if found and len(tried) > len(found[0][1]):
+            break  # one mistake is likelier than two, whatever the torques say
         scales: dict[str, float] = {}
         for mistake in tried:
             scales |= mistake.scales

@@ -91,9 +91,9 @@ def residuals(diagnosis: Diagnosis) -> list[dict]:
         return []
     found = []
     for j, name in enumerate(diagnosis.joint_names):
-        half = {"before": Z90 * tracks.residual_before_sd[:, j], "after": Z90 * tracks.residual_after_sd[:, j]}
+        halves = {"before": Z90 * tracks.residual_before_sd[:, j], "after": Z90 * tracks.residual_after_sd[:, j]}
         sides = _sides(tracks.residual_before[:, j], tracks.residual_after[:, j])
-        pairs = [(words, mean, half[words]) for words, mean in sides]
+        pairs = [(words, mean, halves[words]) for words, mean in sides]
         usual = [np.nanmedian(half) if np.isfinite(half).any() else 0.0 for *_, half in pairs]
         everything = [v for (_, mean, _), wide in zip(pairs, usual, strict=True) for v in (mean - wide, mean + wide)]
         plot = Plot(limits(tracks.time, margin=0), limits(*everything, zero=True), "time, s", "N·m", height=150)

@@ -1,7 +1,7 @@
 """Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
 
-from invdyn.diagnosis.assessment.result import Diagnosis, Written
-from invdyn.diagnosis.report.numbers import handy, plain
+from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
+from invdyn.diagnosis.report.numbers import changed, handies
 from invdyn.diagnosis.report.words import finding_words, place_words
 from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.effects import EFFECTS
@@ -13,10 +13,11 @@ def changes(diagnosis: Diagnosis) -> list[str]:
     found = []
     for finding in cause.effects if cause is not None else ():
         for name, change in finding.changes.items():
-            low, high = (plain(end, 3) for end in change.after.interval_90)
+            after = change.after
+            old, new, low, high = changed(after.unit, change.before, after.mean, after.interval_90)
             found.append(
-                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {plain(change.before, 3)} to "
-                f"{handy(change.after.mean, change.after.unit)} (90 % interval {low} to {high})."
+                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {old} to {new} "
+                f"(90 % interval {low} to {high})."
             )
     return found
 
@@ -31,13 +32,10 @@ def learned(diagnosis: Diagnosis) -> list[str]:
     found = []
     for number in cause.learned:
         if number.quantity in PARTS and (number.place, number.quantity) not in told:
-            before, after = number.change.before, number.change.after
-            low, high = (plain(end, 3) for end in after.interval_90)
+            after = number.change.after
+            old, new, low, high = changed(after.unit, number.change.before, after.mean, after.interval_90)
             what = f"{number.quantity} of {place_words('joint', number.place)}"
-            found.append(
-                f"Learned: {what} is {handy(after.mean, after.unit)} "
-                f"(90 % interval {low} to {high}), {plain(before, 3)} in the file."
-            )
+            found.append(f"Learned: {what} is {new} (90 % interval {low} to {high}), {old} in the file.")
     return found
 
 
@@ -45,14 +43,14 @@ def written(copy: Written) -> list[str]:
     """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
     if copy.nothing is not None:
         return [f"No corrected file was written: {copy.nothing}."]
-    count = len(copy.changes)
-    found = [f"The corrected simulation is {copy.file}: {count} number{'s' * (count != 1)} changed."]
+    what = [f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}" for each in copy.changes]
+    found = [f"The corrected simulation is {copy.file}: changed is {named(what) if what else 'nothing'}."]
     found += [f"Not in it is {words}: {why}." for words, why in copy.unsaid.items()]
     if (tried := copy.rollout) is not None:
         total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
+        before, after = handies("rad", total["before"], total["after"])
         found.append(
             f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
-            f"Its angles are off by {handy(total['after'], 'rad')} rms with the corrected file, by "
-            f"{handy(total['before'], 'rad')} with the original."
+            f"Its angles are off by {after} rms with the corrected file, by {before} with the original."
         )
     return found

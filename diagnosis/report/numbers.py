@@ -4,13 +4,16 @@ A number and its unit stay on one line: the space between them is one that does 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TypeGuard
 
 import numpy as np
 
 from invdyn.diagnosis.assessment.digits import decimals
 from invdyn.diagnosis.assessment.result import Estimate
+
+MOST_DIGITS = 6
+"""Significant digits to which two numbers are told apart."""
 
 NOTHING = "–"
 """Stands for a number that was not measured."""
@@ -61,10 +64,31 @@ def percent(share: float | None) -> str:
     return f"{fixed(100 * share, 1 if 0.99 < share < 0.9995 or 0 < share < 0.01 else 0)}\u00a0%"
 
 
-def handy(value: float | None, unit: str) -> str:
+def handy(value: float | None, unit: str, digits: int = 2) -> str:
     """A number with its unit, two digits."""
     factor, unit = _handy(value, unit)
-    return _with_unit(plain(value * factor, 2) if known(value) else NOTHING, unit)
+    return with_unit(plain(value * factor, digits) if known(value) else NOTHING, unit)
+
+
+def apart(write: Callable[[float | None, int], str], *values: float | None, digits: int = 2) -> list[str]:
+    """Numbers as ``write`` has them, to as many more ``digits`` as tell them apart where they are not the same."""
+    different = len(set(filter(known, values)))
+    for more in range(digits, MOST_DIGITS + 1):
+        texts = [write(value, more) for value in values]
+        if len({text for text, value in zip(texts, values, strict=True) if known(value)}) >= different:
+            break
+    return texts
+
+
+def handies(unit: str, *values: float | None) -> list[str]:
+    """Numbers of one kind, each with its unit, told :func:`apart`."""
+    return apart(lambda value, digits: handy(value, unit, digits), *values)
+
+
+def changed(unit: str, before: float | None, after: float | None, interval: tuple[float, float]) -> tuple[str, ...]:
+    """What a number was, what it is with its unit, and the ends of its interval, told :func:`apart`."""
+    (old, new), (low, high) = (apart(plain, *two, digits=3) for two in ((before, after), interval))
+    return old, with_unit(new, unit), low, high
 
 
 def estimate(e: Estimate) -> tuple[str, str]:
@@ -76,13 +100,13 @@ def estimate(e: Estimate) -> tuple[str, str]:
         numbers = [fixed(v * factor, places) for v in (e.mean, *e.interval_90)]
     else:
         numbers = [plain(v * factor, 4) for v in (e.mean, *e.interval_90)]
-    return _with_unit(numbers[0], unit), _with_unit(f"{numbers[1]} to {numbers[2]}", unit)
+    return with_unit(numbers[0], unit), with_unit(f"{numbers[1]} to {numbers[2]}", unit)
 
 
 def plus_minus(value: float, sd: float, unit: str) -> str:
     """A number and its standard deviation."""
     places = decimals(sd) if known(sd) and sd > 0 else 3
-    return _with_unit(f"{fixed(value, places)} ± {fixed(sd, places)}", unit)
+    return with_unit(f"{fixed(value, places)} ± {fixed(sd, places)}", unit)
 
 
 def largest(shares: Mapping[str, float]) -> tuple[str, float] | None:
@@ -96,7 +120,8 @@ def _handy(value: float | None, unit: str) -> tuple[float, str]:
     return (factor, better) if known(value) and abs(value) < limit else (1.0, unit)
 
 
-def _with_unit(number: str, unit: str) -> str:
+def with_unit(number: str, unit: str) -> str:
+    """A number and its unit on one line."""
     if unit in ("", "–", "-", "1"):
         return number
     return f"{number}{unit}" if unit == "°" else f"{number}\u00a0{unit}"

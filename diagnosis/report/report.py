@@ -19,7 +19,7 @@ from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
-from invdyn.diagnosis.report.numbers import estimate, fixed, handy, known, percent, plain, plus_minus
+from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, handy, known, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
 from invdyn.diagnosis.report.words import SHORT_SIDES, cause_words, finding_words, key_words, meaning
@@ -136,15 +136,14 @@ def _cause(cause: Cause, best: float) -> dict:
     }
 
 
-def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Rows of the corrected file: what, from, to, and the interval."""
     written = diagnosis.written
     return [
         (
             f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}, {each['unit']}",
-            plain(each["from"], 4),
-            plain(each["to"], 4),
-            f"{plain(each['interval_90'][0], 3)} to {plain(each['interval_90'][1], 3)}",
+            *apart(plain, each["from"], each["to"], digits=4),
+            " to ".join(apart(plain, *each["interval_90"], digits=3)),
         )
         for each in (written.changes if written else ())
     ]
@@ -163,8 +162,9 @@ def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         tiles.append(("Closed", percent(shrinkage.gap_closed), note))
     before, after = (gap.replay_rms_m.get(name) for name in ("nominal", "corrected"))
     if known(before):
-        fixed_by = f"; corrected {handy(after, 'm')}" if gap.detected and known(after) else ""
-        tiles.append(("Replay", handy(before, "m"), f"rms off the smoothed recording{fixed_by}"))
+        old, new = handies("m", before, after)
+        fixed_by = f"; corrected {new}" if gap.detected and known(after) else ""
+        tiles.append(("Replay", old, f"rms off the smoothed recording{fixed_by}"))
     return tiles
 
 
@@ -196,7 +196,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     )
     for name, value in gap.residual_torque_rms.items():
         after = shrinkage.residual_torque_rms_after.get(name)
-        rows.append((f"Residual torque, {name}", f"{handy(value, 'N·m')} → {handy(after, 'N·m')}", torque))
+        rows.append((f"Residual torque, {name}", " → ".join(handies("N·m", value, after)), torque))
     for name, value in gap.replay_rms_m.items():
         rows.append(
             (

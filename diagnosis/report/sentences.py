@@ -2,7 +2,7 @@
 
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Cause, Diagnosis, Finding, named
 from invdyn.diagnosis.report.file_sentences import changes, learned, written
-from invdyn.diagnosis.report.numbers import handy, known, largest, percent
+from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
@@ -132,7 +132,7 @@ def _small(diagnosis: Diagnosis) -> str:
     shares = {n: gap.residual_torque_rms[n] / limit for n, limit in gap.tolerated_torque.items() if limit > 0}
     if (top := largest(shares)) is None:
         return ""
-    lacks, limit = handy(gap.residual_torque_rms[top[0]], "N·m"), handy(gap.tolerated_torque[top[0]], "N·m")
+    lacks, limit = handies("N·m", gap.residual_torque_rms[top[0]], gap.tolerated_torque[top[0]])
     return f", {lacks} at {place_words('joint', top[0])} where {limit} is tolerated,"
 
 
@@ -167,11 +167,13 @@ def details(diagnosis: Diagnosis) -> list[str]:
         found.append(f"{untold}.")
     if count := diagnosis.not_looked_at:
         found.append(
-            f"The search stopped at the budget; {count} candidate{'s' * (count > 1)} not looked at "
+            f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
             "(--budget gives more)."
         )
     if diagnosis.written is not None:
         found += written(diagnosis.written)
+    if diagnosis.length_unit != "m":
+        found.append(f"Lengths are in {diagnosis.length_unit}s: read that for m in every unit, of torques, too.")
     if not diagnosis.knows_torque and answer != "none":
         found.append("The joint torques are unknown, so no effect is named that a torque could imitate.")
     return found
@@ -211,13 +213,12 @@ def _closed(diagnosis: Diagnosis) -> str | None:
     at = largest(diagnosis.where.joints)
     top = largest({at[0]: before[at[0]]} if at and at[0] in before else before)
     if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
-        place = place_words("joint", top[0])
-        parts.append(
-            f"the torque left unexplained at {place} goes from {handy(top[1], 'N·m')} to {handy(after, 'N·m')}"
-        )
+        old, new = handies("N·m", top[1], after)
+        goes = f"stays at {old}" if old == new else f"goes from {old} to {new}"
+        parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {goes}")
     replayed = [diagnosis.gap.replay_rms_m.get(name) for name in ("corrected", "nominal")]
     if diagnosis.tracks is not None and all(map(known, replayed)):
-        errors = ", not ".join(handy(value, "m") for value in replayed)
+        errors = ", not ".join(handies("m", *replayed))
         length = f"{diagnosis.tracks.replay_window:g} s"
         parts.append(f"run for {length} on its own, the simulation then errs by {errors}")
     text = "; ".join(parts)

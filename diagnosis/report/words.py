@@ -4,6 +4,7 @@ import re
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
 from invdyn.models.effects.catalogue import EFFECTS
+from invdyn.models.effects.joint_limit import SIDES as STOPS
 
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
 SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "camera’s view"}
@@ -64,6 +65,8 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
         "link": diagnosis.link_names,
         "keypoint": tuple(diagnosis.where.keypoints),
     }.get(kind, ())
+    if first in names and form in STOPS and effect in EFFECTS:
+        return _placed(effect, {kind: first, "stop": form})
     if site == kind and kind:
         return _placed(effect, {kind: place})
     for name in names:  # names may hold full stops themselves
@@ -74,6 +77,8 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
 
 def _placed(effect: str, where: dict[str, str]) -> str:
     words, partner, form = effect_words(effect), where.pop("partner", None), where.pop("form", None)
+    if (stop := where.pop("stop", None)) is not None:
+        return f"{_placed(effect, where)}, {stop} side"
     if form is not None:
         return f"{_placed(effect, where)} {_form_words(effect, form)}"
     if not where:

@@ -229,5 +229,5 @@ def _left_out(robot: Element, moving: list[Element], one_way: list[Element]) -> 
         *listed("limits of speed", having("limit", "velocity")),
         *listed("mimic, a joint that follows another", followers),
         *listed("safety controllers", having("safety_controller")),
-        *listed("whatever stands in", [f"<{tag:.40}>" for tag in strange]),
+        *listed("elements of other programs", [f"<{tag:.40}>" for tag in strange]),
     ]

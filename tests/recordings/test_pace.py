@@ -1,5 +1,7 @@
 """Times, speeds and angles that a body can have, and gaps between rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,14 @@ def test_a_swing_and_a_froude_number():
     assert froude(noisy, time, 0.5) == pytest.approx(6.0**2 * 0.5 / 9.81, rel=0.1)
     noisy[::9] = [3.0, 3.0]  # lost points
     assert froude(noisy, time, 0.5) < FASTEST
+
+
+def test_an_arm_in_body_lengths_is_not_told_in_metres():
+    late = timed(arm(), 10 * np.arange(150.0))
+    with pytest.raises(InputError, match=r"an arm of 0\.75 m swings once"):
+        check_plausible(late, LENGTHS)
+    with pytest.raises(InputError, match="an arm of usual length swings once"):
+        check_plausible(replace(late, length_unit="body length"), (0.5, 0.5))
 
 
 @pytest.mark.parametrize(

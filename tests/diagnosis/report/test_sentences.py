@@ -17,8 +17,9 @@ from reported import (
     two,
 )
 
-from invdyn.diagnosis.assessment.result import Cause, Part, Shrinkage
+from invdyn.diagnosis.assessment.result import Cause, Part, Shrinkage, Written
 from invdyn.diagnosis.report import render, words
+from invdyn.diagnosis.report.file_sentences import written
 from invdyn.diagnosis.report.numbers import handy, percent
 from invdyn.diagnosis.report.sentences import details, kind, left, verdict
 
@@ -71,9 +72,37 @@ def test_where_something_is_left_what_explains_most_comes_first():
     assert "Of 9 rows 5 were looked at." in details(replace(d, method={"left out": "Of 9 rows 5 were looked at"}))
     stopped = replace(d, not_looked_at=7)
     assert "no effect that the search came to explains the rest" in verdict(stopped)
-    assert "The search stopped at the budget; 7 candidates not looked at (--budget gives more)." in details(stopped)
+    assert "The search stopped at the budget; 7 candidates were not looked at (--budget gives more)." in details(
+        stopped
+    )
     little = replace(d, shrinkage=replace(shrinkage, gap_closed=0.2))
     assert "; a part of it is viscous friction" in verdict(little)
+
+
+def test_what_is_the_same_after_as_before_stays():
+    d = diagnosis()
+    rms = d.gap.residual_torque_rms
+    same = replace(d, shrinkage=replace(d.shrinkage, residual_torque_rms_after=rms))
+    told = f"left unexplained at the shoulder stays at {handy(rms['shoulder'], 'N·m')}"
+    assert any(told in s for s in details(same))
+    less = dict(rms, shoulder=rms["shoulder"] - 0.001)
+    near = replace(d, shrinkage=replace(d.shrinkage, residual_torque_rms_after=less))
+    assert any("goes from 0.310 N·m to 0.309 N·m." in s for s in details(near))
+
+
+def test_another_unit_of_length_is_told():
+    told = "Lengths are in body lengths: read that for m in every unit, of torques, too."
+    assert told in details(replace(diagnosis(), length_unit="body length"))
+    assert told not in details(diagnosis())
+    assert replace(diagnosis(), length_unit="body length").to_json()["length_unit"] == "body length"
+
+
+def test_what_was_written_is_named_not_counted():
+    change = {"place": "elbow", "quantity": "damping", "from": 0.1, "to": 0.2, "interval_90": [0.2, 0.2], "unit": "u"}
+    whole = change | {"place": "", "quantity": "gravity"}
+    told = written(Written("out.xml", (change, whole), {}))
+    assert told == ["The corrected simulation is out.xml: changed is damping of elbow and gravity."]
+    assert written(Written("out.xml", (), {})) == ["The corrected simulation is out.xml: changed is nothing."]
 
 
 def test_a_gap_that_does_not_matter_is_told_with_its_size():

@@ -6,7 +6,17 @@ from reported import diagnosis, two
 
 from invdyn.diagnosis.assessment.result import Estimate, Finding
 from invdyn.diagnosis.report import words
-from invdyn.diagnosis.report.numbers import decimals, estimate, fixed, handy, percent, plain, plus_minus
+from invdyn.diagnosis.report.numbers import (
+    changed,
+    decimals,
+    estimate,
+    fixed,
+    handies,
+    handy,
+    percent,
+    plain,
+    plus_minus,
+)
 from invdyn.models import Body, Link, planar_dynamics
 from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
@@ -75,8 +85,22 @@ def test_a_softer_form_is_said_to_be_one():
         ("inertial_error.upper_arm", "an inertial error of the upper arm"),
         ("joint_coupling.shoulder.elbow", "joint coupling between the shoulder and the elbow"),
         ("armature.shoulder+camera_roll", "rotor inertia at the shoulder and camera roll"),
+        ("joint_limit.shoulder.lower", "a joint limit at the shoulder, lower side"),
         ("my_own.j.2", "my own at j.2"),
     ],
 )
 def test_words_of_a_key(key, says):
     assert words.key_words(key, diagnosis()) == says
+
+
+def test_a_stop_is_told_with_its_side():
+    limit = Finding("joint_limit", "dynamics", {"joint": "shoulder", "stop": "upper"}, {})
+    assert words.finding_words(limit) == "a joint limit at the shoulder, upper side"
+
+
+def test_numbers_that_differ_are_told_apart():
+    """To as many digits as it takes; those that are the same stay short."""
+    assert handies("N·m", 0.3512, 0.3498) == ["0.351 N·m", "0.350 N·m"]
+    assert handies("N·m", 0.35, 0.35) == ["0.35 N·m"] * 2
+    assert handies("N·m", 0.35, None) == ["0.35 N·m", "– N·m"]
+    assert changed("rad", 0.4, 0.40012, (0.39998, 0.40026)) == ("0.4000", "0.4001 rad", "0.4000", "0.4003")

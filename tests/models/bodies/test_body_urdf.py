@@ -179,7 +179,7 @@ def test_what_a_rigid_body_lacks_is_named(tmp_path):
         "limits of speed (elbow)",
         "mimic, a joint that follows another (elbow follows shoulder)",
         "safety controllers (elbow)",
-        "whatever stands in (<gazebo>, <transmission>)",
+        "elements of other programs (<gazebo>, <transmission>)",
     ):
         assert words in line
 
