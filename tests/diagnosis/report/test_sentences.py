@@ -87,7 +87,7 @@ def test_what_is_the_same_after_as_before_stays():
     assert any(told in s for s in details(same))
     less = dict(rms, shoulder=rms["shoulder"] - 0.001)
     near = replace(d, shrinkage=replace(d.shrinkage, residual_torque_rms_after=less))
-    assert any("goes from 0.310 N·m to 0.309 N·m." in s for s in details(near))
+    assert any("goes from 0.310 N·m to 0.309 N·m" in s for s in details(near))
 
 
 def test_another_unit_of_length_is_told():
