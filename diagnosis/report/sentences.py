@@ -218,9 +218,9 @@ def _closed(diagnosis: Diagnosis) -> str | None:
         parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {goes}")
     replayed = [diagnosis.gap.replay_rms_m.get(name) for name in ("corrected", "nominal")]
     if diagnosis.tracks is not None and all(map(known, replayed)):
-        errors = ", not ".join(handies("m", *replayed))
-        length = f"{diagnosis.tracks.replay_window:g} s"
-        parts.append(f"run for {length} on its own, the simulation then errs by {errors}")
+        new, old = handies("m", *replayed)
+        errs = f"errs by {old}" if old == new else f"then errs by {new}, not {old}"
+        parts.append(f"run for {diagnosis.tracks.replay_window:g} s on its own, the simulation {errs}")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else None
 
