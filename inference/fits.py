@@ -11,6 +11,7 @@ import torch
 from invdyn.models import ArticulatedBody, Body, Tree
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording, check_in_space, check_plausible
+from invdyn.recordings.plausible import BASE
 from invdyn.recordings.units import Units
 
 POSES = (0.0, 0.7, -1.3)
@@ -36,18 +37,23 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
         check_in_space(
             recording,
             dynamics.reach(numbers).item(),
-            rigid_distances(body),
+            rigid_distances(body) | (distances_of_base(body) if rooted(body) else {}),
             {joint: lever for joint, lever in levers if joint in turning},
             units,
             guessed or body.has_priors or bool(body.learned),
+            numbers.position[0].tolist() if rooted(body) else None,
+            (numbers.position.norm(dim=-1).sum() + numbers.sites.norm(dim=-1).max()).item(),
         )
+
+
+def rooted(body: Tree) -> bool:
+    """Whether all motions are turns, so that no site leaves the first joint's reach."""
+    return all(motion.turns for _, motion in body.motions())
 
 
 def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
     """Distances, m, of two sites that keep it however the body moves."""
-    dynamics, numbers = dynamics_for(body), body.parameters()
-    poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
-    points = dynamics.keypoints(torch.tensor(poses, dtype=torch.float64), numbers)
+    points = _posed(body)
     apart = torch.cdist(points, points).numpy()
     found = {}
     for one, other in combinations(range(len(body.keypoint_names)), 2):
@@ -55,3 +61,18 @@ def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
         if np.ptp(lengths) <= KEPT * apart.max() < lengths[0]:
             found[body.keypoint_names[one], body.keypoint_names[other]] = float(lengths[0])
     return found
+
+
+def distances_of_base(body: Tree) -> dict[tuple[str, str], float]:
+    """Distances, m, from the first joint's place to the sites that keep it."""
+    apart = (_posed(body) - body.parameters().position[0]).norm(dim=-1).numpy()
+    kept = np.ptp(apart, axis=0) <= KEPT * apart.max()
+    places = zip(body.keypoint_names, kept & (apart[0] > KEPT * apart.max()), apart[0], strict=True)
+    return {(BASE, name): float(length) for name, known, length in places if known}
+
+
+def _posed(body: Tree) -> torch.Tensor:
+    """Sites (poses, P, 3), m, of the body in each of some poses."""
+    poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
+    points: torch.Tensor = dynamics_for(body).keypoints(torch.tensor(poses, dtype=torch.float64), body.parameters())
+    return points

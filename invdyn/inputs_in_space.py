@@ -1,10 +1,11 @@
 """A recording of a body in space: which of its sites and joints it shows, and whether it can be this body's."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from invdyn.inference.fits import check_fits
+from invdyn.inference.fits import check_fits, rooted
 from invdyn.models import Tree, dynamics_for
 from invdyn.recordings import (
     FORMATS,
@@ -52,6 +53,13 @@ def load_in_space(
         raise InputError(
             f"{name}: keypoint {strange[0]!r} is not of the body, which has {', '.join(sites)}"
             f"{closest(strange[0], [site for site in sites if site not in names])}: rename one of them"
+            + ("" if base else f", or pass --base {strange[0]} if it is the first joint's own track")
+        )
+    if base not in names and names and not own_file and rooted(body):
+        warnings.warn(
+            f"{name}: no base is tracked (the file has {', '.join(names)}), so it is taken to rest where the body's "
+            "is, in the file's own frame; pass --base with the keypoint at the first joint if there is one",
+            stacklevel=2,
         )
     order = [place for place, point in enumerate(names) if point in sites]
     confidence = recording.confidence

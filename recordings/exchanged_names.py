@@ -10,7 +10,7 @@ aside of their joints and a picture that shortens leave r as large as before.
 Shapes: T frames, S axes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -23,22 +23,26 @@ MENDED = 0.3
 """Of r, what may be left of it: as of torques that a mistake explains."""
 
 
-def check_names(points: Mapping[str, np.ndarray], lengths: Mapping[tuple[str, str], float]) -> None:
-    """Raise InputError where two names are exchanged.
+def check_names(
+    points: Mapping[str, np.ndarray], lengths: Mapping[tuple[str, str], float], keypoints: Collection[str]
+) -> None:
+    """Raise InputError where two names of ``keypoints`` are exchanged; other points have theirs from the body.
 
     Args:
         points: by name, tracks (T, S), NaN where missing.
         lengths: by two names, all of them in ``points``, in any unit.
+        keypoints: names that the recording gave.
     """
     own = _misfit(points, lengths)
     if not own > OFF:
         return
-    ends = list(dict.fromkeys(name for pair in lengths for name in pair))
+    ends = [name for name in dict.fromkeys(name for pair in lengths for name in pair) if name in keypoints]
     tried = {
         (one, other): _misfit({**points, one: points[other], other: points[one]}, lengths)
         for one, other in combinations(ends, 2)
     }
-    (one, other), left = min(tried.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf))
+    none = (("", ""), np.inf)
+    (one, other), left = min(tried.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf), default=none)
     if left < MENDED * own:
         raise InputError(
             f"keypoints {one!r} and {other!r} seem to be exchanged: distances differ from the body's lengths by "

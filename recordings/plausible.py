@@ -20,6 +20,8 @@ LARGEST_ANGLE = 50.0  # rad, eight turns of a joint; degrees exceed it
 WORST_LINK_RATIO = 3.0  # observed over given link length, or the other way; a wrong unit is off by far more
 LONGEST_LINK_RATIO = 1.5  # of a length that is a plain number: a picture only shortens, markers and lenses do a fifth
 WORST_BODY_LENGTH = 0.2  # of a body whose lengths are shares of its own
+BASE = "the base"
+"""Name of the first joint's place, which is no keypoint."""
 OFF, CLOSE = 0.5, 0.15  # rad, medians of an angle that is not what keypoints show, and of one that is
 
 
@@ -77,9 +79,8 @@ def check_plausible(
         chain = None
     else:
         chain, names = _chain(recording, len(lengths), base)
-        check_names(
-            dict(zip(names, chain.swapaxes(0, 1), strict=True)), dict(zip(pairwise(names), lengths, strict=True))
-        )
+        points = dict(zip(names, chain.swapaxes(0, 1), strict=True))
+        check_names(points, dict(zip(pairwise(names), lengths, strict=True)), recording.keypoint_names)
         for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
             _check_length((names[k], names[k + 1]), observed, length, guessed, recording.length_unit)
     if recording.length_unit == "m":  # elsewhere g is not known
@@ -96,16 +97,20 @@ def check_in_space(
     levers: Mapping[str, float],
     units: Units | None = None,
     guessed: bool = False,
+    base: Sequence[float] | None = None,
+    farthest: float = np.inf,
 ) -> None:
     """Compare a recording with a body of any shape: distances that no motion changes, its clock, its pace.
 
     Args:
         recording: keypoints and angles, any of the body's.
         reach: of the body, m.
-        distances: by two keypoints' names, m, of points that keep it.
+        distances: by two keypoints' names, m, of points that keep it; `BASE` is where the first joint is.
         levers: by joint, m, how far a turn of it by a radian moves some point; none of joints that shift.
         units: what the file's numbers were declared to be.
         guessed: distances are to be learned, or uncertain.
+        base: place of the first joint in the recording's frame, m, of a body that only turns about it; None of another.
+        farthest: that a point of such a body may be from there, m.
 
     Raises:
         InputError: as `check_plausible`.
@@ -114,8 +119,18 @@ def check_in_space(
     if units.time is None:
         check_interval(recording, reach, units)
     known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
+    if base is not None:
+        known[BASE] = np.broadcast_to(np.asarray(base), (recording.num_frames, 3))
+        for name in recording.keypoint_names:
+            (observed,) = median_distances(np.stack([known[BASE], known[name]], axis=1))
+            if observed > (WORST_LINK_RATIO if guessed else LONGEST_LINK_RATIO) * farthest:
+                raise InputError(
+                    f"{name} lies {observed:.3g} m from the base (median), and the body reaches {farthest:.3g} m at "
+                    "most: check --units, or pass --base with the keypoint at the first joint, if the recording has "
+                    "another frame than the body"
+                )
     known_distances = {pair: length for pair, length in distances.items() if set(pair) <= known.keys()}
-    check_names(known, known_distances)
+    check_names(known, known_distances, recording.keypoint_names)
     for pair, length in known_distances.items():
         (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
         _check_length(pair, observed, length, guessed)
@@ -153,7 +168,7 @@ def _chain(recording: Recording, links: int, base: Sequence[float] | None) -> tu
     if base is not None:
         origin[..., :] = 0.0
         origin[..., : len(base)] = base
-    return np.concatenate([origin, points], axis=1), ("the base", *names)
+    return np.concatenate([origin, points], axis=1), (BASE, *names)
 
 
 def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Sequence[float], units: Units) -> None:

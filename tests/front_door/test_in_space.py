@@ -75,7 +75,8 @@ def test_a_trackers_markers_are_read_in_their_own_axes_and_unit(robot):
     header += ["Frame#\tTime\ttool\t\t\thead\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2"]
     with open("rec.trc", "w") as file:
         file.write("\n".join([*header, *rows]) + "\n")
-    read = load_recording("rec.trc", robot, None, False)
+    with pytest.warns(UserWarning, match="no base is tracked .* pass --base with the keypoint at the first joint"):
+        read = load_recording("rec.trc", robot, None, False)
     assert read.keypoint_names == ("tool",)
     np.testing.assert_allclose(read.keypoints, recording.keypoints, atol=1e-8)
 
@@ -97,6 +98,16 @@ def test_distances_that_no_motion_changes(robot):
 
 
 WRONG = {
+    "elsewhere": (
+        lambda r: Recording(r.time, r.keypoints + 5.0, r.keypoint_names),
+        {},
+        "tool lies .* m from the base .* pass --base with the keypoint at the first joint",
+    ),
+    "a base": (
+        lambda r: Recording(r.time, r.keypoints, ("foot", "camera")),
+        {},
+        "'foot' is not of the body, .*: rename one of them, or pass --base foot if it is the first joint's own track",
+    ),
     "flat": (lambda r: Recording(r.time, r.keypoints[..., :2], r.keypoint_names), {}, "give tool_z and the like too"),
     "strange": (lambda r: Recording(r.time, r.keypoints, ("tol", "camera")), {}, "closest: 'tool'"),
     "millimetres": (lambda r: r.scaled(1000.0, "m"), {}, "pass --units"),
