@@ -51,8 +51,8 @@ def test_films(tmp_path, monkeypatch, run, quick_inference):
     for name, frames in (("robot", 110), ("swing", 12), ("walk", 12)):
         swinging(tmp_path / "film.mov", frames)
         (tmp_path / "film.mov").rename(tmp_path / f"{name}.mp4")
-    for name in ("arm", "forearm"):
-        (tmp_path / f"{name}.toml").write_text(stick(0.001))
+    for name, scale in (("arm", 0.001), ("forearm", 0.0021)):  # metres a pixel, as the page has them
+        (tmp_path / f"{name}.toml").write_text(stick(scale))
 
     def label(server):
         times = np.arange(110) / 30
