@@ -64,7 +64,8 @@ def test_films(tmp_path, monkeypatch, run, quick_inference):
     monkeypatch.setattr(training, "train", lambda *given, **options: few(*given, **options | {"steps": 4}))
     monkeypatch.setattr(blazepose, "person_tracker", lambda arm, person, progress: Person())
     # what learned for four steps puts joints anywhere
-    monkeypatch.setattr("invdyn.inputs.check_fits", lambda *_: None)
+    for module in ("inputs", "diagnosis.check.units"):
+        monkeypatch.setattr(f"invdyn.{module}.check_fits", lambda *_: None)
     lines = run_all(run, "how-to/film.md", monkeypatch, tmp_path)
     assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
     for made in ("walk_arm.mp4", "labels.csv", "robot.safetensors", "tracks.csv", "found/report.html"):
