@@ -4,6 +4,7 @@ A scene whose calibration is not metric is known up to one factor, which a state
 two keypoints over the frames that show both, or the distance of two cameras.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from ..errors import InputError
 from ..recording import Recording
 from .bundle import bundle_adjust
 from .camera import Calibration
+from .exchanged_cameras import suspicion
 from .reprojection import Row, reprojection
 from .triangulate import triangulate
 from .views import Views
@@ -90,7 +92,7 @@ def reconstruct(
     scale: float | None = None,
     name: str = "recording",
 ) -> Scene:
-    """Triangulate all frames of several films.
+    """Triangulate all frames of several films; warns where cameras seem to be exchanged, or not of one scene.
 
     Args:
         views: tracks and cameras.
@@ -124,6 +126,9 @@ def reconstruct(
     if refine:
         calibration = bundle_adjust(calibration, pixels, confidence, intrinsics).calibration
     found = triangulate(calibration, pixels, confidence, scale)
+    residuals = views.unflat(found.residuals)
+    if (doubt := suspicion(replace(views, calibration=calibration), residuals)) is not None:
+        warnings.warn(f"{name}: {doubt}", stacklevel=2)
     points = views.unflat(found.points)
     factor = _factor(points, views.keypoint_names, calibration, lengths, baseline)
     turn = UP[up]
@@ -139,9 +144,7 @@ def reconstruct(
         ),
         sd=np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)),
         calibration=replace(calibration.scaled(factor).rotated(turn), error=None if refine else calibration.error),
-        rows=reprojection(
-            calibration.names, views.keypoint_names, views.unflat(found.residuals), views.unflat(found.weights)
-        ),
+        rows=reprojection(calibration.names, views.keypoint_names, residuals, views.unflat(found.weights)),
         scale=found.scale,
         factor=factor,
     )
