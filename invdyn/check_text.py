@@ -1,7 +1,12 @@
 """What `invdyn check` prints."""
 
+from collections.abc import Iterable
+from textwrap import fill
+
 from invdyn.diagnosis.check.check import Check
 
+WIDTH, INDENT = 100, " " * 11
+"""Columns of a line, and of what goes on in the next."""
 KNOWN, MOST = 0.2, 8
 """Relative sd under which a number is known, and how many of a kind are listed."""
 
@@ -24,7 +29,17 @@ def check_text(found: Check) -> str:
         lines += [f"excited    {e.words}: to {100 * e.sd / abs(e.value):.2g} %" for e in known[:MOST]]
         lines += [f"faint      {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in faint[:MOST]]
     if (shown := found.visible) is not None:
-        names = [name for name, value in shown.dprime.items() if name not in shown.hidden]
-        lines.append(f"would show {len(names)} effects of {len(shown.dprime)}: {', '.join(names) or 'none'}")
-        lines += [f"hidden     {', '.join(of)}: record {what}" for what, of in shown.record.items()]
+        names = [name for name in shown.dprime if name not in shown.hidden]
+        long = [f"would show {len(names)} effects of {len(shown.dprime)}: {_by_effect(names) or 'none'}"]
+        long += [f"hidden     {_by_effect(of)}: record {what}" for what, of in shown.record.items()]
+        lines += [fill(line, WIDTH, subsequent_indent=INDENT, break_long_words=False) for line in long]
     return "\n".join(lines)
+
+
+def _by_effect(keys: Iterable[str]) -> str:
+    """Each effect once, with its places: "payload (upper_arm, forearm), gravity_tilt"."""
+    places: dict[str, list[str]] = {}
+    for key in keys:
+        effect, _, place = key.partition(".")
+        places.setdefault(effect, []).extend([place] if place else [])
+    return ", ".join(f"{effect} ({', '.join(at)})" if at else effect for effect, at in places.items())

@@ -75,3 +75,13 @@ def test_a_known_recording_is_checked_and_its_units_left_out_if_given(data_folde
     assert "torques    what the body and friction leave" in known.output, known.output
     given = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects", "--units", "rad")
     assert "has known units and times: leave --units out" in given.output
+
+
+def test_effects_stand_once_with_their_places(files):
+    outcome = run(files / "arm.toml", files / "log.csv")
+    assert outcome.exit_code == 0, outcome.output
+    shown = outcome.output[outcome.output.index("would show") :]
+    assert max(map(len, shown.splitlines())) <= 100
+    flat = " ".join(shown.split())
+    assert "viscous_friction (shoulder, elbow)" in flat
+    assert flat.count("viscous_friction") == 1
