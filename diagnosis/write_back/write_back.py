@@ -16,11 +16,13 @@ from invdyn.diagnosis.write_back.changes import correction, in_files
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.whole_file import read_whole
-from invdyn.recordings import InputError, Recording, atomic_path
+from invdyn.recordings import InputError, Recording, atomic_path, resolved
 
 
 def check_write_back(source: str | Path, out: str | Path) -> None:
     """Before a long run: raise InputError where a corrected copy of ``source`` could not be used as ``out``."""
+    if not resolved(source).exists():
+        raise InputError(f"{source} is no file, and only a file has a copy to correct: leave --write-back out")
     content = read_whole(source, body_xml.MOST_BYTES)
     suffixes = (
         (".xml", ".mjcf") if b"<mujoco" in content else (".urdf", ".xml") if body_xml.is_xml(content) else (".toml",)

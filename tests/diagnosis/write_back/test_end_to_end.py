@@ -51,6 +51,8 @@ def test_damping_of_a_file_is_corrected(tmp_path):
 def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):
     file = tmp_path / "robot.xml"
     file.write_text(robot())
+    with pytest.raises(InputError, match="paper_planar_arm is no file, and only a file has a copy"):
+        check_write_back("paper_planar_arm", tmp_path / "out.toml")
     with pytest.raises(InputError, match=r"expected a name that ends in \.xml"):
         check_write_back(file, tmp_path / "out.toml")
     file.write_text(robot().replace("<worldbody>", '<asset><mesh file="a.stl"/></asset><worldbody>', 1))
