@@ -31,7 +31,7 @@ def suspicion(views: Views, residuals: np.ndarray) -> str | None:
     """
     some = np.unique(np.linspace(0, len(views.time) - 1, ROWS).round().astype(int))
     own, extent = _median(residuals[some]), _extent(views.pixels)
-    if not own > NOISE * extent:
+    if not own > NOISE * extent > 0:
         return None
     said = f"pixels lie {own:.3g} px from where the points would be seen (median)"
     few = views.at(some)

@@ -30,7 +30,7 @@ MODELS = {
     "correlated noise": lambda: arm(torque=Matern32()),
     "command": lambda: arm(command=torch.ones(STEPS, 2)),
     "Euler": lambda: arm(integrator="euler"),
-    "long chain": lambda: arm(joints=5, tips=[1, 3, 4]),
+    "long chain": lambda: arm(joints=3, tips=[0, 2]),
     "friction": lambda: arm([ViscousFriction("joint1"), CoulombFriction("joint0")]),
     "camera": lambda: arm([SoftTissue("tip1")]),
     "mixture": lambda: arm([Outliers()]),
