@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.inference.fits import check_fits
+from invdyn.inference.plausible_for_body import check_fits
 from invdyn.models import Body, Tree
 from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
@@ -141,19 +141,6 @@ def load_recording(
         return bridged(recording.select(start, stop), sum(lengths), first)
 
 
-def load_logs(
-    name: str, body: Body | Tree, mapping: str | None = None, episodes: Sequence[int] | None = None, frames: str = ":"
-) -> list[Recording]:
-    """A robot's own log, an episode each, as recordings of ``body``: angles and commands as its file counts them.
-
-    Joints' angles become the body's (θ = zero + sign · q), torques take the sign along, and a servo's targets become
-    the torque that they ask for by themselves, which is what a model is told.
-
-    Raises InputError for a log, a mapping or episodes that make no sense, and targets of a joint without a servo.
-    """
-    return [reading.recording for reading in read_logs(name, body, mapping, episodes, frames)]
-
-
 def read_logs(
     name: str,
     body: Body | Tree,
@@ -162,7 +149,15 @@ def read_logs(
     frames: str = ":",
     units: str | None = None,
 ) -> list[Reading]:
-    """As :func:`load_logs`, with where the units stand, and how the log reads in others; raises for other ``units``."""
+    """A robot's own log, an episode each, as recordings of ``body``: angles and commands as its file counts them.
+
+    Joints' angles become the body's (θ = zero + sign · q), torques take the sign along, and a servo's targets become
+    the torque that they ask for by themselves, which is what a model is told. Each says where its units stand, and how
+    it reads in others.
+
+    Raises InputError for a log, a mapping or episodes that make no sense, targets of a joint without a servo, and
+    ``units`` that do not stand in the mapping.
+    """
     if units is not None:
         place = mapping or "a mapping (--map)"
         raise InputError(f"--units {units}: a log's units stand in {place}, track by track: leave --units out")
@@ -207,7 +202,7 @@ def is_log(name: str) -> bool:
     return kind_of(Path(name)) not in (None, "csv")
 
 
-def read_log(
+def read_as_it_stands(
     name: str,
     body: Body | Tree,
     units: str | None = None,

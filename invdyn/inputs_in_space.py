@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from invdyn.inference.fits import check_fits, rooted
+from invdyn.inference.plausible_for_body import check_fits, rooted
 from invdyn.models import Tree, dynamics_for
 from invdyn.recordings import (
     FORMATS,

@@ -35,12 +35,13 @@ def check(
     from invdyn.recordings import write_text
 
     from .check_text import check_text
-    from .inputs import load_body, read_log
+    from .inputs import load_body, read_as_it_stands
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
     body = load_body(robot)
-    found = run(read_log(log, body, units, frames, mapping, episode), body, passive=passive, effects=effects)
+    reading = read_as_it_stands(log, body, units, frames, mapping, episode)
+    found = run(reading, body, passive=passive, effects=effects)
     typer.echo(check_text(found))
     if out is not None:
         write_text(out, json.dumps(found.to_json(), indent=1, ensure_ascii=False) + "\n")

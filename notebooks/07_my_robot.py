@@ -48,7 +48,7 @@ from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.diagnosis.write_back.write_back import write_back
-from invdyn.inputs import load_body, load_logs
+from invdyn.inputs import load_body, read_logs
 from invdyn.models.effects import EFFECTS
 from invdyn.plots import BLUE, GREY, STYLE, VERMILION
 
@@ -160,8 +160,8 @@ torque = {track = "current2_mA", unit = "mA", constant = 0.05, gear = 10}
 def load_one(name, mapping=MAP):
     """A log with its mapping."""
     (folder / "map.toml").write_text(mapping)
-    (found,) = load_logs(str(folder / name), body, str(folder / "map.toml"))
-    return found
+    (found,) = read_logs(str(folder / name), body, str(folder / "map.toml"))
+    return found.recording
 
 
 log = load_one("log.csv")

@@ -88,7 +88,6 @@ def assembled(
     probability = 1.0 - weighed.causes.get("", (none, 0.0))[1]
     limit = tolerated(bound, unexplained, tolerance)
     large = matters(bound, none, best, before, limit)
-    there = probability > 0.5 and large
     if not large:
         weighed = too_small(weighed)
     causes = tuple(
@@ -113,12 +112,11 @@ def assembled(
         seed=seed,
         regime=bound.regime.name,
         gap=Gap(
-            detected=there,
+            detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
             residual_torque_rms=_rms(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
-            matters=there,
             tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
         where=where(
@@ -298,7 +296,6 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
             dict.fromkeys(("nominal", "corrected", "noise_floor"), nan),
             empty,
             {"nominal": nan, "corrected": nan},
-            matters=False,
         ),
         where=Where({"dynamics": nan, "observation": nan}, empty, {}, (), ()),
         causes=(),

@@ -114,7 +114,7 @@ class Cause:
 class Gap:
     """Whether there is a gap, with what probability, and its size in the units that people use.
 
-    `detected` says that there is one and that it `matters`, which a torque under `tolerated_torque`, joint to N·m, does
+    `detected` says that there is one and that it matters, which a torque under `tolerated_torque`, joint to N·m, does
     not. `elpd_per_frame` and `replay_rms_m` map "nominal", "corrected" (and "noise_floor") to numbers;
     `residual_torque_rms` joint to N·m.
     """
@@ -124,7 +124,6 @@ class Gap:
     elpd_per_frame: dict[str, float]
     residual_torque_rms: dict[str, float]
     replay_rms_m: dict[str, float]
-    matters: bool = True
     tolerated_torque: dict[str, float] = field(default_factory=dict)
 
 
@@ -272,7 +271,7 @@ class Diagnosis:
                 "elpd_per_frame": self.gap.elpd_per_frame,
                 "residual_torque_rms": self.gap.residual_torque_rms,
                 "replay_rms_m": self.gap.replay_rms_m,
-                "matters": self.gap.matters,
+                "matters": self.gap.detected,
                 "tolerated_torque": self.gap.tolerated_torque,
             },
             "where": {

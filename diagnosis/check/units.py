@@ -13,7 +13,7 @@ import numpy as np
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import BETTER, NEAR, Mistake, units
 from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
-from invdyn.inference.fits import check_fits
+from invdyn.inference.plausible_for_body import check_fits
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording

@@ -8,7 +8,7 @@ import torch
 import xarray as xr
 
 from invdyn.film import arm_points, film_frames, skeleton, still_parts
-from invdyn.inference.fits import rigid_distances
+from invdyn.inference.plausible_for_body import rigid_distances
 from invdyn.inputs import load_body, load_recording
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.plots import plot_comparison, plot_posterior

@@ -25,7 +25,7 @@ def test_another_engines_integration_is_no_gap():
     """MuJoCo's usual step errs in the first order; whatever imitates that best is not called a gap."""
     found = diagnosed(0.0)
     assert kind(found) == "none"
-    assert not found.gap.matters
+    assert not found.gap.detected
     assert found.outside.probability == 0  # what is left does not matter either
     assert sum(cause.probability for cause in found.causes) == pytest.approx(1, abs=1e-3)
     assert all(found.gap.residual_torque_rms[name] < limit for name, limit in found.gap.tolerated_torque.items())

@@ -108,7 +108,7 @@ def test_what_was_written_is_named_not_counted():
 def test_a_gap_that_does_not_matter_is_told_with_its_size():
     d = diagnosis()
     limits = {name: 10 * rms for name, rms in d.gap.residual_torque_rms.items()}
-    d = replace(d, gap=replace(d.gap, detected=False, matters=False, tolerated_torque=limits))
+    d = replace(d, gap=replace(d.gap, detected=False, tolerated_torque=limits))
     assert kind(d) == "none"
     assert plainly(verdict(d)).startswith("No gap that matters: what the simulation lacks, ")
     assert "where " in verdict(d)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 
-from invdyn.inference.fits import check_fits
+from invdyn.inference.plausible_for_body import check_fits
 from invdyn.inputs import load_body
 from invdyn.models import dynamics_for
 from invdyn.recordings import InputError, Recording
