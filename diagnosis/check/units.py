@@ -2,7 +2,8 @@
 
 A unit that nobody declared is wrong where its numbers cannot be the body's, and can in another one
 (:mod:`..problem.mistakes`). One that was declared is wrong where, beside that, the torques are far from what the motion
-asks for, and near it in the other unit. Of several units that will do, that one is taken in which the torques fit best.
+asks for, and near it in the other unit. One mistake comes before two; of several that will do, that one is taken with
+which the torques fit best.
 """
 
 from collections.abc import Iterator

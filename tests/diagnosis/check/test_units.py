@@ -1,13 +1,15 @@
 """Units that a mapping has wrong: named with the line to change, put right there, and nothing false beside them."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from robot_log import ARM, robot_log
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
 from invdyn.diagnosis.check.check import check
-from invdyn.diagnosis.check.units import check_units
+from invdyn.diagnosis.check.units import check_units, wrong_units
 from invdyn.inputs import read_logs
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
@@ -82,3 +84,13 @@ def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against
     spun = replace(turning, angles=(40 * time**2)[:, None], torques=np.full((len(time), 1), 80 * 0.01 / 3))
     check_units(Reading(spun, parse_units("rad")), rotor)
     assert not check(Reading(spun, parse_units("rad")), rotor, effects=False).mistakes
+
+
+def test_one_mistake_comes_before_two_that_fit_better(monkeypatch):
+    """Angles that are small enough may be in degrees as well, and an arm that lacks something fits anything."""
+    missed = iter(np.linspace(1, 0, 100))
+    monkeypatch.setattr(sys.modules[check_units.__module__], "_missed", lambda *_: next(missed))
+    log = robot_log(1.0, camera=False)
+    _, mistakes, righted = wrong_units(Reading(replace(log, time=1e3 * log.time)), ARM)
+    assert [mistake.kind for mistake in mistakes] == ["time"]
+    assert righted.recording.time == pytest.approx(log.time)
