@@ -209,18 +209,21 @@ def read_as_it_stands(
     frames: str = ":",
     mapping: str | None = None,
     episode: int | None = None,
+    fps: float | None = None,
 ) -> Reading:
     """A robot's log as it stands, for a check: numbers are taken to be SI, whatever their size, unless ``units`` say.
 
-    Raises as readers do, and InputError for ``units`` beside a mapping, in which they stand.
+    Raises as readers do, and InputError for ``units`` or ``fps`` beside a mapping, in which they stand.
     """
     if mapping is not None or is_log(name):
+        if fps is not None:
+            raise InputError(f"--fps {fps:g}: a robot's log carries its own times: leave --fps out")
         return read_logs(name, body, mapping, [episode or 0], frames, units)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
     if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:
         units = ",".join([units, *own] if units else own)
-    recording = load(name, joints=body.joint_names, units=units, plane=FLAT if body.space == 2 else None)
+    recording = load(name, joints=body.joint_names, units=units, fps=fps, plane=FLAT if body.space == 2 else None)
     start, stop = frame_range(frames)
     return Reading(recording.select(start, stop), said)
 
