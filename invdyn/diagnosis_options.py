@@ -182,6 +182,7 @@ class Diagnosed(Recorded):
             "most": self.most,
             "budget": self.budget,
             "tolerance": self.tolerance,
+            "checked": not self.calibration,
             "seed": self.seed,
             "workers": self.workers,
         }

@@ -27,6 +27,10 @@ def log():
         (lambda log: {"angles": np.degrees(log.angles)}, "the angles are in degrees, it seems: pass --units deg"),
         (lambda log: {"angles": log.angles[:, ::-1]}, "'shoulder' and 'elbow' the angles are exchanged"),
         (lambda log: {"torques": log.torques * [1, -1]}, "'elbow' the torques have the other sign"),
+        (lambda log: {"torques": log.torques / [10, 1]}, "'shoulder' the torques are .* too small: before the gear"),
+        (lambda log: {"torques": log.torques * 1000}, "1e\\+03 times too large: in another unit"),
+        (lambda log: {"angles": np.add(log.angles, [0.6, 0])}, r"'shoulder' the angles' zero is \+3.° off"),
+        (lambda log: {"angles": np.add(log.angles, [0, 0.6])}, r"'elbow' the angles' zero is \+3.° off"),
     ],
 )
 def test_what_no_effect_looks_like_is_refused(log, changed, says):
@@ -38,11 +42,15 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
     ("changed", "says"),
     [
         (
-            lambda log: {"torques": log.torques / [10, 1]},
-            "multiply its torques by .*, unless it is a motor's gain",
+            lambda log: {"torques": log.torques / [1000, 1]},
+            "99. times too small.*multiply its torques by [^,]*; `invdyn",
         ),
-        (lambda log: {"angles": np.add(log.angles, [0.6, 0])}, "unless it is another zero of the robot"),
-        (lambda log: {"torques": np.add(log.torques, [0, 0.6])}, "unless it is a constant torque"),
+        (lambda log: {"torques": log.torques * [5, 1]}, "too large.*, unless it is a motor at its limit"),
+        (lambda log: {"angles": np.add(log.angles, [0.4, 0])}, "unless it is gravity that is tilted"),
+        (
+            lambda log: {"torques": np.add(log.torques, [0, 0.6])},
+            "unless it is a spring's torque, a stop's, or a marker aside",
+        ),
     ],
 )
 def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
@@ -57,6 +65,16 @@ def test_a_log_that_is_right_goes_by_whatever_its_arm_has(friction, masses):
         warnings.simplefilter("error")
         check_before(Reading(log), ARM.with_values(mass=list(masses)))
         check_before(Reading(replace(log, torques=-log.torques)), ARM, passive=True)
+
+
+def test_a_recording_is_in_si_units_by_its_own_account():
+    """A film that is ten times too fast is told of, and refused where somebody may say the unit."""
+    film = robot_log(1.0)
+    fast = replace(film, time=0.1 * film.time, angles=None, torques=None, joint_names=())
+    with pytest.warns(UserWarning, match="too fast"):
+        check_before(fast, ARM)
+    with pytest.raises(InputError, match="too fast"):
+        check_before(Reading(fast), ARM)
 
 
 def diagnosed(folder, name, *options):
