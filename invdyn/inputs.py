@@ -32,6 +32,7 @@ from invdyn.recordings import (
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
 from invdyn.recordings.logs import LogMap, recordings_of
+from invdyn.recordings.logs.mapping import JointMap
 from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import closest
 from invdyn.recordings.plane import FLAT
@@ -169,9 +170,10 @@ def read_logs(
         return [_in_the_bodys_terms(logged, body).select(start, stop) for logged in found]
 
     declared = (given or LogMap()).units
+    maps = tuple(given.joints.get(name, JointMap()) for name in body.joint_names) if given else ()
     targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
     return [
-        Reading(recording, declared, lambda n=n, **scales: read(**scales)[n], targets)
+        Reading(recording, declared, lambda n=n, **scales: read(**scales)[n], targets, maps)
         for n, recording in enumerate(read())
     ]
 

@@ -70,7 +70,7 @@ def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
             f"got none of {missing!r}: rename the columns, or map them (--map)"
         )
     angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.counted)
+    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.maps)
 
 
 def _missed(reading: Reading, body: ArticulatedBody) -> float:
