@@ -174,7 +174,7 @@ def _tried(
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
         yield from _searched(partial(zero, k, sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
     for group in _groups(joints):
-        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN))
+        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
     for k in range(joints):
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
@@ -188,8 +188,12 @@ def _searched(
     grid: np.ndarray,
     width: float,
     least: float,
+    ends: bool = False,
 ) -> Iterator[tuple[float, Mistake]]:
-    """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``."""
+    """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``.
+
+    A grid that ``ends`` has none at its ends: there one joint's torques are so large that no other's count.
+    """
     best = min(grid, key=lambda value: fit(made(value)))
     near = minimize_scalar(
         lambda value: fit(made(value)),
@@ -197,7 +201,8 @@ def _searched(
         method="bounded",
         options={"xatol": 2e-3},
     )
-    if abs(near.x) >= least:
+    far = ends and not grid.min() - 0.9 * width < near.x < grid.max() + 0.9 * width
+    if abs(near.x) >= least and not far:
         yield float(near.fun), made(float(near.x))
 
 

@@ -12,6 +12,7 @@ from invdyn.inputs import read_logs
 from invdyn.models import Body, Link
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import InputError, Recording, write_table
+from invdyn.simulate import random_arm, record
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +181,14 @@ def test_what_could_not_be_looked_at_is_said(log, torques, passive, why):
     assert found.not_looked_at == f"signs, zeros, exchanged columns and gears of joints: {why}"
     assert found.to_json()["not_looked_at"] == found.not_looked_at
     assert check(log, ARM, effects=False).not_looked_at is None
+
+
+def test_torques_of_a_motion_that_was_seen_too_seldom_lack_no_gear():
+    """With the elbow's a thousand times as large, whatever the shoulder's miss would not count."""
+    arm = random_arm(ARM, duration=2.0, fps=30, noise=0.002, torque_scale=0.5, commanded=True, seed=1)
+    found = check(record(arm, 1)[0], ARM, effects=False)
+    assert found.unexplained > 0.2
+    assert "scale" not in {wrong.kind for wrong in found.mistakes}
 
 
 def test_torques_that_nothing_explains_are_not_called_right(log):
