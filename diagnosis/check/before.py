@@ -15,6 +15,8 @@ from invdyn.recordings.reading import Reading
 
 TILTED, LIMITED = 0.45, 0.18
 """Three sds of priors: of tilted gravity, rad; of the limit of a motor, of the most that it was told."""
+GEARED = 300.0
+"""A larger factor is no gear, of which robots have 160 at most: effects far larger than usual may look like it."""
 
 
 def check_before(recording: Recording | Reading, body: ArticulatedBody, passive: bool = False) -> None:
@@ -53,6 +55,7 @@ def _looks_like(wrong: Wrong, body: ArticulatedBody) -> str | None:
 
 
 def _sure(wrong: Wrong, body: ArticulatedBody) -> bool:
-    """As :mod:`..problem.conventions` is: of signs only under gravity."""
+    """As :mod:`..problem.conventions` is: of signs only under gravity. A gear has a gear's size."""
     told = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
+    told &= wrong.kind != "scale" or wrong.value < GEARED
     return told and wrong.before >= MISSED and wrong.after <= min(NEAR * wrong.before, MISSED)

@@ -1,5 +1,6 @@
 """What is refused before a diagnosis, what is only said, and what goes by in silence."""
 
+import sys
 import warnings
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from invdyn.cli import app
 from invdyn.diagnosis.check.before import check_before
+from invdyn.diagnosis.check.check import Check, Wrong
 from invdyn.recordings import InputError, write_keypoint_csv
 from invdyn.recordings.reading import Reading
 
@@ -52,6 +54,16 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
 def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
     with pytest.warns(UserWarning, match=says):
         check_before(Reading(replace(log, **changed(log))), ARM)
+
+
+@pytest.mark.parametrize("factor", [200.0, 500.0])
+def test_a_factor_that_no_gear_has_is_not_sure(log, monkeypatch, factor):
+    wrong = Wrong("scale", ("shoulder",), "too small", "multiply", factor, 0.9, 0.01)
+    said = Check("log", (wrong,), 0.01, {}, (), None)
+    monkeypatch.setattr(sys.modules[check_before.__module__], "check", lambda *_, **__: said)
+    refused = pytest.raises(InputError, match="too small")
+    with refused if factor < 300 else pytest.warns(UserWarning, match="too small"):
+        check_before(log, ARM)
 
 
 @pytest.mark.parametrize(("friction", "masses"), [(0.0, (1.5, 1.0)), (0.4, (1.5, 1.0)), (0.0, (1.2, 1.3))])
