@@ -1,8 +1,9 @@
 """Where simulation and recording part, why, and by how much less once the cause is added."""
 
 from invdyn.diagnosis.assessment.result import Diagnosis
+from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.diagnose import diagnose, save
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 
-__all__ = ["Diagnosis", "DiagnosisProblem", "diagnose", "diagnosis_problem", "save", "search"]
+__all__ = ["Diagnosis", "DiagnosisProblem", "check_before", "diagnose", "diagnosis_problem", "save", "search"]

@@ -23,6 +23,7 @@ from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import PASSES, SHORT, Budget
+from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
@@ -58,6 +59,7 @@ def diagnose(
     workers: int = 1,
     budget: float | None = None,
     tolerance: float = RULE.tolerance,
+    checked: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
@@ -78,12 +80,14 @@ def diagnose(
             the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
             nor does what a cause leaves.
+        checked: somebody has asked :func:`.check_before` of each recording. Else it is asked here: it refuses what is
+            surely a mistake in the recording, and warns of what may be one.
         progress: called with (done, total, what).
 
     Raises:
-        InputError: the recording does not fit the body; the held-out one does not fit the recording, or has too few
-            rows; the simulation diverges from the recording whatever torque is added; ``most`` or ``budget`` is not
-            positive, ``tolerance`` is no share, or ``without`` names no effect.
+        InputError: the recording does not fit the body, or has a mistake that is sure; the held-out one does not fit
+            the recording, or has too few rows; the simulation diverges from the recording whatever torque is added;
+            ``most`` or ``budget`` is not positive, ``tolerance`` is no share, or ``without`` names no effect.
 
     Too few rows of the recording itself are an answer and no error (:attr:`.Diagnosis.not_enough_data`). So are rows in
     which a large torque could be missing and not show (:mod:`.power`).
@@ -113,10 +117,13 @@ def diagnose(
     if budget is not None and not budget > 0:
         raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
     report(0, "bind")
+    if not checked:
+        for each in (*_each(recording), *_each(held_out or ())):
+            check_before(each, body, passive)
     try:
         bound = diagnosis_problem(recording, body, passive=passive)
     except NotEnoughData as error:
-        whole, _ = joined([recording] if isinstance(recording, Recording) else recording)
+        whole, _ = joined(_each(recording))
         return nothing_to_say(whole, body, seed, passive, str(error))
     work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
@@ -170,12 +177,16 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    given = [recording] if isinstance(recording, Recording) else recording
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows, tolerance)
-    if (untold := left_out(given)) is not None:
+    if (untold := left_out(_each(recording))) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: untold})
     report(5, "done")
     return result
+
+
+def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
+    """One, or several."""
+    return [recording] if isinstance(recording, Recording) else recording
 
 
 def _searched(

@@ -34,8 +34,9 @@ class Diagnosed(Recorded):
     budget: Annotated[
         float | None,
         typer.Option(
-            help="Seconds after which no more candidate is begun; the program's start, the fit without any and the "
-            "report come on top, 10 s or more. Default: counted work, the same result on every machine."
+            help="Seconds after which no more candidate is begun; the one at work is finished. The program's start, "
+            "the fit without any and the report come on top, 10 s or more. Default: counted work, the same result on "
+            "every machine."
         ),
     ] = None
     tolerance: Annotated[
@@ -182,6 +183,7 @@ class Diagnosed(Recorded):
             "most": self.most,
             "budget": self.budget,
             "tolerance": self.tolerance,
+            "checked": not self.calibration,
             "seed": self.seed,
             "workers": self.workers,
         }

@@ -32,6 +32,7 @@ from invdyn.recordings import (
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats import recognise
 from invdyn.recordings.logs import LogMap, recordings_of
+from invdyn.recordings.logs.mapping import JointMap
 from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import closest
 from invdyn.recordings.plane import FLAT
@@ -169,9 +170,10 @@ def read_logs(
         return [_in_the_bodys_terms(logged, body).select(start, stop) for logged in found]
 
     declared = (given or LogMap()).units
+    maps = tuple(given.joints.get(name, JointMap()) for name in body.joint_names) if given else ()
     targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
     return [
-        Reading(recording, declared, lambda n=n, **scales: read(**scales)[n], targets)
+        Reading(recording, declared, lambda n=n, **scales: read(**scales)[n], targets, maps)
         for n, recording in enumerate(read())
     ]
 
@@ -209,18 +211,21 @@ def read_as_it_stands(
     frames: str = ":",
     mapping: str | None = None,
     episode: int | None = None,
+    fps: float | None = None,
 ) -> Reading:
     """A robot's log as it stands, for a check: numbers are taken to be SI, whatever their size, unless ``units`` say.
 
-    Raises as readers do, and InputError for ``units`` beside a mapping, in which they stand.
+    Raises as readers do, and InputError for ``units`` or ``fps`` beside a mapping, in which they stand.
     """
     if mapping is not None or is_log(name):
+        if fps is not None:
+            raise InputError(f"--fps {fps:g}: a robot's log carries its own times: leave --fps out")
         return read_logs(name, body, mapping, [episode or 0], frames, units)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
     if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:
         units = ",".join([units, *own] if units else own)
-    recording = load(name, joints=body.joint_names, units=units, plane=FLAT if body.space == 2 else None)
+    recording = load(name, joints=body.joint_names, units=units, fps=fps, plane=FLAT if body.space == 2 else None)
     start, stop = frame_range(frames)
     return Reading(recording.select(start, stop), said)
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.inference.plausible_for_body import check_fits
 from invdyn.models import Tree, dynamics_for
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras import Filmed, load_filmed
+from invdyn.recordings.units import Units
 
 from .inputs import frame_range, load_body
 
@@ -36,7 +38,7 @@ def load_from_cameras(
         in_metres: option -> value, None or False where it is not given, of what only other recordings have.
 
     Raises:
-        InputError: a body in the plane, such an option, or as `load_filmed`.
+        InputError: a body in the plane, such an option, points that are not this body's, or as `load_filmed`.
         BodyError: as `load_body`.
         OSError: a file that cannot be opened.
     """
@@ -51,6 +53,7 @@ def load_from_cameras(
     clocks = dict(map(camera_offset, offsets))
     found = load_filmed(files, calibration, tree.keypoint_names, offsets=clocks, **options)
     _check_size(found, tree)
+    _check_points(found, tree)
     return found.at(slice(*frame_range(frames))), tree
 
 
@@ -79,6 +82,17 @@ def _check_size(recording: Filmed, body: Tree) -> None:
             f"{recording.name}: the cameras see keypoints {seen:.3g} m apart, those of body '{body.name}' are "
             f"{own:.3g} m: is the calibration in metres, and are they of the same film?"
         )
+
+
+def _check_points(recording: Filmed, body: Tree) -> None:
+    """Refuse lengths, names, times and speeds that are not the body's, by the points triangulated of the pixels."""
+    try:
+        check_fits(recording.points, body, Units())
+    except InputError as error:
+        raise InputError(
+            f"{recording.name}: {error} (of points triangulated of the cameras, in the calibration's frame and unit: "
+            "--units, --scale and --base are not of these)"
+        ) from None
 
 
 def _extent(points: np.ndarray) -> float:

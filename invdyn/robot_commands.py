@@ -18,6 +18,7 @@ def check(
     robot: Annotated[str, typer.Argument(help="Robot: .xml (MJCF), .urdf, .toml, or one that comes with us.")],
     log: Annotated[str, typer.Argument(help="Its log: .csv, .mcap, a ROS 2 bag or a LeRobot data set.")],
     units: Annotated[str | None, typer.Option(help="Of the file, if not SI: deg, ms, us …")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames a second, if the log has no times.")] = None,
     frames: Annotated[str, typer.Option(help="Which rows, such as 50:250.")] = ":",
     mapping: Annotated[
         str | None, typer.Option("--map", metavar="FILE", help="Which track of the log is which joint's: .toml.")
@@ -40,7 +41,7 @@ def check(
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
     body = load_body(robot)
-    reading = read_as_it_stands(log, body, units, frames, mapping, episode)
+    reading = read_as_it_stands(log, body, units, frames, mapping, episode, fps)
     found = run(reading, body, passive=passive, effects=effects)
     typer.echo(check_text(found))
     if out is not None:

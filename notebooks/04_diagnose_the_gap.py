@@ -247,7 +247,8 @@ class BeltDrag(Effect):
 
 BELT = 0.1  # N·m·s/rad
 belt = reality(BeltDrag("shoulder", "elbow"), duration=1.2, damping=BELT)  # later it whirls the elbow around
-strange = diagnose(belt, body, most=1)  # to try sets of several, too, takes minutes
+# to try sets of several, too, takes minutes; checked: an arm that whirls so fast would be asked for its units
+strange = diagnose(belt, body, most=1, checked=True)
 tell(strange)
 print("formula:", strange.outside.description)
 print(f"which predicts each held-out frame better by {strange.outside.gain_per_frame:.2f} nats")
@@ -265,7 +266,7 @@ print(f"which predicts each held-out frame better by {strange.outside.gain_per_f
 
 # %%
 EFFECTS["belt_drag"] = BeltDrag
-explained = diagnose(belt, body)
+explained = diagnose(belt, body, checked=True)
 tell(explained)
 print(f"truth: {BELT}; share of the gap closed: {explained.shrinkage.gap_closed:.2f}")
 

@@ -7,6 +7,7 @@ once more, and not multiplied.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from .logs.mapping import JointMap
 from .recording import Recording
 from .units import Units
 
@@ -21,17 +22,15 @@ class Reading:
         again: of factors `angle`, `target` and `time`, the recording with these so many times as large; None where the
             recording has the file's own zeros and no targets, so that its numbers may be multiplied.
         targets: whether some of its torques are servos' targets.
+        maps: of a robot's own log, whose joints are counted as the robot's file does, where each one's numbers come
+            from; none of a mapping without entries. None of another recording.
     """
 
     recording: Recording
     units: Units = field(default_factory=Units)
     again: Callable[..., Recording] | None = None
     targets: bool = False
-
-    @property
-    def counted(self) -> bool:
-        """Whether it is a robot's own log, which counts its joints as the robot's file does."""
-        return self.again is not None
+    maps: tuple[JointMap, ...] | None = None
 
     def rescaled(self, **scales: float) -> "Reading":
         """The reading in other units; factors of `angle`, `target` and `time`."""

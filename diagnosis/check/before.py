@@ -1,41 +1,61 @@
 """What is asked before a diagnosis begins, in a second: whether the recording is what it says it is.
 
-A unit or a sign that is wrong, and columns that are exchanged, look like no effect: they are refused where they are
-sure. A gear, a zero or an offset may be a true one, such as a motor's gain: a line says so, and the diagnosis goes on.
+One rule decides: a mistake that is sure is refused, any other is said in a line. It is not sure where an effect of the
+catalogue, of a size that its prior expects, looks like it (:func:`_looks_like`): to tell those two apart is what a
+diagnosis is for.
 """
 
 import warnings
 
 from invdyn.diagnosis.check.check import Wrong, check
-from invdyn.diagnosis.check.units import check_units
 from invdyn.diagnosis.problem.conventions import MISSED, NEAR, SIGNS
 from invdyn.models import ArticulatedBody
-from invdyn.recordings import InputError
+from invdyn.recordings import InputError, Recording
 from invdyn.recordings.reading import Reading
 
-MAY_BE = {"scale": "a motor's gain", "zero": "another zero of the robot", "offset": "a constant torque"}
-"""Kinds that an effect looks like, and what it would be."""
+TILTED, LIMITED = 0.45, 0.18
+"""Three sds of priors: of tilted gravity, rad; of the limit of a motor, of the most that it was told."""
+GEARED = 300.0
+"""A larger factor is no gear, of which robots have 160 at most: effects far larger than usual may look like it."""
 
 
-def check_before(reading: Reading, body: ArticulatedBody, passive: bool = False) -> None:
+def check_before(recording: Recording | Reading, body: ArticulatedBody, passive: bool = False) -> None:
     """Raise InputError for what is surely a mistake; warn of one that is not sure, or may be an effect.
 
-    Surely: the torques miss a fifth of their size or more, and less than a third of that once it is put right.
+    Surely: numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and less
+    than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused where a
+    `Reading` says what was declared. A `Recording` is in SI units by its own account, so a warning says it.
     """
-    check_units(reading, body)
-    found = check(reading, body, passive=passive, effects=False).mistakes
-    if not found or found[0].kind == "refused":
-        return
-    wrong, unless = found[0], ""
-    said = f"{reading.recording.name}: {wrong.sentence}"
-    if wrong.kind in MAY_BE:
-        unless = f", unless it is {MAY_BE[wrong.kind]}"
-    elif _sure(wrong, body):
-        raise InputError(f"{said}; `invdyn check` says more")
-    warnings.warn(f"{said}{unless}; `invdyn check` says more", stacklevel=2)
+    found = check(recording, body, passive=passive, effects=False).mistakes
+    given = recording if isinstance(recording, Recording) else recording.recording
+    implausible = [wrong for wrong in found if wrong.kind == "refused"]
+    for wrong in implausible:
+        if isinstance(recording, Reading):
+            raise InputError(f"{given.name}: {wrong.words}")
+        warnings.warn(f"{given.name}: {wrong.words}", stacklevel=2)
+    if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible]:
+        what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
+        raise InputError(f"{given.name}: {what}; `invdyn check` says more")
+    for wrong in [wrong for wrong in found if not wrong.by_size][:1]:
+        said, effect = f"{given.name}: {wrong.sentence}", _looks_like(wrong, body)
+        if _sure(wrong, body) and effect is None:
+            raise InputError(f"{said}; `invdyn check` says more")
+        warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
+
+
+def _looks_like(wrong: Wrong, body: ArticulatedBody) -> str | None:
+    """The effect that a mistake may be. None is like a gear: no motor gives twice of what it is told, or more."""
+    if wrong.kind == "scale" and LIMITED < wrong.value < 1:
+        return "a motor at its limit"
+    if wrong.kind == "offset":
+        return "a spring's torque, a stop's, or a marker aside"
+    if wrong.kind == "zero" and wrong.joints == body.joint_names[:1] and abs(wrong.value) < TILTED:
+        return "gravity that is tilted"
+    return None
 
 
 def _sure(wrong: Wrong, body: ArticulatedBody) -> bool:
-    """As :mod:`..problem.conventions` is: of signs only under gravity."""
+    """As :mod:`..problem.conventions` is: of signs only under gravity. A gear has a gear's size."""
     told = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
+    told &= wrong.kind != "scale" or wrong.value < GEARED
     return told and wrong.before >= MISSED and wrong.after <= min(NEAR * wrong.before, MISSED)

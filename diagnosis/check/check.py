@@ -13,7 +13,7 @@ import numpy as np
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
 from invdyn.diagnosis.check.units import motions, wrong_units
 from invdyn.diagnosis.check.visible import Visible, visible
-from invdyn.diagnosis.problem.mistakes import NEAR, Found, Mistake, find, fixed, left_by, units
+from invdyn.diagnosis.problem.mistakes import MISSED, NEAR, Found, Mistake, find, fixed, left_by, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -39,6 +39,11 @@ class Wrong:
     before: float = float("nan")
     after: float = float("nan")
     others: tuple[str, ...] = ()
+
+    @property
+    def by_size(self) -> bool:
+        """Whether the size of the numbers tells it, and no torque."""
+        return bool(np.isnan(self.before))
 
     @property
     def sentence(self) -> str:
@@ -163,6 +168,9 @@ def _motion(reading: Reading, body: ArticulatedBody) -> Motion | None:
     if not every:
         return None
     dynamics, encoders = dynamics_for(body), reading.recording.angles is not None
+    plain = [explain(dynamics, body, each).misfit for each in every]
+    if min(plain) <= MISSED:  # nothing is wrong
+        return every[int(np.argmin(plain))]
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
 
     def best(motion: Motion) -> float:

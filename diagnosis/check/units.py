@@ -23,16 +23,6 @@ from invdyn.recordings.reading import Reading
 from invdyn.recordings.units import Units
 
 
-def check_units(reading: Reading, body: ArticulatedBody) -> None:
-    """Raise InputError, with the mistake and its remedy, for units that are wrong."""
-    told, mistakes, _ = wrong_units(reading, body)
-    if mistakes:
-        what = ", and ".join(f"{each.words}, it seems: {each.remedy}" for each in mistakes)
-        raise InputError(f"{reading.recording.name}: {what}; `invdyn check` says more")
-    if told is not None:
-        raise InputError(f"{reading.recording.name}: {told}")
-
-
 def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Reading]:
     """What speaks against the units, the mistakes that explain it, and the reading without them.
 
@@ -80,7 +70,7 @@ def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
             f"got none of {missing!r}: rename the columns, or map them (--map)"
         )
     angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.counted)
+    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.maps)
 
 
 def _missed(reading: Reading, body: ArticulatedBody) -> float:

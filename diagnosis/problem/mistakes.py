@@ -3,7 +3,8 @@
 Each mistake is a change of the log that would put it right. It is believed where the torques are far from what the
 motion asks for (:mod:`.torque_regression`), and near it once it is put right:
 
-    τ' = s τ  under  θ' = s θ − c,   s = ±1;     t' = t/1000;     θ' = θ π/180;     columns exchanged;
+    τ' = s τ  under  θ' = z + s (θ − z) − c,   s = ±1,   z where the log has 0;
+    t' = t/1000;     θ' = θ π/180;     columns exchanged;
     τ' = N τ;     τ' = τ − b
 
 Several at once are found one after the other, those first that put most right.
@@ -106,15 +107,17 @@ def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said:
 def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
     """Those without a number that is looked for."""
     for group in _groups(joints):
-        sign = np.ones(joints)
-        sign[list(group)] = -1
         turn = "change the sign of its torques"
-        yield Mistake("torque sign", group, "the torques have the other sign", turn, -1.0, _scaled(torque=sign))
+        yield Mistake(
+            "torque sign", group, "the torques have the other sign", turn, -1.0, _mirrored(group, torque=True)
+        )
         if encoders:
             words, turn = "angles and torques are counted the other way (clockwise)", "change the signs of both"
-            yield Mistake("direction", group, words, turn, -1.0, _scaled(angle=sign, torque=sign))
+            yield Mistake("direction", group, words, turn, -1.0, _mirrored(group, angle=True, torque=True))
             words = "the angles are counted the other way (clockwise), the torques are not"
-            yield Mistake("angle sign", group, words, "change the sign of its angles", -1.0, _scaled(angle=sign))
+            yield Mistake(
+                "angle sign", group, words, "change the sign of its angles", -1.0, _mirrored(group, angle=True)
+            )
     if not encoders:
         return
     for one, other in combinations(range(joints), 2):
@@ -167,9 +170,11 @@ def _tried(
     for mistake in (*fixed(joints, encoders), *(units(said) if encoders else ())):
         yield fit(mistake), mistake
     for k in range(joints if encoders else 0):
-        yield from _searched(partial(zero, k), fit, ZEROS, math.radians(15), SMALL_ZERO)
+        sign = 1.0 if motion.terms is None else float(motion.terms.sign[k])
+        where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
+        yield from _searched(partial(zero, k, sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
     for group in _groups(joints):
-        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN))
+        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
     for k in range(joints):
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
@@ -183,8 +188,12 @@ def _searched(
     grid: np.ndarray,
     width: float,
     least: float,
+    ends: bool = False,
 ) -> Iterator[tuple[float, Mistake]]:
-    """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``."""
+    """The best value of a number, on a grid and then within ``width`` of it, unless it is under ``least``.
+
+    A grid that ``ends`` has none at its ends: there one joint's torques are so large that no other's count.
+    """
     best = min(grid, key=lambda value: fit(made(value)))
     near = minimize_scalar(
         lambda value: fit(made(value)),
@@ -192,16 +201,18 @@ def _searched(
         method="bounded",
         options={"xatol": 2e-3},
     )
-    if abs(near.x) >= least:
+    far = ends and not grid.min() - 0.9 * width < near.x < grid.max() + 0.9 * width
+    if abs(near.x) >= least and not far:
         yield float(near.fun), made(float(near.x))
 
 
-def zero(joint: int, off: float) -> Mistake:
-    """A joint's angles are counted from ``off`` rad elsewhere."""
+def zero(joint: int, off: float, sign: float = 1.0, where: str = "its angles") -> Mistake:
+    """A joint's angles are counted from ``off`` rad elsewhere; of a robot that counts by ``sign`` it is said so."""
     off = math.remainder(off, math.tau)
-    words = f"the angles' zero is {math.degrees(off):+.0f}° off"
-    turn = f"subtract {off:.3g} rad ({math.degrees(off):.0f}°) from its angles"
-    return Mistake("zero", (joint,), words, turn, off, lambda motion: motion.turned(joint, off))
+    told = sign * off
+    words = f"the angles' zero is {math.degrees(told):+.0f}° off"
+    turn = f"subtract {told:.3g} rad ({math.degrees(told):.0f}°) from {where}"
+    return Mistake("zero", (joint,), words, turn, told, lambda motion: motion.turned(joint, off))
 
 
 def _scale(group: tuple[int, ...], joints: int, log: float) -> Mistake:
@@ -229,6 +240,10 @@ def _offset(joint: int, joints: int, offset: float) -> Mistake:
 
 def _scaled(**by: Any) -> Callable[[Motion], Motion]:
     return lambda motion: motion.scaled(**by)
+
+
+def _mirrored(joints: tuple[int, ...], angle: bool = False, torque: bool = False) -> Callable[[Motion], Motion]:
+    return lambda motion: motion.mirrored(joints, angle, torque)
 
 
 def _picked(angles: list[int], torques: list[int]) -> Callable[[Motion], Motion | None]:

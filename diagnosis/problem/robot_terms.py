@@ -1,13 +1,17 @@
-"""A motion in the terms of the robot that wrote it: how it counts its joints, and what it told its motors.
+"""A motion in the terms of the log that tells it: how it counts each joint, and what it told the motors.
 
-A log's angles are θ = zero + sign · q and its torques sign · u. A servo at joint k makes K c + u₀ − S θ − D θ̇ of its
-target c. Columns that were exchanged were so in q, u and c: each joint's zero, sign and servo stay where they are.
+A log's number v becomes an angle, a torque or a target by the joint's line of the mapping and by the robot's own file,
+
+    value = zero + factor · v,     zero = zero_file + sign_file · zero_map,     factor = sign_file · factor_map
+
+A servo at joint k makes K c + u₀ − S θ − D θ̇ of its target c. Of columns that were exchanged the numbers v were; zeros,
+factors and servos stay with their joints. A sign that is wrong turns a value about its zero.
 
 Shapes: R rows, K joints. Units: rad, s, N·m.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,26 +19,54 @@ import torch
 
 from invdyn.models.articulated.as_filed import answered, servo_torque
 from invdyn.models.bodies.joint_parts import NOTHING, Motor
+from invdyn.recordings.logs.mapping import JointMap, Source
+
+
+@dataclass(frozen=True)
+class Counted:
+    """How a quantity of each joint is counted, (K,): 0 and 1 in a table without a mapping."""
+
+    zero: np.ndarray
+    factor: np.ndarray
 
 
 @dataclass(frozen=True)
 class RobotTerms:
-    """What a robot told its motors along a motion, (R, K) N·m as a model is told it, and how it counts its joints.
+    """What a robot told its motors along a motion, (R, K) N·m as a model is told it, and how its log counts.
 
-    `zero` and `sign` (K,) are 0 and 1 where angles are the body's own, as in a table without a mapping.
+    `sign` (K,): whether the robot's own file counts a joint as the body does, 1, or the other way, −1.
     """
 
     body: Any
     told: np.ndarray
-    zero: np.ndarray
     sign: np.ndarray
+    angle: Counted
+    effort: Counted
+    target: Counted
 
     @classmethod
-    def of(cls, body: Any, told: np.ndarray, counted: bool) -> "RobotTerms":
-        """Of commands ``told`` (R, K) to a ``body``, whose own file counts the joints if ``counted``."""
-        parts = [own or NOTHING for own in getattr(body, "joint_parts", ())] if counted else []
-        parts = parts or [NOTHING] * told.shape[1]
-        return cls(body, told, np.array([own.zero for own in parts]), np.array([own.sign for own in parts]))
+    def of(cls, body: Any, told: np.ndarray, maps: Sequence[JointMap] | None) -> "RobotTerms":
+        """Of commands ``told`` (R, K) to a ``body``; ``maps`` of a log that counts joints as the robot's file does."""
+        K = told.shape[1]
+        parts = [own or NOTHING for own in getattr(body, "joint_parts", ())] if maps is not None else []
+        parts = parts or [NOTHING] * K
+        given = list(maps or ()) or [JointMap()] * K
+        zero, sign = np.array([own.zero for own in parts]), np.array([own.sign for own in parts])
+
+        def counted(sources: Sequence[Source | None], zero: np.ndarray) -> Counted:
+            known = [source or Source("") for source in sources]
+            offset, factor = np.array([s.offset for s in known]), np.array([s.factor or 1.0 for s in known])
+            return Counted(zero + sign * offset, sign * factor)
+
+        turned = np.array([motor is not None and motor.kind == "position" for motor in servos(body, K)])
+        return cls(
+            body,
+            told,
+            sign,
+            counted([own.angle for own in given], zero),
+            counted([own.torque for own in given], np.zeros(K)),
+            counted([own.target for own in given], zero * turned),
+        )
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Of all motors (R, K), with what servos answer to angles and velocities (R, K)."""
@@ -42,28 +74,46 @@ class RobotTerms:
         return np.asarray(answered(self.body, told, angle, velocity).numpy())
 
     def angles(self, values: np.ndarray, order: Sequence[int], zeros: bool = False) -> np.ndarray:
-        """Columns (R, K) of angles, with ``zeros``, or of their derivatives, in another order of the robot's own."""
-        zero = self.zero if zeros else np.zeros_like(self.zero)
-        return zero + self.sign * (self.sign * (values - zero))[:, list(order)]
+        """Columns (R, K) of angles, with ``zeros``, or of their derivatives, in another order of the log's own."""
+        zero = self.angle.zero if zeros else np.zeros_like(self.angle.zero)
+        return zero + self.angle.factor * ((values - zero) / self.angle.factor)[:, list(order)]
 
     def commanding(self, order: Sequence[int]) -> "RobotTerms | None":
-        """The terms with the motors' commands in another order; None where one is a target and the other a torque."""
+        """The terms with the log's commands in another order; None where one is a target and the other a torque."""
         motors = servos(self.body, self.told.shape[1])
         if any((motors[k] is None) != (motors[j] is None) for k, j in enumerate(order)):
             return None
-        own = self.sign * self.told
-        for k, motor in enumerate(motors):
-            if motor is not None:
-                own[:, k] = self.sign[k] * ((self.told[:, k] - motor.bias) / motor.gain - self._at(k, motor))
-        told = self.sign * own[:, list(order)]
-        for k, motor in enumerate(motors):
-            if motor is not None:
-                told[:, k] = servo_torque(motor, told[:, k] + self._at(k, motor))
-        return RobotTerms(self.body, told, self.zero, self.sign)
+        own = self._commands()
+        how = [self.effort if motor is None else self.target for motor in motors]
+        for k, counted in enumerate(how):
+            own[:, k] = (own[:, k] - counted.zero[k]) / counted.factor[k]
+        own = own[:, list(order)]
+        for k, counted in enumerate(how):
+            own[:, k] = counted.zero[k] + counted.factor[k] * own[:, k]
+        return self._commanded(own)
 
-    def _at(self, k: int, motor: Motor) -> float:
-        """The robot's zero of a target, in the body's own counting."""
-        return float(self.zero[k]) if motor.kind == "position" else 0.0
+    def mirrored(self, joints: Sequence[int]) -> "RobotTerms":
+        """The terms with the commands of some joints turned about their zeros."""
+        own = self._commands()
+        for k, motor in enumerate(servos(self.body, self.told.shape[1])):
+            if k in joints:
+                own[:, k] = 2 * (self.effort if motor is None else self.target).zero[k] - own[:, k]
+        return self._commanded(own)
+
+    def _commands(self) -> np.ndarray:
+        """Torques, and targets in the body's own counting where there are servos, (R, K)."""
+        own = np.array(self.told)
+        for k, motor in enumerate(servos(self.body, own.shape[1])):
+            if motor is not None:
+                own[:, k] = (own[:, k] - motor.bias) / motor.gain
+        return own
+
+    def _commanded(self, own: np.ndarray) -> "RobotTerms":
+        told = np.array(own)
+        for k, motor in enumerate(servos(self.body, own.shape[1])):
+            if motor is not None:
+                told[:, k] = servo_torque(motor, own[:, k])
+        return replace(self, told=told)
 
 
 def servos(body: Any, joints: int) -> list[Motor | None]:

@@ -12,6 +12,7 @@ window, so that both lose the same.
 Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,7 @@ from scipy.signal import savgol_filter
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
+from invdyn.recordings.logs.mapping import JointMap
 
 WINDOWS = (7, 13, 25, 49, 97)
 """Rows of a local cubic: few for a fast arm, many for noisy encoders."""
@@ -63,6 +65,19 @@ class Motion:
         """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are lost."""
         return Motion(self.q * angle, self.qd * angle / time, self.qdd * angle / time**2, self.torque * torque)
 
+    def mirrored(self, joints: Sequence[int], angle: bool = False, torque: bool = False) -> "Motion":
+        """Angles, commands or both of some joints counted the other way, about the zeros of the log."""
+        sign = np.ones(self.q.shape[1])
+        sign[list(joints)] = -1
+        if self.terms is None:
+            return self.scaled(angle=sign if angle else 1.0, torque=sign if torque else 1.0)
+        terms, q, qd, qdd = self.terms, self.q, self.qd, self.qdd
+        if angle:
+            q, qd, qdd = terms.angle.zero + sign * (q - terms.angle.zero), sign * qd, sign * qdd
+        if torque:
+            terms = terms.mirrored(joints)
+        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
+
     def turned(self, joint: int, zero: float) -> "Motion":
         """A joint's angle counted from elsewhere: less ``zero`` rad."""
         shift = np.zeros(self.q.shape[1])
@@ -80,15 +95,15 @@ class Explained:
 
 
 def smoothings(
-    body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray, counted: bool = False
+    body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray, maps: Sequence[JointMap] | None = None
 ) -> list[Motion]:
     """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s.
 
-    A servo's torque is what it makes of its target, angle and velocity. ``counted``: the log counts its joints as the
-    body's own file does.
+    A servo's torque is what it makes of its target, angle and velocity. ``maps`` are of a robot's own log, which counts
+    its joints as the body's own file does.
     """
     made = (smoothed(time, angle, torque, window) for window in WINDOWS)
-    return [_by_servos(motion, RobotTerms.of(body, motion.torque, counted)) for motion in made if motion is not None]
+    return [_by_servos(motion, RobotTerms.of(body, motion.torque, maps)) for motion in made if motion is not None]
 
 
 def _by_servos(motion: Motion, terms: RobotTerms) -> Motion:

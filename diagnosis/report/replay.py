@@ -17,14 +17,19 @@ GHOSTS = 400
 
 
 def replay(diagnosis: Diagnosis) -> dict | None:
-    """Data of the animation, its still picture and the error over time; None where nothing was replayed."""
+    """Data of the animation, its still picture and the error over time; None where nothing was replayed.
+
+    Where nothing was corrected the simulation is drawn once.
+    """
     tracks = diagnosis.tracks
     if tracks is None or not np.isfinite(tracks.nominal_replay).any():
         return None
     rows = np.arange(0, len(tracks.time), -(-len(tracks.time) // FRAMES))
     seen_from = np.eye(2) if diagnosis.posture is None else diagnosis.posture.views[0]
     time = tracks.time[rows]
-    whole = {"nominal": tracks.nominal_replay[rows], "corrected": tracks.corrected_replay[rows]}
+    whole = {"nominal": tracks.nominal_replay[rows]}
+    if corrected := not np.array_equal(tracks.nominal_replay, tracks.corrected_replay, equal_nan=True):
+        whole["corrected"] = tracks.corrected_replay[rows]
     off = {name: 1e3 * np.linalg.norm(v[:, -1] - tracks.smoothed[rows, -1], axis=-1) for name, v in whole.items()}
     observed, smoothed, base_at = (v @ seen_from.T for v in (tracks.observed[rows], tracks.smoothed[rows], tracks.base))
     sides = {name: v @ seen_from.T for name, v in whole.items()}
@@ -43,11 +48,13 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     }
     plot = Plot(limits(time - time[0], margin=0), limits(*off.values(), zero=True), "time, s", "mm", height=90)
     plot.line(time - time[0], off["nominal"], "line before")
-    plot.line(time - time[0], off["corrected"], "line after")
+    if corrected:
+        plot.line(time - time[0], off["corrected"], "line after")
     label = ", ".join(f"{name} {fixed(root_mean_square(v), 1)} mm rms" for name, v in off.items())
     ghosts = observed[:: -(-len(rows) // GHOSTS)].reshape(-1, 2)
     return {
         "data": data,
+        "corrected": corrected,
         "width": 10 * WIDTH,
         "height": 10 * HEIGHT,
         "ghosts": dots(10 * view(ghosts)),

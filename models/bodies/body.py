@@ -11,7 +11,7 @@ first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +27,7 @@ from invdyn.models.bodies import body_chain, body_toml, body_xml, joint_parts_to
 from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.placeholders import Moment
 from invdyn.models.bodies.protocol import BodyBase
 from invdyn.models.bodies.scalars import (
     QUANTITIES,
@@ -321,6 +322,11 @@ class Body(FromFiles, BodyBase):
         return Link(**table)
 
     tables_of = staticmethod(body_chain.tables)
+
+    def largest_moments(self) -> Iterator[Moment]:
+        """Of each link about its centre of mass."""
+        for link in self.links:
+            yield Moment(link.name, link.nominal("inertia"), link.nominal("mass"), link.nominal("length"))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a body file that `from_toml` reads back.

@@ -1,11 +1,14 @@
 """Bodies out of files, by tables with one for each link: what chains in the plane and trees in space read alike."""
 
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
 from invdyn.models.bodies import body_mjcf, body_urdf
 from invdyn.models.bodies.parts import Robot
+from invdyn.models.bodies.placeholders import Moment, told
 from invdyn.models.bodies.scalars import BodyError
 
 
@@ -21,6 +24,10 @@ class FromFiles(ABC):
     @abstractmethod
     def tables_of(robot: Robot, where: str) -> dict:
         """Those of a robot's parts. Raises `BodyError`, which begins with ``where``, for a body of another kind."""
+
+    @abstractmethod
+    def largest_moments(self) -> Iterable[Moment]:
+        """The largest of each link."""
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Self:
@@ -43,6 +50,9 @@ class FromFiles(ABC):
     @classmethod
     def _of(cls, tables: dict, path: str | Path) -> Self:
         try:
-            return cls(**tables | {"links": [cls.link_of(link) for link in tables["links"]]})
+            body = cls(**tables | {"links": [cls.link_of(link) for link in tables["links"]]})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
+        if strange := told(body.largest_moments()):
+            warnings.warn(f"{path}: {strange}", UserWarning, stacklevel=3)
+        return body

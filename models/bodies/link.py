@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.placeholders import placeholder
 from invdyn.models.bodies.scalars import QUANTITIES, SMALLEST, BodyError, Scalar, check_name, checked, nominal
 
 MAX_COM = 3.0  # lengths from the joint; farther out it is a slip of the unit, not a counterweight
@@ -18,7 +19,8 @@ class Link:
 
     Raises `BodyError` for a scalar that is not finite, a length or mass that is not positive or too large for an arm,
     a negative inertia, a prior that allows such, a centre of mass more than three lengths from the joint, an inertia
-    as of mass more than twenty lengths away, and a link that has neither com nor inertia to resist a torque.
+    as of mass more than twenty lengths away that is no placeholder, and a link that has neither com nor inertia to
+    resist a torque.
     """
 
     name: str
@@ -44,7 +46,7 @@ class Link:
                 f"{where}: expected com within {MAX_COM:g} lengths of the joint, {MAX_COM * length:g} m, "
                 f"got {com:g} m; are both in metres?"
             )
-        if inertia > mass * (MAX_GYRATION * length) ** 2:
+        if inertia > mass * (MAX_GYRATION * length) ** 2 and not placeholder(inertia):
             raise BodyError(
                 f"{where}: expected an inertia as of mass within {MAX_GYRATION:g} lengths, up to "
                 f"{mass * (MAX_GYRATION * length) ** 2:.3g} kg·m², got {inertia:g}; is it in kg·m²?"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.placeholders import placeholder
 from invdyn.models.bodies.rotations import UNTURNED, from_rows
 from invdyn.models.bodies.scalars import (
     LARGEST,
@@ -68,7 +69,7 @@ class SpatialLink:
             moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
             keep(self, "inertia", (*moments, *products[3:]))
             most, mass = max(map(nominal, moments)), nominal(self.mass)
-            if mass > 0 and most > mass * LARGEST_LENGTH**2:
+            if mass > 0 and most > mass * LARGEST_LENGTH**2 and not placeholder(most):
                 raise BodyError(
                     f"{what}: expected moments as of mass within {LARGEST_LENGTH:g} m, up to "
                     f"{mass * LARGEST_LENGTH**2:.3g}, got {most:g}; is the unit right?"

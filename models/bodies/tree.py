@@ -12,6 +12,7 @@ free, moved by one that is `driven`. Files: `tree_toml.py`, `body_mjcf.py`, `bod
 Hartenberg: `dh.py`.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -30,6 +31,7 @@ from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Joint, Motion
+from invdyn.models.bodies.placeholders import Moment
 from invdyn.models.bodies.protocol import BodyBase, Numbers, kept_as
 from invdyn.models.bodies.rotations import about, numbers
 from invdyn.models.bodies.scalars import BodyError, Learned, Scalar, check_name, nominal, prior
@@ -318,6 +320,15 @@ class Tree(FromFiles, BodyBase):
         return SpatialLink(**table | {"joint": Joint(**table["joint"])})
 
     tables_of = staticmethod(body_tree.tables)
+
+    def largest_moments(self) -> Iterator[Moment]:
+        """Of each link that states them, the largest about an axis through its centre of mass."""
+        for link in self.links:
+            if link.inertia is not None:
+                ends = [link.com, *link.sites.values(), *(o.origin for o in self.links if o.parent == link.name)]
+                far = [math.hypot(*map(nominal, end)) for end in ends if end is not None]
+                length = 0.0 if link.length is None else nominal(link.length)
+                yield Moment(link.name, max(map(nominal, link.inertia[:3])), nominal(link.mass), max([length, *far]))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a body file that `from_toml` reads back.

@@ -82,8 +82,20 @@ def test_torques_in_other_units_are_told_before_anything_is_looked_for(body, tim
     """The arm moves so fast that it could do with a thousand; ten times as many N·m are no other unit yet."""
     recording = recording_of(body=body, rows=100)
     with pytest.raises(InputError, match=r"expected torques in N·m.*check their unit"):
-        diagnose(replace(recording, torques=times * recording.torques), body)
+        diagnose(replace(recording, torques=times * recording.torques), body, checked=True)
     assert diagnosis_problem(replace(recording, torques=10 * recording.torques), body).regime == COMMANDED
+
+
+def test_what_check_refuses_is_refused_unless_somebody_asked_before(monkeypatch):
+    recording = recording_of()
+    backwards = replace(recording, torques=-recording.torques)
+    for given, other in ((backwards, None), ([recording, backwards], None), (recording, backwards)):
+        with pytest.raises(InputError, match="the torques have the other sign"):
+            diagnose(given, PENDULUM, held_out=other, most=1)
+    monkeypatch.setattr(ROOM, "check_before", lambda *_: pytest.fail("asked twice"))
+    monkeypatch.setattr(ROOM, "_searched", lambda *_: sys.exit())
+    with pytest.raises(SystemExit):
+        diagnose(recording, PENDULUM, checked=True)
 
 
 @pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])

@@ -70,6 +70,20 @@ def test_what_could_not_be_looked_at_and_what_is_unclear(files):
     assert "nothing looks wrong" not in noise.output
 
 
+def test_numbers_of_frames_have_a_rate(files):
+    """As `infer` and `diagnose` read them; a log that is mapped has its own times."""
+    log = (files / "log.csv").read_text().splitlines()
+    rows = [f"{number},{row.partition(',')[2]}" for number, row in enumerate(log[1:])]
+    (files / "frames.csv").write_text("\n".join([log[0].replace("time", "frame"), *rows]) + "\n")
+    numbered = (files / "arm.toml", files / "frames.csv", "--no-effects")
+    assert "pass --fps" in run(*numbered).output
+    right = run(*numbered, "--fps", 125)
+    assert right.exit_code == 0, right.output
+    assert right.output == run(files / "arm.toml", files / "log.csv", "--no-effects").output
+    mapped = run(files / "arm.toml", files / "log.csv", "--map", files / "map.toml", "--fps", 125)
+    assert "a robot's log carries its own times: leave --fps out" in mapped.output
+
+
 def test_a_known_recording_is_checked_and_its_units_left_out_if_given(data_folder):
     known = run("dfki_design_a0", "dfki-trajectory-13", "--no-effects")
     assert "torques    what the body and friction leave" in known.output, known.output

@@ -83,7 +83,8 @@ def test_cameras(tmp_path, monkeypatch, run, quick_inference):
         (tmp_path / f"{camera.name}.mp4").write_bytes(b"")
     write_calibration(both.scaled(3.0, metric=False), tmp_path / "unknown.toml")
     ball, sites = (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), {"elbow": (0.28, 0.0, 0.0), "wrist": (0.5, 0.0, 0.0)}
-    arm = SpatialLink("arm", Joint("shoulder", "universal"), mass=1.0, com=(0.1, 0.0, 0.0), inertia=ball, sites=sites)
+    hung = {"origin": (0.0, 0.0, 1.3), "mass": 1.0, "com": (0.1, 0.0, 0.0), "inertia": ball, "sites": sites}
+    arm = SpatialLink("arm", Joint("shoulder", "universal"), **hung)
     Tree("arm", [arm]).to_toml(tmp_path / "arm.toml")
     lenses = {c.name: Intrinsics(c.matrix, c.distortion, c.size, 0.2, np.array([1.5, 1.5]), 17) for c in both}
     found = replace(both, error=0.2), lenses

@@ -58,6 +58,9 @@ def folder(tmp_path_factory):
     write_calibration(CAMERAS.scaled(1000.0), folder / "thousand.toml")
     write_calibration(CAMERAS.scaled(3.0, metric=False), folder / "unknown.toml")
     rod().to_toml(folder / "rod.toml")
+    rod(0.25).to_toml(folder / "short.toml")
+    crossed = replace(rod(), links=[replace(rod().links[0], sites={"tip": (0.2, 0.0, 0.0), "middle": (0.4, 0.0, 0.0)})])
+    crossed.to_toml(folder / "crossed.toml")
     (folder / "planar.toml").write_text(PLANAR)
     other = rod()
     replace(other, links=[replace(other.links[0], sites={"hand": (0.4, 0.0, 0.0)})]).to_toml(folder / "hand.toml")
@@ -113,6 +116,14 @@ BAD = {
     "no body": (("infer", *TRACKS, *CALL[:2], "--body", "none.toml", *CALL[4:]), "none.toml"),
     "not metric": (("infer", *TRACKS, "--calibration", "unknown.toml", *CALL[2:]), "--calibration-out"),
     "not metres": (("infer", *TRACKS, "--calibration", "thousand.toml", *CALL[2:]), "is the calibration in metres"),
+    "names that are exchanged": (
+        ("compare", *TRACKS, *CALL[:2], "--body", "crossed.toml", "--methods", "laplace", "--out", "compared"),
+        "seem to be exchanged: distances differ",
+    ),
+    "another length": (
+        ("infer", *TRACKS, *CALL[:2], "--body", "short.toml", *CALL[4:]),
+        "m apart (median), but the body's link is 0.125 m long",
+    ),
     "units of metres": (("infer", *TRACKS, *CALL, "--units", "mm"), "leave --units out"),
     "lengths to learn": (("infer", *TRACKS, *CALL, "--learn-lengths"), "{start = 0.3}"),
     "a base": (("infer", *TRACKS, *CALL, "--base", "tip"), "leave --base out"),

@@ -14,7 +14,7 @@
   const data = JSON.parse(block.textContent);
   const find = (id) => document.getElementById(id);
   const slider = find("replay-slider"), button = find("replay-play"), speed = find("replay-speed");
-  const draw = { nominal: find("replay-nominal"), corrected: find("replay-corrected") };
+  const sides = ["nominal", "corrected"].filter((name) => name in data);
   const last = data.time.length - 1;
   let row = data.start, playing = false, before = 0, clock = 0;
 
@@ -25,8 +25,8 @@
 
   function show(next) {
     row = next;
-    for (const name of ["nominal", "corrected"]) {
-      draw[name].setAttribute("d", chain(data[name][row]));
+    for (const name of sides) {
+      find(`replay-${name}`).setAttribute("d", chain(data[name][row]));
       find(`replay-off-${name}`).textContent = distance(data.off[name][row]);
     }
     find("replay-observed").setAttribute("d", marks(data.observed[row]));

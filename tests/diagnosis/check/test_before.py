@@ -1,5 +1,6 @@
 """What is refused before a diagnosis, what is only said, and what goes by in silence."""
 
+import sys
 import warnings
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from invdyn.cli import app
 from invdyn.diagnosis.check.before import check_before
+from invdyn.diagnosis.check.check import Check, Wrong
 from invdyn.recordings import InputError, write_keypoint_csv
 from invdyn.recordings.reading import Reading
 
@@ -27,6 +29,10 @@ def log():
         (lambda log: {"angles": np.degrees(log.angles)}, "the angles are in degrees, it seems: pass --units deg"),
         (lambda log: {"angles": log.angles[:, ::-1]}, "'shoulder' and 'elbow' the angles are exchanged"),
         (lambda log: {"torques": log.torques * [1, -1]}, "'elbow' the torques have the other sign"),
+        (lambda log: {"torques": log.torques / [10, 1]}, "'shoulder' the torques are .* too small: before the gear"),
+        (lambda log: {"torques": log.torques * 1000}, "1e\\+03 times too large: in another unit"),
+        (lambda log: {"angles": np.add(log.angles, [0.6, 0])}, r"'shoulder' the angles' zero is \+3.° off"),
+        (lambda log: {"angles": np.add(log.angles, [0, 0.6])}, r"'elbow' the angles' zero is \+3.° off"),
     ],
 )
 def test_what_no_effect_looks_like_is_refused(log, changed, says):
@@ -37,17 +43,27 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
+        (lambda log: {"torques": log.torques * [5, 1]}, "too large.*, unless it is a motor at its limit"),
+        (lambda log: {"angles": np.add(log.angles, [0.4, 0])}, "unless it is gravity that is tilted"),
         (
-            lambda log: {"torques": log.torques / [10, 1]},
-            "multiply its torques by .*, unless it is a motor's gain",
+            lambda log: {"torques": np.add(log.torques, [0, 0.6])},
+            "unless it is a spring's torque, a stop's, or a marker aside",
         ),
-        (lambda log: {"angles": np.add(log.angles, [0.6, 0])}, "unless it is another zero of the robot"),
-        (lambda log: {"torques": np.add(log.torques, [0, 0.6])}, "unless it is a constant torque"),
     ],
 )
 def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
     with pytest.warns(UserWarning, match=says):
         check_before(Reading(replace(log, **changed(log))), ARM)
+
+
+@pytest.mark.parametrize("factor", [200.0, 500.0])
+def test_a_factor_that_no_gear_has_is_not_sure(log, monkeypatch, factor):
+    wrong = Wrong("scale", ("shoulder",), "too small", "multiply", factor, 0.9, 0.01)
+    said = Check("log", (wrong,), 0.01, {}, (), None)
+    monkeypatch.setattr(sys.modules[check_before.__module__], "check", lambda *_, **__: said)
+    refused = pytest.raises(InputError, match="too small")
+    with refused if factor < 300 else pytest.warns(UserWarning, match="too small"):
+        check_before(log, ARM)
 
 
 @pytest.mark.parametrize(("friction", "masses"), [(0.0, (1.5, 1.0)), (0.4, (1.5, 1.0)), (0.0, (1.2, 1.3))])
@@ -57,6 +73,16 @@ def test_a_log_that_is_right_goes_by_whatever_its_arm_has(friction, masses):
         warnings.simplefilter("error")
         check_before(Reading(log), ARM.with_values(mass=list(masses)))
         check_before(Reading(replace(log, torques=-log.torques)), ARM, passive=True)
+
+
+def test_a_recording_is_in_si_units_by_its_own_account():
+    """A film that is ten times too fast is told of, and refused where somebody may say the unit."""
+    film = robot_log(1.0)
+    fast = replace(film, time=0.1 * film.time, angles=None, torques=None, joint_names=())
+    with pytest.warns(UserWarning, match="too fast"):
+        check_before(fast, ARM)
+    with pytest.raises(InputError, match="too fast"):
+        check_before(Reading(fast), ARM)
 
 
 def diagnosed(folder, name, *options):

@@ -10,7 +10,9 @@ from servo_log import SERVO_ARM, write_mapping, write_servo_log
 from invdyn.diagnosis.check.check import check
 from invdyn.inputs import read_logs
 from invdyn.models import Body, Link
-from invdyn.recordings import InputError, Recording
+from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.recordings import InputError, Recording, write_table
+from invdyn.simulate import random_arm, record
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +116,56 @@ def test_exchanged_angles_of_a_servo_are_found_about_the_joints_own_zeros(tmp_pa
     assert wrong.after < 0.1
 
 
+def mapped(folder, log, sign, zero, tracks="12"):
+    """A log whose shoulder counts clockwise from half a radian, as a mapping with ``sign`` and ``zero`` reads it."""
+    one, two = tracks
+    own = {"q1": 0.5 - log.angles[:, 0], "u1": -log.torques[:, 0], "q2": log.angles[:, 1], "u2": log.torques[:, 1]}
+    write_table({"t": log.time, **own}, folder / "log.csv")
+    (folder / "map.toml").write_text(
+        f'time = "t"\n[joints.shoulder]\nangle = {{track = "q{one}", sign = {sign}, zero = {zero}}}\n'
+        f'torque = {{track = "u{one}", sign = {sign}}}\n[joints.elbow]\nangle = "q{two}"\ntorque = "u{two}"\n'
+    )
+    return read_logs(str(folder / "log.csv"), ARM, str(folder / "map.toml"))[0]
+
+
+def test_a_sign_of_a_mapping_is_wrong_about_its_zero(log, tmp_path):
+    assert not check(mapped(tmp_path, log, -1, 0.5), ARM, effects=False).mistakes
+    (wrong,) = check(mapped(tmp_path, log, 1, 0.5), ARM, effects=False).mistakes
+    assert (wrong.kind, wrong.joints) == ("direction", ("shoulder",))
+    assert wrong.after < 0.05
+
+
+def test_exchanged_columns_of_a_mapping_leave_signs_and_zeros_where_they_are(log, tmp_path):
+    (wrong,) = check(mapped(tmp_path, log, -1, 0.5, "21"), ARM, effects=False).mistakes
+    assert (wrong.kind, wrong.words) == ("exchanged", "the columns are exchanged")
+    assert wrong.after < 0.05
+
+
+def test_a_sign_of_a_servo_is_wrong_about_the_zero_of_its_file(tmp_path):
+    write_servo_log(tmp_path / "log.csv")
+    write_mapping(tmp_path / "map.toml")
+    turned = (tmp_path / "map.toml").read_text().replace('"q1", ', '"q1", sign = -1, ')
+    (tmp_path / "map.toml").write_text(turned.replace('"target1", ', '"target1", sign = -1, '))
+    (reading,) = read_logs(str(tmp_path / "log.csv"), SERVO_ARM, str(tmp_path / "map.toml"))
+    (wrong,) = check(reading, SERVO_ARM, effects=False).mistakes
+    assert (wrong.kind, wrong.joints) == ("direction", ("shoulder",))
+    assert wrong.after < 0.1
+
+
+def test_a_zero_of_a_mapping_is_said_as_the_robot_counts(log, tmp_path):
+    """Its file turns the joint the other way: 0.6 too much in the mapping is 0.6 too little of ours."""
+    clockwise = replace(ARM, links=(replace(ARM.links[0], parts=JointParts().turned(-1, 0.0)), ARM.links[1]))
+    reading = mapped(tmp_path, replace(log, angles=log.angles * [-1, 1], torques=log.torques * [-1, 1]), -1, 1.1)
+    turned = replace(reading.recording, angles=reading.recording.angles * [-1, 1])
+    own = read_logs(str(tmp_path / "log.csv"), clockwise, str(tmp_path / "map.toml"))[0]
+    np.testing.assert_allclose(own.recording.angles, turned.angles)
+    (wrong,) = check(own, clockwise, effects=False).mistakes
+    assert (wrong.kind, wrong.joints) == ("zero", ("shoulder",))
+    assert wrong.value == pytest.approx(0.6, rel=0.1)
+    assert wrong.remedy.startswith(f"subtract {wrong.value:.3g} rad")
+    assert wrong.remedy.endswith(f"from its zero in {tmp_path / 'map.toml'}")
+
+
 @pytest.mark.parametrize(
     ("torques", "passive", "why"),
     [
@@ -129,6 +181,14 @@ def test_what_could_not_be_looked_at_is_said(log, torques, passive, why):
     assert found.not_looked_at == f"signs, zeros, exchanged columns and gears of joints: {why}"
     assert found.to_json()["not_looked_at"] == found.not_looked_at
     assert check(log, ARM, effects=False).not_looked_at is None
+
+
+def test_torques_of_a_motion_that_was_seen_too_seldom_lack_no_gear():
+    """With the elbow's a thousand times as large, whatever the shoulder's miss would not count."""
+    arm = random_arm(ARM, duration=2.0, fps=30, noise=0.002, torque_scale=0.5, commanded=True, seed=1)
+    found = check(record(arm, 1)[0], ARM, effects=False)
+    assert found.unexplained > 0.2
+    assert "scale" not in {wrong.kind for wrong in found.mistakes}
 
 
 def test_torques_that_nothing_explains_are_not_called_right(log):

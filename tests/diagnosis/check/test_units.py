@@ -8,8 +8,9 @@ import pytest
 from robot_log import ARM, robot_log
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
+from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.check.check import check
-from invdyn.diagnosis.check.units import check_units, wrong_units
+from invdyn.diagnosis.check.units import wrong_units
 from invdyn.inputs import read_logs
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
@@ -47,7 +48,7 @@ def read(log, **units):
 
 def test_a_mapping_that_is_right_has_no_mistake(log):
     reading = read(log)
-    check_units(reading, SERVO_ARM)
+    check_before(reading, SERVO_ARM)
     assert not check(reading, SERVO_ARM, effects=False).mistakes
 
 
@@ -59,7 +60,7 @@ def test_the_line_to_change_is_named_and_nothing_else_is_found(log, case):
     (wrong,) = check(reading, SERVO_ARM, effects=False).mistakes
     assert (wrong.words, wrong.remedy) == (words, remedy)
     with pytest.raises(InputError) as refused:
-        check_units(reading, SERVO_ARM)
+        check_before(reading, SERVO_ARM)
     assert f"log: {words}, it seems: {remedy}" in str(refused.value)
     right = read(log).recording
     righted = reading.rescaled(**{"time": 1e-3} if "times" in words else {"angle": np.pi / 180}).recording
@@ -77,19 +78,19 @@ def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against
     rotor = Body("rotor", [Link("disc", "axle", "rim", 0.1, 1.0)], gravity=(0.0, 0.0))
     time = np.arange(0, 4, 0.01)
     turning = Recording(time, np.empty((len(time), 0, 2)), (), angles=150 * time[:, None], joint_names=("axle",))
-    check_units(Reading(turning, parse_units("rad")), rotor)
+    check_before(Reading(turning, parse_units("rad")), rotor)
     with pytest.raises(InputError, match="the angles are in degrees, it seems: pass --units deg"):
-        check_units(Reading(turning), rotor)
+        check_before(Reading(turning), rotor)
     # spinning up by a torque that is asked for in radians
     spun = replace(turning, angles=(40 * time**2)[:, None], torques=np.full((len(time), 1), 80 * 0.01 / 3))
-    check_units(Reading(spun, parse_units("rad")), rotor)
+    check_before(Reading(spun, parse_units("rad")), rotor)
     assert not check(Reading(spun, parse_units("rad")), rotor, effects=False).mistakes
 
 
 def test_one_mistake_comes_before_two_that_fit_better(monkeypatch):
     """Angles that are small enough may be in degrees as well, and an arm that lacks something fits anything."""
     missed = iter(np.linspace(1, 0, 100))
-    monkeypatch.setattr(sys.modules[check_units.__module__], "_missed", lambda *_: next(missed))
+    monkeypatch.setattr(sys.modules[wrong_units.__module__], "_missed", lambda *_: next(missed))
     log = robot_log(1.0, camera=False)
     _, mistakes, righted = wrong_units(Reading(replace(log, time=1e3 * log.time)), ARM)
     assert [mistake.kind for mistake in mistakes] == ["time"]

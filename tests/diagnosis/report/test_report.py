@@ -40,7 +40,8 @@ def test_page_is_whole_alone_and_the_same_each_time(name):
 @pytest.mark.parametrize("rows", [1, 300, 6000])
 def test_replay_data_are_the_tracks(rows):
     d = diagnosis(tracks=tracks(rows=rows, missing=rows > 1))
-    data = json.loads(Page(render(d)).scripts["replay-data"])
+    data = json.loads(Page(text := render(d)).scripts["replay-data"])
+    assert 'id="replay-corrected"' in text
     stride = -(-rows // FRAMES)
     assert len(data["time"]) == -(-rows // stride) <= FRAMES
     for name, replay in (("nominal", d.tracks.nominal_replay), ("corrected", d.tracks.corrected_replay)):
@@ -121,13 +122,17 @@ def test_what_was_not_corrected_is_drawn_once():
     """The best cause is "no gap": before and after are the same."""
     d = none()
     same = replace(d.tracks, residual_after=d.tracks.residual_before, residual_after_sd=d.tracks.residual_before_sd)
-    text = render(replace(d, tracks=same))
+    text = render(replace(d, tracks=replace(same, corrected_replay=same.nominal_replay)))
     labels = [a.get("aria-label") or "" for _, a in Page(text).tags]
     torques = [label for label in labels if label.startswith("Residual torque of shoulder")]
     assert len(torques) == 2  # over the motion and over time
     assert not any("after" in label for label in torques)
     assert "rms before" not in text
     assert "under the corrected one" not in text
+    assert 'id="replay-nominal"' in text
+    assert "replay-corrected" not in text
+    assert "corrected" not in json.loads(Page(text).scripts["replay-data"])
+    assert "Nothing in it was corrected." in text
 
 
 def test_residuals_are_drawn_as_high_as_they_are():

@@ -2,6 +2,7 @@
 
 import base64
 import json
+from dataclasses import replace
 
 import pytest
 from browsing import chromium, opened, requests
@@ -47,6 +48,17 @@ def test_in_a_browser(browser, tmp_path):
     printed = base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", {})["data"])
     assert printed.startswith(b"%PDF-")
     assert len(printed) > 20_000
+
+
+def test_a_replay_without_a_correction_moves(browser, tmp_path):
+    page, d = tmp_path / "report.html", diagnosis()
+    write_report(replace(d, tracks=replace(d.tracks, corrected_replay=d.tracks.nominal_replay)), page)
+    opened(browser, page)
+    slider, still = browser.find_element("id", "replay-slider"), browser.find_element("id", "replay-nominal")
+    before = still.get_attribute("d")
+    browser.execute_script("arguments[0].value = 7; arguments[0].dispatchEvent(new Event('input'));", slider)
+    assert still.get_attribute("d") != before
+    assert browser.get_log("browser") == []
 
 
 @pytest.mark.parametrize("name", ["three joints", "not enough data", "hostile", "ambiguous"])

@@ -114,7 +114,7 @@ def test_meshes_and_includes_in_the_folder_are_read(file, compiler, tmp_path):
 
 def chain(count):
     """A URDF of so many links, one after the other."""
-    heavy = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    heavy = '<inertial><mass value="1"/><inertia ixx="0.001" iyy="0.001" izz="0.001"/></inertial>'
     links = "".join(f'<link name="l{k}">{heavy}</link>' for k in range(count + 1))
     joints = "".join(
         f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 0 1"/>'
