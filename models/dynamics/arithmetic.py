@@ -9,11 +9,11 @@ no call but cos and sin, no attribute, and no number that grows without bounds i
 import ast
 import re
 from collections.abc import Callable, Collection, Sequence
+from operator import methodcaller
 from typing import Any
 
-import torch
-
-FUNCTIONS = {"cos": torch.cos, "sin": torch.sin}
+FUNCTIONS = {"cos": methodcaller("cos"), "sin": methodcaller("sin")}
+"""Of whatever has them: tensors, or angles whose cosine and sine are known."""
 HIGHEST = 8
 """The largest power."""
 LARGEST = 10**6

@@ -13,7 +13,7 @@ from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
-from invdyn.models.dynamics.planar_symbolic import MAX_SYMBOLIC, SymbolicDynamics
+from invdyn.models.dynamics.planar_symbolic import MAX_SYMBOLIC, PAYS, symbolic_dynamics
 
 
 @singledispatch
@@ -47,5 +47,6 @@ def planar_dynamics(num_joints: int) -> PlanarDynamics:
 
     Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
     """
-    chosen = SymbolicDynamics if num_joints in range(1, MAX_SYMBOLIC + 1) else RecursiveDynamics
-    return chosen(num_joints)
+    if num_joints in range(1, MAX_SYMBOLIC + 1):
+        return symbolic_dynamics(num_joints, PAYS)
+    return RecursiveDynamics(num_joints)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 Vector = Sequence[Scalar]
 Matrix = Sequence[Vector]

@@ -33,9 +33,9 @@ from invdyn.models.dynamics.spatial.algebra import (
     symmetric,
     transpose,
 )
-from invdyn.models.dynamics.spatial.expressions import Scalar
 from invdyn.models.dynamics.spatial.frames import Frame, Frames, PlacedFrame
 from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 Pair = tuple[Vector, Vector]
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree
@@ -25,11 +24,11 @@ from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
-from invdyn.models.dynamics.spatial.compiled import PAYS, Compiled, is_there
-from invdyn.models.dynamics.spatial.expressions import Graph, Scalar
 from invdyn.models.dynamics.spatial.frames import Frames, frames_of
 from invdyn.models.dynamics.spatial.motion import Motion
-from invdyn.models.dynamics.spatial.programs import Program, program
+from invdyn.models.dynamics.traced.compiled import PAYS, Compiled, has_tangent, is_plain, is_there
+from invdyn.models.dynamics.traced.expressions import Graph, Scalar
+from invdyn.models.dynamics.traced.programs import Program, program
 from invdyn.models.shapes import common, join, stacked
 
 POSES = ((0.6, 1.1), (2.3, -0.7), (-1.9, 0.4))
@@ -181,13 +180,9 @@ class SpatialDynamics(Dynamics):
         joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
-        if self._compiled and like.device.type == "cpu" and not _is_traced():
-            pushed = body.has_tangent or any(map(_has_tangent, joint.values()))  # forward mode, whatever no_grad says
-            pulled = torch.is_grad_enabled() and (
-                body.is_differentiated or any(value.requires_grad for value in joint.values())
-            )
-            if not (pushed or pulled) and self._compiled.pays(traced, batch):
-                return self._compiled(method, traced, joint, numbers, batch)
+        learned = body.has_tangent or (torch.is_grad_enabled() and body.is_differentiated)
+        if self._compiled and not learned and is_plain(*joint.values()) and self._compiled.pays(traced, batch):
+            return self._compiled(method, traced, joint, numbers, batch)
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
         if not outputs:  # of a tree without sites
@@ -258,7 +253,7 @@ class SpatialDynamics(Dynamics):
             self._patterns.setdefault(structure, pattern)
             batches = [value.shape[: value.ndim - known.ndim] for known, value in zip(pattern, p, strict=True)]
             self._seen = _Body(
-                p, structure, common(*batches), any(map(_is_differentiated, p)), any(map(_has_tangent, p))
+                p, structure, common(*batches), any(map(_is_differentiated, p)), any(map(has_tangent, p))
             )
         return self._seen
 
@@ -330,13 +325,4 @@ def _constants(name: str, value: Tensor) -> np.ndarray:
 
 
 def _is_differentiated(value: Tensor) -> bool:
-    return value.requires_grad or _has_tangent(value)
-
-
-def _has_tangent(value: Tensor) -> bool:
-    return forward_ad.unpack_dual(value).tangent is not None
-
-
-def _is_traced() -> bool:
-    """Whether torch records or transforms operations (`make_fx`, `torch.func`): tensors have no numbers then."""
-    return torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None
+    return value.requires_grad or has_tangent(value)

@@ -37,7 +37,7 @@ from invdyn.models.dynamics.spatial.algebra import (
     symmetric,
     transpose,
 )
-from invdyn.models.dynamics.spatial.expressions import Scalar
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 Entry = Callable[..., Scalar]
 """Of a field of `TreeParameters` and the place in it: the scalar there."""

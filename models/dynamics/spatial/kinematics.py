@@ -4,9 +4,9 @@
 """
 
 from invdyn.models.dynamics.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
-from invdyn.models.dynamics.spatial.expressions import Scalar
 from invdyn.models.dynamics.spatial.frames import Frames
 from invdyn.models.dynamics.spatial.motion import Motion, placed
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 
 def world_frames(frames: Frames, motion: Motion) -> list[tuple[Matrix, Vector]]:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, cross
-from invdyn.models.dynamics.spatial.expressions import Scalar
 from invdyn.models.dynamics.spatial.frames import Frames, PlacedFrame
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 NONE: Sequence[Scalar] = ()
 

@@ -6,9 +6,9 @@ Gravity is an acceleration −g of the world. Without accelerations, velocities 
 """
 
 from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
-from invdyn.models.dynamics.spatial.expressions import Scalar
 from invdyn.models.dynamics.spatial.frames import Frame, Frames
 from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.traced.expressions import Scalar
 
 
 def torques(frames: Frames, motion: Motion) -> list[Scalar]:

@@ -18,9 +18,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
-from invdyn.models.dynamics.spatial.machine_code import LANES, MachineCode, machine_code
-from invdyn.models.dynamics.spatial.programs import Program
+from invdyn.models.dynamics.traced.machine_code import LANES, MachineCode, machine_code
+from invdyn.models.dynamics.traced.programs import Program
 
 PAYS = 20
 """Calls of torch that cost what compiling does; particles beyond the first of a call cost ``EACH`` of one more."""
@@ -36,6 +37,21 @@ def is_there() -> bool:
     except ImportError:
         return False
     return True
+
+
+def has_tangent(value: Tensor) -> bool:
+    """Whether a derivative is carried forward with it, whatever ``no_grad`` says."""
+    return forward_ad.unpack_dual(value).tangent is not None
+
+
+def is_plain(*values: Tensor) -> bool:
+    """Whether they are numbers on the CPU alone: nobody asks for derivatives, records or transforms (`make_fx`)."""
+    if torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None:
+        return False
+    learned = torch.is_grad_enabled()
+    return not any(
+        value.device.type != "cpu" or has_tangent(value) or (learned and value.requires_grad) for value in values
+    )
 
 
 class Compiled:
@@ -57,12 +73,13 @@ class Compiled:
         self, method: str, traced: Program, joint: Mapping[str, Tensor], numbers: Sequence[Tensor], batch: Sequence[int]
     ) -> Tensor:
         """Outputs (*batch, O) of arguments (..., columns) by word, and of numbers (...), laid out by column."""
-        dtype = joint["q"].dtype
+        like = next(iter(joint.values()))
+        dtype = like.dtype
         body, own = self._body(method, numbers, batch, dtype)
         B = 1 if own or not numbers else body.shape[1]
         N = math.prod(batch) // B
         if not N:
-            return joint["q"].new_empty(len(traced.source.results), *batch).movedim(0, -1)
+            return like.new_empty(len(traced.source.results), *batch).movedim(0, -1)
         given = [_by_column(joint[word], batch, (B, N)) for word in traced.words]
         words = (ctypes.c_void_p * len(given))(*(each.data_ptr() for each in given))
         out = torch.empty(len(traced.source.results), B, max(N, LANES), dtype=dtype)

@@ -9,8 +9,8 @@ import torch
 from torch.fx.experimental.proxy_tensor import make_fx
 from trees import mobile_arm, panda, paper_arm, random_state, random_tree
 
-from invdyn.models.dynamics.spatial.compiled import PAYS, Compiled
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
+from invdyn.models.dynamics.traced.compiled import PAYS, Compiled
 
 K = 4
 DTYPES = [torch.float32, torch.float64]
@@ -116,7 +116,7 @@ def test_driven_joints_and_places():
 
 def test_compiled_once_torch_has_spent_what_it_costs(caplog):
     pytest.importorskip("llvmlite")
-    caplog.set_level(logging.INFO, "invdyn.models.dynamics.spatial.compiled")
+    caplog.set_level(logging.INFO, "invdyn.models.dynamics.traced.compiled")
     dynamics, p, state = SpatialDynamics(paper_arm()), paper_arm().parameters(), random_state(K, 0, batch=(50,))
     for _ in range(PAYS - 1):
         dynamics.forward(*state, p)

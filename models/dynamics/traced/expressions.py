@@ -12,6 +12,8 @@ section 10.4, on the symbolic simplification of recursions.
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import mul
 from typing import Any, NamedTuple
 
 
@@ -62,7 +64,7 @@ class Graph:
 
 
 class Expression:
-    """A scalar that is not known yet. Arithmetic with floats and others of its graph gives one, or a float."""
+    """A scalar that is not known yet. Arithmetic with plain numbers and others of its graph gives one, or a float."""
 
     __slots__ = ("graph", "place")
 
@@ -84,8 +86,8 @@ class Expression:
         return self.graph.operation("neg", self)
 
     def __add__(self, other: "Expression | float") -> Any:
-        if isinstance(other, float):
-            return self if other == 0 else self.graph.operation("+", self, other)
+        if isinstance(other, float | int):
+            return self if other == 0 else self.graph.operation("+", self, float(other))
         if (inner := other._negated()) is not None:
             return self - inner
         if (inner := self._negated()) is not None:
@@ -95,7 +97,7 @@ class Expression:
     __radd__ = __add__
 
     def __sub__(self, other: "Expression | float") -> Any:
-        if isinstance(other, float):
+        if isinstance(other, float | int):
             return self + -other
         if other.place == self.place:
             return 0.0
@@ -106,26 +108,32 @@ class Expression:
         return self.graph.operation("-", self, other)
 
     def __rsub__(self, other: float) -> Any:
-        return -self if other == 0 else self.graph.operation("-", other, self)
+        return -self if other == 0 else self.graph.operation("-", float(other), self)
 
     def __mul__(self, other: "Expression | float") -> Any:
-        if isinstance(other, float):
+        if isinstance(other, float | int):
             if other == 0:
                 return 0.0
             if abs(other) == 1:
                 return self if other == 1 else -self
-            if other < 0:
-                return -(self * -other)
+            return -(self * -other) if other < 0 else self.graph.operation("*", self, float(other))
         if (inner := self._negated()) is not None:
             return -(inner * other)
-        if isinstance(other, Expression) and (inner := other._negated()) is not None:
+        if (inner := other._negated()) is not None:
             return -(self * inner)
         return self.graph.operation("*", self, other)
 
     __rmul__ = __mul__
 
-    def __rtruediv__(self, other: float) -> Any:
-        return self.graph.operation("/", other, self)
+    def __truediv__(self, other: "Expression | float") -> "Expression":
+        return self.graph.operation("/", self, float(other) if isinstance(other, float | int) else other)
+
+    def __rtruediv__(self, other: float) -> "Expression":
+        return self.graph.operation("/", float(other), self)
+
+    def __pow__(self, power: int) -> Any:
+        """By multiplication, as torch has a square."""
+        return reduce(mul, [self] * power, 1.0)
 
 
 Scalar = Expression | float

@@ -5,8 +5,8 @@ import operator
 
 import pytest
 
-from invdyn.models.dynamics.spatial.expressions import Expression, Graph
-from invdyn.models.dynamics.spatial.programs import program
+from invdyn.models.dynamics.traced.expressions import Expression, Graph
+from invdyn.models.dynamics.traced.programs import program
 
 
 @pytest.fixture

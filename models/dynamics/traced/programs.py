@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from invdyn.models.dynamics.spatial.expressions import Expression, Graph, Scalar
+from invdyn.models.dynamics.traced.expressions import Expression, Graph, Scalar
 
 
 class Line(NamedTuple):

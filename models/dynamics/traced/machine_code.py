@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from invdyn.models.dynamics.spatial.programs import Program
+from invdyn.models.dynamics.traced.programs import Program
 
 LANES = 8
 """Particles in a block: in float64 what one vector register of the widest kind holds, in float32 two of them."""
