@@ -24,8 +24,9 @@ from scipy.optimize import minimize_scalar
 
 from invdyn.diagnosis.problem.torque_regression import Motion, explain
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.recordings.units import Units
+from invdyn.recordings.units import TIMES, Units
 
+TIME_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 ZEROS = np.radians(np.arange(-165, 181, 15))
 """rad, where a zero is looked for, before it is found to a fraction of a degree."""
 FACTORS = np.array([1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0])
@@ -138,16 +139,19 @@ def units(said: Units | None = None, targets: bool = False) -> Iterator[Mistake]
 
     Args:
         said: what was declared, and where: there it is put right.
-        targets: there are servos' targets, which may be in another unit together with the angles.
+        targets: there are servos' targets, which may be in another unit, too.
     """
     said = said or Units()
     ways = (("degrees", "deg", "in degrees", math.pi / 180), ("radians", "rad", "in radians already", 180 / math.pi))
-    for tracks in (("angle",), ("angle", "target"))[: 1 + targets]:
+    for tracks in (("angle",), ("angle", "target"), ("target",))[: 1 + 2 * targets]:
         what = " and ".join({"angle": "the angles", "target": "the servos' targets"}[track] for track in tracks)
         for kind, unit, words, factor in ways:
-            right, scales = _scaled(angle=factor), dict.fromkeys(tracks, factor)
-            yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, right, scales)
-    for unit, name, factor in (("ms", "milliseconds", 1e-3), ("us", "microseconds", 1e-6), ("ns", "nanoseconds", 1e-9)):
+            scales = dict.fromkeys(tracks, factor)
+            yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, _in_unit(**scales), scales)
+    for unit, name in TIME_UNITS.items():
+        if unit == (said.time or "s"):
+            continue
+        factor = TIMES[unit] / TIMES.get(said.time or "s", 1.0)
         right, scales = _scaled(time=factor), {"time": factor}
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
@@ -167,7 +171,8 @@ def _tried(
     def fit(mistake: Mistake) -> float:
         return left_by(mistake, dynamics, body, motion)
 
-    for mistake in (*fixed(joints, encoders), *(units(said) if encoders else ())):
+    targets = motion.terms is not None and motion.terms.has_targets
+    for mistake in (*fixed(joints, encoders), *(units(said, targets) if encoders else ())):
         yield fit(mistake), mistake
     for k in range(joints if encoders else 0):
         sign = 1.0 if motion.terms is None else float(motion.terms.sign[k])
@@ -236,6 +241,10 @@ def _offset(joint: int, joints: int, offset: float) -> Mistake:
         return Motion(motion.q, motion.qd, motion.qdd, motion.torque - constant)
 
     return Mistake("offset", (joint,), words, turn, offset, right)
+
+
+def _in_unit(angle: float = 1.0, target: float = 1.0) -> Callable[[Motion], Motion | None]:
+    return lambda motion: motion.in_unit(angle, target)
 
 
 def _scaled(**by: Any) -> Callable[[Motion], Motion]:

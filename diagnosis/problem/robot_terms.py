@@ -100,6 +100,19 @@ class RobotTerms:
                 own[:, k] = 2 * (self.effort if motor is None else self.target).zero[k] - own[:, k]
         return self._commanded(own)
 
+    @property
+    def has_targets(self) -> bool:
+        """Whether there are servos."""
+        return any(servos(self.body, self.told.shape[1]))
+
+    def retargeted(self, factor: float) -> "RobotTerms":
+        """The terms with servos' targets so many times as large, about their zeros."""
+        own = self._commands()
+        for k, motor in enumerate(servos(self.body, own.shape[1])):
+            if motor is not None:
+                own[:, k] = self.target.zero[k] + factor * (own[:, k] - self.target.zero[k])
+        return self._commanded(own)
+
     def _commands(self) -> np.ndarray:
         """Torques, and targets in the body's own counting where there are servos, (R, K)."""
         own = np.array(self.told)

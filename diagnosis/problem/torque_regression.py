@@ -65,6 +65,14 @@ class Motion:
         """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are lost."""
         return Motion(self.q * angle, self.qd * angle / time, self.qdd * angle / time**2, self.torque * torque)
 
+    def in_unit(self, angle: float, target: float) -> "Motion | None":
+        """Angles and servos' targets times factors, about the zeros of the log; None where no target is known."""
+        if self.terms is None:
+            return self.scaled(angle=angle) if target == 1 else None
+        terms, zero = self.terms.retargeted(target), self.terms.angle.zero
+        q, qd, qdd = zero + angle * (self.q - zero), angle * self.qd, angle * self.qdd
+        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
+
     def mirrored(self, joints: Sequence[int], angle: bool = False, torque: bool = False) -> "Motion":
         """Angles, commands or both of some joints counted the other way, about the zeros of the log."""
         sign = np.ones(self.q.shape[1])

@@ -44,7 +44,10 @@ def written(copy: Written) -> list[str]:
     if copy.nothing is not None:
         return [f"No corrected file was written: {copy.nothing}."]
     what = [f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}" for each in copy.changes]
-    found = [f"The corrected simulation is {copy.file}: changed is {named(what) if what else 'nothing'}."]
+    if what:
+        found = [f"The corrected simulation is {copy.file}: changed is {named(what)}."]
+    else:
+        found = [f"{copy.file} is a plain copy of the simulation: nothing in it is changed."]
     found += [f"Not in it is {words}: {why}." for words, why in copy.unsaid.items()]
     if (tried := copy.rollout) is not None:
         total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
@@ -53,4 +56,6 @@ def written(copy: Written) -> list[str]:
             f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
             f"Its angles are off by {after} rms with the corrected file, by {before} with the original."
         )
+        if what and total["after"] >= total["before"]:
+            found.append("The corrected file is no nearer to the recording: keep the original.")
     return found

@@ -20,6 +20,7 @@ OF_LINK = ("mass", "com", "inertia")
 Z_90 = 1.645
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
 NOT_SAID = "a simulation's file has no word for it"
+BY_HAND = {"gravity_tilt": "turn the file's gravity, or its base, by that angle yourself: neither is written here"}
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
         elif finding.effect in SAID:
             changes += SAID[finding.effect](finding, body)
         else:
-            unsaid[finding.key] = NOT_SAID
+            unsaid[finding.key] = BY_HAND.get(finding.effect, NOT_SAID)
     said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
     for number in cause.learned:
         before, to = number.change.before, number.change.after

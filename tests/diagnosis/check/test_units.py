@@ -68,6 +68,19 @@ def test_the_line_to_change_is_named_and_nothing_else_is_found(log, case):
     np.testing.assert_allclose(righted.time, right.time)
 
 
+def test_times_in_another_unit_than_was_said_are_named_by_their_own(log):
+    (wrong,) = check(read(log, time='time_unit = "us"'), SERVO_ARM, effects=False).mistakes
+    assert wrong.words == "the times are in milliseconds"
+    assert wrong.remedy.startswith('write time_unit = "ms" in ')
+
+
+def test_targets_alone_in_another_unit_are_named(log):
+    (wrong,) = check(read(log, target="rad"), SERVO_ARM, effects=False).mistakes
+    assert wrong.words == "the servos' targets are in degrees"
+    assert wrong.remedy.startswith('write unit = "deg" in each line "target = …" of ')
+    assert wrong.after < 0.1
+
+
 def test_times_and_angles_that_are_both_wrong_are_both_named(log):
     kinds = [wrong.kind for wrong in check(read(log, time="", angle="", target=""), SERVO_ARM, effects=False).mistakes]
     assert sorted(kinds) == ["degrees", "time"]

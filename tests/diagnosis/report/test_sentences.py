@@ -102,7 +102,17 @@ def test_what_was_written_is_named_not_counted():
     whole = change | {"place": "", "quantity": "gravity"}
     told = written(Written("out.xml", (change, whole), {}))
     assert told == ["The corrected simulation is out.xml: changed is damping of elbow and gravity."]
-    assert written(Written("out.xml", (), {})) == ["The corrected simulation is out.xml: changed is nothing."]
+    assert written(Written("out.xml", (), {})) == [
+        "out.xml is a plain copy of the simulation: nothing in it is changed."
+    ]
+
+
+@pytest.mark.parametrize(("after", "told"), [(0.02, True), (0.005, False)])
+def test_a_corrected_file_that_is_no_nearer_is_not_recommended(after, told):
+    change = {"place": "elbow", "quantity": "damping", "from": 0.1, "to": 0.2, "interval_90": [0.2, 0.2], "unit": "u"}
+    tried = {"engine": "MuJoCo", "held_out": True, "window_s": 1.0, "total_rms_rad": {"before": 0.01, "after": after}}
+    sentences = written(Written("out.xml", (change,), {}, rollout=tried))
+    assert ("The corrected file is no nearer to the recording: keep the original." in sentences) == told
 
 
 def test_a_gap_that_does_not_matter_is_told_with_its_size():

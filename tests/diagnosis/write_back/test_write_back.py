@@ -46,6 +46,11 @@ def changed(path, *findings):
     return *models, text.decode(), asked.unsaid | unsaid
 
 
+def test_tilted_gravity_is_left_to_the_reader(file):
+    tilt = finding("gravity_tilt", {}, angle=0.04)
+    assert correction(cause(tilt), Body.load(file)).unsaid["gravity_tilt"].startswith("turn the file's gravity")
+
+
 def test_joints_numbers_add_to_the_files(file):
     elbow = {"joint": "elbow"}
     old, new, text, unsaid = changed(
