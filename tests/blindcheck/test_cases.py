@@ -67,6 +67,7 @@ def hasty(monkeypatch):
     """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
     monkeypatch.setattr(cases, "TRIES", 2)
     monkeypatch.setattr(starts, "STEPS", 2)
+    monkeypatch.setattr(starts, "DOUBLED", 1)
 
 
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
