@@ -25,7 +25,7 @@ demo: $(VENV)/.use
 # One thread a worker: the tests' arrays are small, and threads of several workers only get in each other's way.
 # Who has nothing left takes over from the other: most of the time goes into a few rooms, whose tests come first.
 test: $(VENV)/.development
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
@@ -39,11 +39,11 @@ notebooks: $(TUTORIALS)
 docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
 	$(BIN)/jupytext --quiet --to ipynb --output $@.tmp.ipynb $<
 	sed -i.bak -e 's#(\.\./docs/#(../#g' -e 's#(\(0[0-9]_[a-z_]*\)\.py)#(\1.ipynb)#g' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # as seen from docs/tutorials
-	OMP_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
 	mv $@.tmp.ipynb $@
 
 docs: notebooks
-	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
 	INVDYN_SITE=build/site $(BIN)/python -m pytest -q -m slow tests/front_door/test_site.py
 	@echo "build/site/index.html"
 

@@ -15,8 +15,9 @@ FOLDER = Path(__file__).parents[2] / "notebooks"
 
 
 def run(notebook, **environment: str):
+    """One thread a kernel. Numba would set OpenMP's threads, and so those of torch, to the number of cores."""
     client = NotebookClient(notebook, timeout=None, kernel_name="python3", resources={"metadata": {"path": FOLDER}})
-    client.execute(env={**os.environ, "OMP_NUM_THREADS": "1", **environment})
+    client.execute(env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **environment})
     return notebook
 
 
