@@ -11,9 +11,10 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
+from invdyn.diagnosis.hypotheses.simplex_search import log_spread
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.noise import is_searched, log_spread
+from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.joint_limit import JointLimit

@@ -21,9 +21,9 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import led, lifted
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.simplex_search import grid, log_prior_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.noise import grid, log_prior_of
 from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.memory import expansions

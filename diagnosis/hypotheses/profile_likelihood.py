@@ -20,9 +20,10 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_prior_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.noise import climb, grid, is_noise, log_prior_of
+from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
 from invdyn.diagnosis.sensitivity.memory import expansions

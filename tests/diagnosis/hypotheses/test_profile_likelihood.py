@@ -12,8 +12,9 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.simplex_search import grid, log_spread
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.noise import grid, is_noise, log_spread
+from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.unknowns import at_far_end
 from invdyn.diagnosis.sensitivity.whiten import linear_of
 from invdyn.inference.smoothing.linearisation import seen_as, seen_rows, slopes_along
