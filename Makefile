@@ -3,7 +3,8 @@ PYTHON ?= python3
 WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
+# Most of what is installed is never imported: what is, Python compiles then.
+PIP := $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt
 
 .PHONY: help install demo test lint notebooks docs clean
 
