@@ -68,7 +68,7 @@ class Diagnosed(Recorded):
     ] = 2
 
     def check(self) -> None:
-        """Raise InputError for an unknown effect, torques both 0 and hidden, and a recording that is given twice."""
+        """Raise InputError for what does not go together, an unknown effect, and a recording that is given twice."""
         from invdyn.models.effects import EFFECTS
         from invdyn.recordings import InputError, resolved
 
@@ -83,6 +83,11 @@ class Diagnosed(Recorded):
                 raise InputError(
                     f"{surplus[0]} takes recordings in metres: `invdyn triangulate` makes them of several cameras"
                 )
+        if self.of_logs and (surplus := [option for option, value in self.of_keypoints.items() if value]):
+            raise InputError(
+                f"{surplus[0]} says how keypoints are read: a robot's log carries its own times, names and units; "
+                f"leave {surplus[0]} out"
+            )
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
         if self.clock is not None and self.beside is None:
@@ -96,6 +101,14 @@ class Diagnosed(Recorded):
                 option = {self.held_out: "--held-out", self.beside: "--beside"}.get(name, "--also")
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
             given.add(resolved(name))
+
+    @property
+    def of_logs(self) -> bool:
+        """Whether all that is read is robots' own logs."""
+        from .inputs import is_log
+
+        names = (*self.recordings, *self.others, *((self.held_out,) if self.held_out else ()))
+        return self.beside is None and (self.mapping is not None or all(is_log(name) for name in names))
 
     @property
     def struck(self) -> tuple[str, ...]:

@@ -90,6 +90,19 @@ class Recorded:
             "--body-lengths": self.body_lengths,
         }
 
+    @property
+    def of_keypoints(self) -> dict[str, Any]:
+        """Options that a robot's own log does not take, with their values."""
+        return {
+            "--fps": self.fps,
+            "--format": self.format,
+            "--scale": self.scale,
+            "--body-lengths": self.body_lengths,
+            "--base": self.base,
+            "--individual": self.individual,
+            "--plane": self.plane,
+        }
+
     def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording
