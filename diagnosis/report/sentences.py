@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import LEFT_OUT, Cause, Diagnosis, Finding, named
+from invdyn.diagnosis.assessment.result import LEFT_OUT, STEPS, Cause, Diagnosis, Finding, named
 from invdyn.diagnosis.report.file_sentences import changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
@@ -163,8 +163,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    if untold := diagnosis.method.get(LEFT_OUT):
-        found.append(f"{untold}.")
+    found += [f"{told}." for key in (LEFT_OUT, STEPS) if (told := diagnosis.method.get(key))]
     if count := diagnosis.not_looked_at:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
