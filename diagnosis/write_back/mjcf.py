@@ -4,6 +4,7 @@
     motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
     payload                                         a body of that mass at the tip
     mass, com, inertia of a link                    its inertial element, made explicit from what MuJoCo compiled
+    gravity                                         gravity of the option
 
 Joints and bodies are found by their number, which follows the file's order, so that they need no names. Of elements
 that an included file has, nothing is written: what is included may be somebody else's.
@@ -45,14 +46,17 @@ def rewritten(
     writer = Writer(text, model, data, body)
     unsaid: dict[str, str] = {}
     inertial: dict[str, list[FileChange]] = {}
-    for change in changes:
+    gravity = [change for change in changes if change.quantity.startswith("gravity")]
+    for change in (each for each in changes if each not in gravity):
         if change.quantity.startswith(OF_LINK):
             inertial.setdefault(change.place, []).append(change)
         elif (why := writer.write(change)) is not None:
-            unsaid[f"{change.quantity} of {change.place}"] = why
+            unsaid[change.words] = why
     for place, several in inertial.items():
         if (why := writer.write_inertial(place, several)) is not None:
-            unsaid |= {f"{change.quantity} of {place}": why for change in several}
+            unsaid |= {change.words: why for change in several}
+    if gravity and (why := writer.write_gravity(gravity)) is not None:
+        unsaid |= {change.words: why for change in gravity}
     return text.changed(), unsaid
 
 
@@ -132,6 +136,23 @@ class Writer:
         )
         return None
 
+    def write_gravity(self, changes: Sequence[FileChange]) -> str | None:
+        """The option's gravity, of a chain in the plane the coordinates across its hinges."""
+        axes = (0, 1, 2) if self.body.space == 3 else self._plane(self._joint_of(0))
+        gravity = self.model.opt.gravity.copy()
+        for change in changes:
+            gravity[axes[AXES.index(change.quantity[-1])]] = change.after
+        options = [e for e in self.text.found("option") if e.parent is not None and e.parent.tag == "mujoco"]
+        said = [e for e in options if "gravity" in e.attributes]
+        if not self.whole and not said:
+            return INCLUDED
+        comment = "invdyn: " + "; ".join(change.comment.removeprefix("invdyn: ") for change in changes)
+        if said or options:
+            self.text.change((said or options)[-1], comment, gravity=_row(gravity))
+        else:
+            self.text.insert(self.text.elements[0], f'<option gravity="{_row(gravity)}"/>', comment)
+        return None
+
     def write_inertial(self, link: str, changes: Sequence[FileChange]) -> str | None:
         """A link's inertial element with other numbers; None where that could be done, else why not."""
         k = self.body.link_names.index(link)
@@ -198,6 +219,10 @@ class Writer:
             return named[0]
         return self.bodies[number - 1] if self.whole and len(self.bodies) == self.model.nbody - 1 else None
 
+    def _plane(self, joint: int) -> tuple[int, int]:
+        """The file's axes that a planar chain's x and y are, across the axis of one of its hinges."""
+        return ((1, 2), (0, 2), (0, 1))[int(np.abs(self.data.xaxis[joint]).argmax())]
+
     def _in_body(self, number: int, link: int, point: np.ndarray) -> np.ndarray:
         """A ``point`` of a link (n,) m, on a line in the plane or in its frame, in the frame of a body of it."""
         joint = self._joint_of(link)
@@ -205,8 +230,7 @@ class Writer:
             hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
             return point + self.model.jnt_pos[joint] * hinge
         heading, far = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1]), point.item()
-        axis = int(np.abs(self.data.xaxis[joint]).argmax())
-        u, v = ((1, 2), (0, 2), (0, 1))[axis]
+        u, v = self._plane(joint)
         point = self.data.xanchor[joint].copy()
         point[u] += far * np.cos(heading)
         point[v] += far * np.sin(heading)
