@@ -22,6 +22,8 @@ OF_LINK = ("mass", "com", "inertia")
 """What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
 Z_90 = 1.645
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
+IN_PART = {"stribeck_friction": "its friction in motion is written; for what it has more near rest there is no word"}
+"""Effects of which a file says a part, and which."""
 NOT_SAID = "a simulation's file has no word for it"
 
 
@@ -72,6 +74,8 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
             unsaid[finding.key] = SEEN
         elif finding.effect in SAID:
             changes += SAID[finding.effect](finding, body)
+            if finding.effect in IN_PART:
+                unsaid[finding.key] = IN_PART[finding.effect]
         else:
             unsaid[finding.key] = NOT_SAID
     said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
@@ -199,6 +203,7 @@ def _sides(ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
     "viscous_friction": _part("damping", "damping"),
     "coulomb_friction": _part("friction", "torque"),
+    "stribeck_friction": _part("friction", "coulomb"),
     "armature": _part("armature", "inertia"),
     "joint_stiffness": _spring,
     "actuator_gain": _gain,

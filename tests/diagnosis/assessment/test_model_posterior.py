@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -207,3 +208,24 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)
         assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("static", "left", "named"), [(0.01, 1.0, "coulomb"), (0.01, 0.0, "stribeck"), (0.2, 1.0, "stribeck")]
+)
+def test_stribeck_friction_that_is_less_at_rest_is_coulomb_friction(static, left, named, monkeypatch):
+    """Where Coulomb friction leaves nothing that matters; whatever the curve gains."""
+    coulomb, stribeck = (EFFECTS[f"{name}_friction"]("pivot") for name in ("coulomb", "stribeck"))
+    bound = diagnosis_problem(recording_of(coulomb, torque=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, dry = (refine(bound, e, {}, path, LOOSE) for e in ((), (coulomb,)))
+    (coulomb,), values = dry.effects, {"coulomb": 0.1, "static": static, "velocity": 0.1}
+    mine = {"names": tuple(f"{stribeck.key}.{name}" for name in values), "mean": np.array([*values.values()])}
+    curved = replace(dry, effects=(stribeck.bound(bound.model.body),), log_evidence=dry.log_evidence + 50, **mine)
+    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
+    module = sys.modules[_alone.__module__]
+    alone = {none.key: 0.0, dry.key: left, curved.key: 0.0}
+    monkeypatch.setattr(module, "_alone", lambda _, __, cause, ___: alone[cause.key])
+    silent = SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan)
+    monkeypatch.setattr(module, "confirm_all", lambda _, causes, *__: [silent] * len(causes))
+    assert weigh(bound, pool, 0).best.key == f"{named}_friction.pivot"

@@ -124,6 +124,13 @@ def test_joints_numbers_add_to_the_files(file):
     assert "from 0.1 to 0.35 u, 90 % interval 0.33 to 0.37" in text
 
 
+def test_of_stribeck_friction_what_it_has_in_motion_is_written(file):
+    stribeck = finding("stribeck_friction", {"joint": "elbow"}, coulomb=0.05, static=0.08, velocity=0.1)
+    _old, new, _text, unsaid = changed(file, stribeck)
+    assert new.dof_frictionloss[1] == pytest.approx(0.05)
+    assert set(unsaid) == {"stribeck_friction.elbow"}
+
+
 def test_all_else_stays_as_it_was_written(file):
     _, _, text, _ = changed(file, finding("viscous_friction", {"joint": "elbow"}, damping=0.25))
     before, after = file.read_text().splitlines(), text.splitlines()
