@@ -17,8 +17,8 @@ A cause explains only a part, s_c = 0, in any of these cases:
   there.
 
 An effect whose likeliest values are not what its name says gives its probability to its special case
-(:attr:`Effect.contains`), if that leaves nothing that matters: Stribeck friction that is less at rest is Coulomb
-friction that is soft, and what its curve gains is not worth a name.
+(:attr:`Effect.contains`), if that gains all but a tenth of its evidence: Stribeck friction that is less at rest is
+Coulomb friction that is softer than its form here, and something else is left beside either.
 
 The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`). Of three effects or more,
 held-out rows have to bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
@@ -108,10 +108,15 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: 
     share = np.array(
         [_alone(bound, found, c, tolerance) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)]
     )
+    least = found.pool[""].log_evidence
     for i in np.flatnonzero(probability > FAINT):
         j = _special(bound, ranked, ranked[i])
-        if j is not None and (own := _alone(bound, found, ranked[j], tolerance)) > 0.5:
-            probability[j], probability[i], share[j] = probability[j] + probability[i], 0.0, own
+        if (
+            j is not None
+            and evidence[ranked[j].key] > RULE.little * least + (1 - RULE.little) * evidence[ranked[i].key]
+        ):
+            probability[j], probability[i] = probability[j] + probability[i], 0.0
+            share[j] = _alone(bound, found, ranked[j], tolerance)
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
     probability = probability * np.where(rest, [another(len(c.effects), found.most) for c in ranked], 1.0)
@@ -123,7 +128,7 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: 
 
 
 def _special(bound: DiagnosisProblem, ranked: list[FittedHypothesis], cause: FittedHypothesis) -> int | None:
-    """Number of the cause that has, for an effect of ``cause`` which is not what it is called, a special case of it."""
+    """Number of the cause with a special case of that effect of ``cause`` which is not what it is called."""
     keys = [other.key for other in ranked]
     for effect in cause.effects:
         mean = of_effect(effect, cause.values)
