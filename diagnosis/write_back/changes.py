@@ -145,7 +145,8 @@ def _spring(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
 def _gain(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     e = finding.parameters["gain"]
     joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
-    return [FileChange(j, "motor gain", 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j in joints]
+    named = [(j, "motor gain" if _joint(body, j).servo is None else "servo gain") for j in joints]
+    return [FileChange(j, name, 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j, name in named]
 
 
 def _limit(finding: Finding, body: ArticulatedBody) -> list[FileChange]:

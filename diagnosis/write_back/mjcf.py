@@ -2,6 +2,7 @@
 
     damping, friction, armature, stiffness, rest    damping, frictionloss, armature, stiffness, springref of a joint
     motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
+    servo gain                                      kp or kv of the joint's position or velocity servo
     payload                                         a body of that mass at the tip
     mass, com, inertia of a link                    its inertial element, made explicit from what MuJoCo compiled
     gravity                                         gravity of the option
@@ -26,6 +27,7 @@ from invdyn.models.effects.inertias import inertia_of, point_of
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
+SERVO = "its actuator says gain and bias otherwise than by kp or kv alone; multiply both by that factor"
 SAMPLES = 2
 """More than a delay has steps, that an actuator remembers."""
 POINT = "1e-9 1e-9 1e-9"
@@ -109,6 +111,12 @@ class Writer:
         if change.quantity == "motor gain":
             gear[0] *= change.after
             self.text.change(element, change.comment, gear=" ".join(map(_said, np.trim_zeros(gear, "b"))))
+        elif change.quantity == "servo gain":
+            key = {"position": "kp", "velocity": "kv"}.get(element.tag)
+            if key is None or "dampratio" in element.attributes:
+                return SERVO
+            gain = float(self.model.actuator_gainprm[own[0], 0]) * change.after
+            self.text.change(element, change.comment, **{key: _said(gain)})
         elif change.quantity == "motor limit":
             force = abs(change.after / gear[0])
             self.text.change(element, change.comment, forcelimited="true", forcerange=f"{_said(-force)} {_said(force)}")

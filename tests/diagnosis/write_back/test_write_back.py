@@ -159,6 +159,18 @@ def test_motors_and_links(file):
     assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
 
 
+def test_a_servos_gain_is_its_kp(file):
+    file.write_text(robot(servo=True))
+    _old, new, _text, unsaid = changed(file, finding("actuator_gain", {}, gain=-0.2))
+    assert not unsaid
+    assert new.actuator_gainprm[0, 0] == pytest.approx(32.0)
+    assert new.actuator_biasprm[0, :3] == pytest.approx([0.0, -32.0, -3.0])
+    assert new.actuator_gear[:, 0].tolist() == [1.0, 8.0]
+    file.write_text(robot(servo=True).replace('kv="3"', 'dampratio="1"'))
+    *_, unsaid = changed(file, finding("actuator_gain", {"joint": "shoulder"}, gain=-0.2))
+    assert unsaid == {"servo gain of shoulder": mjcf.SERVO}
+
+
 def learned(place: str, quantity: str, before: float, after: float) -> Learned:
     return Learned(place, quantity, Change(before, Estimate(after, 0.01, (after - 0.02, after + 0.02), "u")))
 
