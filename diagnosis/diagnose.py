@@ -27,9 +27,9 @@ from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.engine_steps import search_either
 from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
@@ -140,6 +140,7 @@ def diagnose(
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
     if other is not None:
+        other = other.in_engine_steps() if bound.engine_step else other
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
     allowed.share = 1.0
     report(2, "confirm")
@@ -197,7 +198,7 @@ def _searched(
         with diverging():
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            found = search(bound, path, stray, without, workers, most)
+            bound, found = search_either(bound, path, stray, without, workers, most)
             return heavy_tailed(bound, found)
     except Diverged as error:
         raise cannot_follow(bound) from error

@@ -17,6 +17,7 @@ from invdyn.diagnosis.assessment.matters import matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed, too_small
 from invdyn.diagnosis.assessment.posture import base_of, lengths_of, posture, typical_row
 from invdyn.diagnosis.assessment.result import (
+    STEPS,
     Cause,
     Diagnosis,
     Gap,
@@ -260,8 +261,16 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "budget": f"{bound.budget.allowed}, the search three quarters of it; {_looked_at(found.missed)}",
         "held out": held_out,
         **({"not looked for": f"{', '.join(flat)}: known for a chain in the plane alone"} if flat else {}),
+        **({STEPS: _steps(bound.engine_step)} if bound.engine_step else {}),
         "scatter": ", ".join(sorted({e.name for e in found.candidates if is_noise(e)})) or "none",
     }
+
+
+def _steps(step: float) -> str:
+    return (
+        f"The recording moves as in first-order steps of {1e3 * step:g} ms, as the file's own engine takes them: what "
+        "these do to commands and dampers is no gap"
+    )
 
 
 def _looked_at(missed: int) -> str:

@@ -16,6 +16,10 @@ A cause explains only a part, s_c = 0, in any of these cases:
   cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but surely
   there.
 
+An effect whose likeliest values are not what its name says gives its probability to its special case
+(:attr:`Effect.contains`), if that gains all but a tenth of its evidence: Stribeck friction that is less at rest is
+Coulomb friction that is softer than its form here, and something else is left beside either.
+
 The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`). Of three effects or more,
 held-out rows have to bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
 
@@ -37,9 +41,10 @@ from invdyn.diagnosis.assessment.credible import credible
 from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.prediction.innovation_tests import along_motion, prediction_errors, show_more
-from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
+from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another
+from invdyn.models.effects import EFFECTS
 
 FAINT = 1e-4
 """Probability under which nobody asks what a cause leaves."""
@@ -103,6 +108,15 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: 
     share = np.array(
         [_alone(bound, found, c, tolerance) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)]
     )
+    least = found.pool[""].log_evidence
+    for i in np.flatnonzero(probability > FAINT):
+        j = _special(bound, ranked, ranked[i])
+        if (
+            j is not None
+            and evidence[ranked[j].key] > RULE.little * least + (1 - RULE.little) * evidence[ranked[i].key]
+        ):
+            probability[j], probability[i] = probability[j] + probability[i], 0.0
+            share[j] = _alone(bound, found, ranked[j], tolerance)
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
     probability = probability * np.where(rest, [another(len(c.effects), found.most) for c in ranked], 1.0)
@@ -111,6 +125,20 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: 
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
     in_part = {ranked[i].key: float(probability[i] * (1 - share[i])) for i in order}
     return Weighed(causes, in_part, min(sum(in_part.values()), 1.0), confirmed, evidence)
+
+
+def _special(bound: DiagnosisProblem, ranked: list[FittedHypothesis], cause: FittedHypothesis) -> int | None:
+    """Number of the cause with a special case of that effect of ``cause`` which is not what it is called."""
+    keys = [other.key for other in ranked]
+    for effect in cause.effects:
+        mean = of_effect(effect, cause.values)
+        if effect.credible(mean, dict.fromkeys(mean, 0.0), bound.model.scale):
+            continue
+        for name in effect.contains:
+            narrower = [EFFECTS[name](*effect.where) if each is effect else each for each in cause.effects]
+            if (key := key_of(narrower)) in keys:
+                return keys.index(key)
+    return None
 
 
 def too_small(weighed: Weighed) -> Weighed:

@@ -18,6 +18,8 @@ SCHEMA = 2
 """Of `diagnosis.json`: 2 has all of 1, and adds what of a file changes, what was learned of it, and the budget."""
 LEFT_OUT = "left out"
 """Key of `Diagnosis.method`: what was not looked at of a long recording."""
+STEPS = "steps"
+"""Key of `Diagnosis.method`: that a recording is as of the file's own engine."""
 
 
 @dataclass(frozen=True)

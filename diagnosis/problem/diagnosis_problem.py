@@ -23,7 +23,7 @@ from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_nu
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
 from invdyn.inference.posterior.jitter import jitter
 from invdyn.models import ArmModel, ArticulatedBody
-from invdyn.models.articulated.as_filed import answered
+from invdyn.models.articulated.as_filed import FiledStep, answered, engine_steps
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
@@ -106,6 +106,17 @@ class DiagnosisProblem:
     def in_substeps(self, count: int) -> "DiagnosisProblem":
         """The same problem in so many integrator sub-steps a row."""
         return replace(self, problem=replace(self.problem, model=self.model.in_substeps(count)))
+
+    @property
+    def engine_step(self) -> float:
+        """First-order step, s, in which the simulation is played, 0 for none; see :meth:`in_engine_steps`."""
+        return max((part.parts.step for part in self.model.effects.filed if isinstance(part, FiledStep)), default=0.0)
+
+    def in_engine_steps(self) -> "DiagnosisProblem":
+        """The same problem in the steps of the file's own engine; itself where it has none, or nobody commands."""
+        if self.engine_step or not (self.regime.commanded and engine_steps(self.model.body)):
+            return self
+        return replace(self, problem=replace(self.problem, model=self.model.in_engine_steps()))
 
     def observing(self, observations: Tensor) -> "DiagnosisProblem":
         """The same problem with other observations (T, O)."""

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from invdyn.diagnosis.problem.robot_terms import servos
 from invdyn.diagnosis.problem.torque_regression import Motion, explain
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.recordings.units import TIMES, Units
@@ -184,7 +185,7 @@ def _tried(
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
         if abs(offset) > SMALL_OFFSET * np.sqrt((motion.torque[:, k] ** 2).mean()):
-            yield free.misfit, _offset(k, joints, offset)
+            yield free.misfit, _offset(k, motion, offset)
 
 
 def _searched(
@@ -231,11 +232,20 @@ def _scale(group: tuple[int, ...], joints: int, log: float) -> Mistake:
     return Mistake("scale", group, words, f"multiply its torques by {factor:.3g}", factor, _scaled(torque=given))
 
 
-def _offset(joint: int, joints: int, offset: float) -> Mistake:
+def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
+    """A constant torque; of a servo, whose log has none, it is one of its target to what the encoder shows."""
+    joints = motion.q.shape[1]
     constant = np.zeros(joints)
     constant[joint] = offset
     words = f"the torques are {offset:+.3g} N·m off all along"
     turn = f"subtract {offset:.3g} N·m from its torques"
+    terms = motion.terms
+    if terms is not None and (servo := servos(terms.body, joints)[joint]) is not None:
+        off = terms.sign[joint] * offset / servo.gain
+        unit, shown = ("rad", "angles") if servo.kind == "position" else ("rad/s", "velocities")
+        words = f"the servo's targets are {off:+.3g} {unit} off against its {shown} all along"
+        turn = f"subtract {off:.3g} {unit} from its targets"
+        turn += f", or {-off:.3g} rad from its angles" if servo.kind == "position" else ""
 
     def right(motion: Motion) -> Motion:
         return Motion(motion.q, motion.qd, motion.qdd, motion.torque - constant)

@@ -1,7 +1,7 @@
 """Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
 
 from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
-from invdyn.diagnosis.report.numbers import changed, handies
+from invdyn.diagnosis.report.numbers import changed, handies, handy
 from invdyn.diagnosis.report.words import finding_words, place_words
 from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.effects import EFFECTS
@@ -19,6 +19,20 @@ def changes(diagnosis: Diagnosis) -> list[str]:
                 f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {old} to {new} "
                 f"(90 % interval {low} to {high})."
             )
+    return found
+
+
+def at_edges(diagnosis: Diagnosis) -> list[str]:
+    """Numbers of the best cause that are as large as they are told, and what that means."""
+    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+    found = []
+    for finding in cause.effects if cause is not None else ():
+        kind = EFFECTS.get(finding.effect)
+        for name, (edge, means) in kind.edges.items() if kind is not None else ():
+            e = finding.parameters.get(name)
+            if e is not None and max(map(abs, e.interval_90)) >= edge:
+                what = f"The {name.replace('_', ' ')} of {finding_words(finding)}"
+                found.append(f"{what} may be {handy(edge, e.unit, 3)} or more: {means}.")
     return found
 
 

@@ -1,10 +1,12 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import LEFT_OUT, Cause, Diagnosis, Finding, named
-from invdyn.diagnosis.report.file_sentences import changes, learned, written
+from invdyn.diagnosis.assessment.result import LEFT_OUT, STEPS, Cause, Diagnosis, Finding, named
+from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
 
+WITHIN = 0.005
+"""Of each other, shares that are told alike: half a per cent."""
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
@@ -137,11 +139,23 @@ def _small(diagnosis: Diagnosis) -> str:
 
 
 def _place(diagnosis: Diagnosis) -> str:
-    top, side = largest(diagnosis.where.joints), largest(diagnosis.where.side)
-    if side and side[0] == "observation":
-        top = largest(diagnosis.where.keypoints)
-        return f" at {place_words('keypoint', top[0])}" if top and top[1] >= 0.5 else " in how the motion is seen"
-    return f" at {place_words('joint', top[0])}" if top and top[1] >= 0.5 else ""
+    w = diagnosis.where
+    seen = (side := largest(w.side)) is not None and side[0] == "observation"
+    top = largest(w.keypoints if seen else w.joints)
+    if top and top[1] >= 0.5 - WITHIN:
+        return f" at {named(_largest('keypoint', w.keypoints) if seen else _largest('joint', w.joints))}"
+    return " in how the motion is seen" if seen else ""
+
+
+def _most(shares: dict[str, float]) -> list[str]:
+    """The places that have the largest share as it is told: none of a tie before the others."""
+    most = max(shares.values(), default=0.0)
+    return [name for name, share in shares.items() if share >= most - WITHIN]
+
+
+def _largest(kind: str, shares: dict[str, float]) -> list[str]:
+    """The same in words."""
+    return [place_words(kind, name) for name in _most(shares)]
 
 
 def details(diagnosis: Diagnosis) -> list[str]:
@@ -152,7 +166,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     found = []
     if answer != "none":
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
-        found += changes(diagnosis)
+        found += changes(diagnosis) + at_edges(diagnosis)
     found += learned(diagnosis)
     if answer in ("outside", "none") and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
@@ -163,8 +177,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    if untold := diagnosis.method.get(LEFT_OUT):
-        found.append(f"{untold}.")
+    found += [f"{told}." for key in (LEFT_OUT, STEPS) if (told := diagnosis.method.get(key))]
     if count := diagnosis.not_looked_at:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
@@ -188,7 +201,10 @@ def where(diagnosis: Diagnosis) -> str | None:
     shares = ("keypoint", w.keypoints) if side and side[0] == "observation" else ("joint", w.joints)
     if (top := largest(shares[1])) and len(shares[1]) > 1:
         much = "" if top[1] >= 0.9 else "mostly " if top[1] > 0.5 else "in part "
-        parts.append(f"{much}at {place_words(shares[0], top[0])} ({percent(top[1])})")
+        if len(places := _largest(*shares)) > 1:
+            parts.append(f"as much at {named(places)} ({percent(top[1])} each)")
+        else:
+            parts.append(f"{much}at {places[0]} ({percent(top[1])})")
     if w.intervals:
         when = max(w.intervals, key=lambda i: i.share)
         if when.share >= 0.3:
@@ -210,8 +226,8 @@ def _closed(diagnosis: Diagnosis) -> str | None:
         on = "data held out from the fit" if shrinkage.held_out else "the same data as the fit"
         parts.append(f"the share closed is {percent(low)} to {percent(high)} with 90 % probability, on {on}")
     # At the joint where the gap lies: with much noise more may seem to be missing at another.
-    at = largest(diagnosis.where.joints)
-    top = largest({at[0]: before[at[0]]} if at and at[0] in before else before)
+    at = {name: before[name] for name in _most(diagnosis.where.joints) if name in before}
+    top = largest(at or before)
     if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
         old, new = handies("N·m", top[1], after)
         goes = f"stays at {old}" if old == new else f"goes from {old} to {new}"

@@ -12,6 +12,9 @@ import torch
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding, Learned
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
+from invdyn.models.bodies.protocol import AXES
+from invdyn.models.effects.base import rotated
+from invdyn.models.effects.gravity_tilt import turned
 from invdyn.models.effects.inertias import inertia_of
 
 SEEN = "how the motion is seen is no part of a simulation's file"
@@ -19,13 +22,14 @@ OF_LINK = ("mass", "com", "inertia")
 """What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
 Z_90 = 1.645
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
+IN_PART = {"stribeck_friction": "its friction in motion is written; for what it has more near rest there is no word"}
+"""Effects of which a file says a part, and which."""
 NOT_SAID = "a simulation's file has no word for it"
-BY_HAND = {"gravity_tilt": "turn the file's gravity, or its base, by that angle yourself: neither is written here"}
 
 
 @dataclass(frozen=True)
 class FileChange:
-    """One number of a file: of a joint, a link or the whole ("gravity"), by name; what it is, from and to, in `unit`.
+    """One number of a file: of a joint, a link or the whole ("gravity_x"), by name; what it is, from and to, in `unit`.
 
     `interval_90` is of `after`; `effect` the finding's key, or "learned" of a number that was uncertain.
     """
@@ -37,6 +41,11 @@ class FileChange:
     interval_90: tuple[float, float]
     unit: str
     effect: str
+
+    @property
+    def words(self) -> str:
+        """What it is, as it is named where it cannot be written."""
+        return f"{self.quantity} of {self.place}" if self.place else self.quantity
 
     @property
     def comment(self) -> str:
@@ -65,8 +74,10 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
             unsaid[finding.key] = SEEN
         elif finding.effect in SAID:
             changes += SAID[finding.effect](finding, body)
+            if finding.effect in IN_PART:
+                unsaid[finding.key] = IN_PART[finding.effect]
         else:
-            unsaid[finding.key] = BY_HAND.get(finding.effect, NOT_SAID)
+            unsaid[finding.key] = NOT_SAID
     said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
     for number in cause.learned:
         before, to = number.change.before, number.change.after
@@ -134,7 +145,8 @@ def _spring(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
 def _gain(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     e = finding.parameters["gain"]
     joints = [finding.where["joint"]] if "joint" in finding.where else list(body.joint_names)
-    return [FileChange(j, "motor gain", 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j in joints]
+    named = [(j, "motor gain" if _joint(body, j).servo is None else "servo gain") for j in joints]
+    return [FileChange(j, name, 1.0, 1 + e.mean, _moved(e, 1.0), "1", finding.key) for j, name in named]
 
 
 def _limit(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
@@ -163,9 +175,36 @@ def _delay(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     return [FileChange(j, "motor delay", 0.0, e.mean, e.interval_90, e.unit, finding.key) for j in joints]
 
 
+def _gravity(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
+    """Turned gravity in the body's frame; each angle moves its coordinates by themselves, to first order."""
+    given, own = finding.parameters, torch.tensor(body.gravity, dtype=torch.float64)
+
+    def at(**other: float) -> torch.Tensor:
+        angles = {name: torch.tensor([other.get(name, e.mean)], dtype=own.dtype) for name, e in given.items()}
+        if "angle" in angles:
+            return rotated(own, angles["angle"])
+        return turned(own, torch.cat([angles.get(f"about_{axis}", own.new_zeros(1)) for axis in AXES]))
+
+    after = at()
+    ends = [torch.stack([at(**{name: end}) - after for end in e.interval_90]) for name, e in given.items()]
+    below, above = (torch.stack(side).square().sum(0).sqrt() for side in zip(*map(_sides, ends), strict=True))
+    every = zip(AXES, own.tolist(), after.tolist(), (after - below).tolist(), (after + above).tolist(), strict=False)
+    return [
+        FileChange("", f"gravity_{axis}", before, to, (low, high), "m/s²", finding.key)
+        for axis, before, to, low, high in every
+        if abs(to - before) > 1e-12 * float(own.norm())
+    ]
+
+
+def _sides(ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """How far coordinates (2, n) at two ends of an interval go below and above, (n,) each."""
+    return ends.amin(0).clamp_max(0), ends.amax(0).clamp_min(0)
+
+
 SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
     "viscous_friction": _part("damping", "damping"),
     "coulomb_friction": _part("friction", "torque"),
+    "stribeck_friction": _part("friction", "coulomb"),
     "armature": _part("armature", "inertia"),
     "joint_stiffness": _spring,
     "actuator_gain": _gain,
@@ -173,5 +212,6 @@ SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
     "actuator_delay": _delay,
     "payload": _payload,
     "inertial_error": _inertial,
+    "gravity_tilt": _gravity,
 }
 """Effects that a file can say."""

@@ -2,8 +2,10 @@
 
     damping, friction, armature, stiffness, rest    damping, frictionloss, armature, stiffness, springref of a joint
     motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
+    servo gain                                      kp or kv of the joint's position or velocity servo
     payload                                         a body of that mass at the tip
     mass, com, inertia of a link                    its inertial element, made explicit from what MuJoCo compiled
+    gravity                                         gravity of the option
 
 Joints and bodies are found by their number, which follows the file's order, so that they need no names. Of elements
 that an included file has, nothing is written: what is included may be somebody else's.
@@ -25,6 +27,7 @@ from invdyn.models.effects.inertias import inertia_of, point_of
 
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
+SERVO = "its actuator says gain and bias otherwise than by kp or kv alone; multiply both by that factor"
 SAMPLES = 2
 """More than a delay has steps, that an actuator remembers."""
 POINT = "1e-9 1e-9 1e-9"
@@ -45,14 +48,17 @@ def rewritten(
     writer = Writer(text, model, data, body)
     unsaid: dict[str, str] = {}
     inertial: dict[str, list[FileChange]] = {}
-    for change in changes:
+    gravity = [change for change in changes if change.quantity.startswith("gravity")]
+    for change in (each for each in changes if each not in gravity):
         if change.quantity.startswith(OF_LINK):
             inertial.setdefault(change.place, []).append(change)
         elif (why := writer.write(change)) is not None:
-            unsaid[f"{change.quantity} of {change.place}"] = why
+            unsaid[change.words] = why
     for place, several in inertial.items():
         if (why := writer.write_inertial(place, several)) is not None:
-            unsaid |= {f"{change.quantity} of {place}": why for change in several}
+            unsaid |= {change.words: why for change in several}
+    if gravity and (why := writer.write_gravity(gravity)) is not None:
+        unsaid |= {change.words: why for change in gravity}
     return text.changed(), unsaid
 
 
@@ -105,6 +111,12 @@ class Writer:
         if change.quantity == "motor gain":
             gear[0] *= change.after
             self.text.change(element, change.comment, gear=" ".join(map(_said, np.trim_zeros(gear, "b"))))
+        elif change.quantity == "servo gain":
+            key = {"position": "kp", "velocity": "kv"}.get(element.tag)
+            if key is None or "dampratio" in element.attributes:
+                return SERVO
+            gain = float(self.model.actuator_gainprm[own[0], 0]) * change.after
+            self.text.change(element, change.comment, **{key: _said(gain)})
         elif change.quantity == "motor limit":
             force = abs(change.after / gear[0])
             self.text.change(element, change.comment, forcelimited="true", forcerange=f"{_said(-force)} {_said(force)}")
@@ -130,6 +142,23 @@ class Writer:
             f'<inertial pos="0 0 0" mass="{_said(change.after)}" diaginertia="{POINT}"/></body>',
             change.comment,
         )
+        return None
+
+    def write_gravity(self, changes: Sequence[FileChange]) -> str | None:
+        """The option's gravity, of a chain in the plane the coordinates across its hinges."""
+        axes = (0, 1, 2) if self.body.space == 3 else self._plane(self._joint_of(0))
+        gravity = self.model.opt.gravity.copy()
+        for change in changes:
+            gravity[axes[AXES.index(change.quantity[-1])]] = change.after
+        options = [e for e in self.text.found("option") if e.parent is not None and e.parent.tag == "mujoco"]
+        said = [e for e in options if "gravity" in e.attributes]
+        if not self.whole and not said:
+            return INCLUDED
+        comment = "invdyn: " + "; ".join(change.comment.removeprefix("invdyn: ") for change in changes)
+        if said or options:
+            self.text.change((said or options)[-1], comment, gravity=_row(gravity))
+        else:
+            self.text.insert(self.text.elements[0], f'<option gravity="{_row(gravity)}"/>', comment)
         return None
 
     def write_inertial(self, link: str, changes: Sequence[FileChange]) -> str | None:
@@ -198,6 +227,10 @@ class Writer:
             return named[0]
         return self.bodies[number - 1] if self.whole and len(self.bodies) == self.model.nbody - 1 else None
 
+    def _plane(self, joint: int) -> tuple[int, int]:
+        """The file's axes that a planar chain's x and y are, across the axis of one of its hinges."""
+        return ((1, 2), (0, 2), (0, 1))[int(np.abs(self.data.xaxis[joint]).argmax())]
+
     def _in_body(self, number: int, link: int, point: np.ndarray) -> np.ndarray:
         """A ``point`` of a link (n,) m, on a line in the plane or in its frame, in the frame of a body of it."""
         joint = self._joint_of(link)
@@ -205,8 +238,7 @@ class Writer:
             hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
             return point + self.model.jnt_pos[joint] * hinge
         heading, far = sum(self._parts(name).zero for name in self.body.joint_names[: link + 1]), point.item()
-        axis = int(np.abs(self.data.xaxis[joint]).argmax())
-        u, v = ((1, 2), (0, 2), (0, 1))[axis]
+        u, v = self._plane(joint)
         point = self.data.xanchor[joint].copy()
         point[u] += far * np.cos(heading)
         point[v] += far * np.sin(heading)

@@ -1,8 +1,8 @@
 """Changes written into a copy of a URDF: damping and friction of `<dynamics>`, the effort of `<limit>`, a link's mass
 and its moments.
 
-What URDF has no word for (rotors, springs, delays, gains) is named. So is a centre of mass that moved, with all that
-goes with it, and a link whose mass is not that of one `<inertial>`: links that are fixed to each other are one.
+What URDF has no word for (rotors, springs, delays, gains, gravity) is named. So is a centre of mass that moved, with
+all that goes with it, and a link whose mass is not that of one `<inertial>`: links fixed to each other are one.
 """
 
 import math
@@ -13,6 +13,10 @@ from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 
 SAID = {"damping": ("dynamics", "damping"), "friction": ("dynamics", "friction"), "motor limit": ("limit", "effort")}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+ELSEWHERE = {
+    "payload": "give the last link that mass",
+    "gravity": "URDF has no word for it; whatever plays the file has a gravity of its own",
+}
 BY_HAND = "change the link's inertial element"
 
 
@@ -28,8 +32,7 @@ def rewritten(content: bytes, changes: Sequence[FileChange]) -> tuple[bytes, dic
             of_links.setdefault(change.place, []).append(change)
             continue
         if change.quantity not in SAID:
-            why = "give the last link that mass" if change.quantity == "payload" else "URDF has no word for it"
-            unsaid[f"{change.quantity} of {change.place}"] = why
+            unsaid[change.words] = ELSEWHERE.get(change.quantity.partition("_")[0], "URDF has no word for it")
             continue
         tag, attribute = SAID[change.quantity]
         joint, value = joints[change.place], f"{change.after:.7g}"

@@ -75,7 +75,7 @@ def write_back(
             "effect": each.effect,
         }
         for each in asked.changes
-        if f"{each.quantity} of {each.place}" not in left
+        if each.words not in left
     )
     written = Written(str(out), changes, {**asked.unsaid, **left})
     if mjcf:

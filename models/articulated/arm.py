@@ -31,7 +31,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.articulated.as_filed import filed
+from invdyn.models.articulated.as_filed import engine_steps, filed
 from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
 from invdyn.models.articulated.sight import Sight
@@ -277,6 +277,10 @@ class ArmModel(StateSpaceModel):
         )
         other.state_dim = other.layout.size
         return other
+
+    def in_engine_steps(self) -> "ArmModel":
+        """The model as the engine that its file names plays it, in steps of first order (:class:`.FiledStep`)."""
+        return self._with(effects=Composition(tuple(self.effects), (*self.effects.filed, *engine_steps(self.body))))
 
     def in_substeps(self, count: int, abrupt: int | None = None) -> "ArmModel":
         """The model in so many integrator steps a row; ``abrupt`` is what a force that jumps takes at least."""

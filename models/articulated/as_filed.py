@@ -6,6 +6,9 @@ so on, (..., K), which stand as the file has them, or are learned where it calls
 
 A servo's command is the torque that its target alone asks for, K c + u₀ (:func:`servo_torque`), which effects on motors
 delay or change as any; its stiffness and damping answer to the angle and the velocity here.
+
+A file may name the engine that plays it, in steps of first order. What those do to a log is known, and is played only
+where a recording is taken for that engine's (:meth:`.ArmModel.in_engine_steps`).
 """
 
 from collections.abc import Sequence
@@ -101,6 +104,30 @@ class FiledServo(Filed):
             told = (now.motor if now.told is None else now.told)[..., j : j + 1]
             own = (told + own).clamp(motor.low, motor.high) - told
         return now.at(j, own)
+
+
+class FiledStep(Filed):
+    """First-order steps of h: the command acts h/2 early, dampers as an inertia (:mod:`..bodies.joint_parts`)."""
+
+    needs_command = True
+
+    def command(self, p: Values, command: Command) -> Command:
+        """U(t + h/2)."""
+        early = torch.zeros(command.mean.shape[-1]).to(command.mean)
+        early[self.place[0]] = self.parts.step / 2
+        return command.delayed(-early)
+
+    def inertia(self, p: Values, joints: int) -> Tensor:
+        """B h/2 at the joint."""
+        here = one_hot(torch.tensor(self.place[0]), joints).to(p["armature"])
+        return self.parts.late * self.parts.step / 2 * here
+
+
+def engine_steps(body: ArticulatedBody) -> tuple[FiledStep, ...]:
+    """What steps of the file's own engine do at each joint; none where it takes none of first order."""
+    every: Sequence[JointParts | None] = getattr(body, "joint_parts", ())
+    joints = enumerate(zip(body.joint_names, every, strict=False))
+    return tuple(FiledStep(joint, k, parts) for k, (joint, parts) in joints if parts is not None and parts.step)
 
 
 def filed(body: ArticulatedBody) -> tuple[Filed, ...]:

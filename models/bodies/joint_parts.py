@@ -6,11 +6,16 @@
 
 All as the joint feels it, behind the gear. In MuJoCo's terms (Computation: actuation model) an actuator's force is
 gain · ctrl + bias₀ + bias₁ · length + bias₂ · velocity, with length = gear · q, and acts times the gear.
+
+`step` and `late` say how the file's own engine plays the joint, and are no part of the robot. A first-order engine
+kicks velocities at the beginning of each step of h s and then moves with them, so that u acts h/2 early. A damper that
+it takes at the end of a step acts h/2 early, too, as an inertia B h/2 would; one that it takes from the beginning h/2
+late (Hairer, Lubich & Wanner 2006, §IX.1).
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from invdyn.models.bodies.scalars import KNOWN, UNKNOWN, BodyError, check_keys, number
 
@@ -59,7 +64,8 @@ class Motor:
 class JointParts:
     """`damping` b N·m·s/rad, `friction` f N·m, `armature` I_a kg·m², `stiffness` k N·m/rad with its `rest` θ₀ rad.
 
-    `sign` and `zero` say how the robot's own file counts the joint: θ = zero + sign · q.
+    `sign` and `zero` say how the robot's own file counts the joint: θ = zero + sign · q. `step` h s of the file's
+    engine, 0 for none of first order; `late` N·m·s/rad, dampers at a step's end less those at its beginning.
     Raises `BodyError` for what is no finite number, friction and the like that are negative, and another sign than ±1.
     """
 
@@ -71,11 +77,13 @@ class JointParts:
     motor: Motor | None = None
     sign: float = 1.0
     zero: float = 0.0
+    step: float = field(default=0.0, compare=False)
+    late: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
-        for key in (*NUMBERS, "sign", "zero"):
+        for key in (*NUMBERS, "sign", "zero", "step", "late"):
             value = number(getattr(self, key), f"a joint's {key}")
-            if value < 0 and key in NUMBERS and key != "rest":
+            if value < 0 and key in (*NUMBERS, "step") and key != "rest":
                 raise BodyError(f"expected a joint's {key} of 0 or more, got {value:g}")
             object.__setattr__(self, key, value)
         if abs(self.sign) != 1:

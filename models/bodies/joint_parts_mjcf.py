@@ -3,9 +3,13 @@
 A position servo of MuJoCo has gain kp and bias (0, −kp, −kv) on its length gear · q; at the joint it is one of
 K = S = kp gear² and D = kv gear². Limits are those of the actuator's force, of its control (of a torque motor), and of
 the joint's actuators together, whichever is narrower. What is not played is told by :mod:`.body_mjcf_left_out`.
+
+Its integrators are of first order but for RK4 (Computation: numerical integration). Euler takes joints' damping at a
+step's end and servos' at its beginning, "implicit" and "implicitfast" both at its end.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,16 +29,20 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
         motor = None
         if len(own) == 1 and (motor := _motor(mujoco, model, own[0], j)) is not None:
             played.add(own[0])
+        damping = _first(model.dof_damping[dof])
+        step, late = _step(mujoco, model, damping, 0.0 if motor is None else motor.damping)
         parts = JointParts(
-            damping=_first(model.dof_damping[dof]),
+            damping=damping,
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
             stiffness=_first(model.jnt_stiffness[j]),
             rest=float(model.qpos_spring[model.jnt_qposadr[j]]),
             motor=motor,
+            step=step,
+            late=late,
         )
         if parts.stiffness == 0:
-            parts = JointParts(parts.damping, parts.friction, parts.armature, motor=motor)
+            parts = replace(parts, rest=0.0)
         if parts != NOTHING:
             found[name] = parts
     return found, played
@@ -80,6 +88,16 @@ def _motor(mujoco: Any, model: Any, a: int, joint: int) -> Motor | None:
         float(low),
         float(high),
     )
+
+
+def _step(mujoco: Any, model: Any, damping: float, servo: float) -> tuple[float, float]:
+    """The engine's first-order step, s, 0 of RK4; and a joint's dampers at its end less those at its beginning."""
+    kind, option = int(model.opt.integrator), mujoco.mjtIntegrator
+    if kind == int(option.mjINT_RK4):
+        return 0.0, 0.0
+    euler = kind == int(option.mjINT_EULER)
+    explicit = euler and bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    return float(model.opt.timestep), (-damping if explicit else damping) + (-servo if euler else servo)
 
 
 def _first(value: Any) -> float:

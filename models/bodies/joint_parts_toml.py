@@ -9,7 +9,7 @@ from dataclasses import fields
 from invdyn.models.bodies.joint_parts import NOTHING, NUMBERS, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError, check_keys
 
-SAID = (*NUMBERS, "sign", "zero")
+SAID = (*NUMBERS, "sign", "zero", "step", "late")
 KEYS = (*SAID, "motor")
 
 

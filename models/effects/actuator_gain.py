@@ -1,13 +1,25 @@
-"""Motors that give more or less than they are told: (1 + ε) u."""
+"""Motors that give more or less than they are told: (1 + ε) u, and servos that pull harder or less hard.
 
-from collections.abc import Mapping
-from typing import ClassVar
+A servo makes K c + u₀ − S θ − D θ̇ of its target c (:mod:`..bodies.joint_parts`). Its gain is the factor on what it
+makes of the target and of the quantity that this is for,
+
+    τ = (1 + ε)(K c + u₀ − S θ) − D θ̇        of one that is told angles, kp in MuJoCo
+    τ = (1 + ε)(K c + u₀ − D θ̇) − S θ        of one that is told velocities, kv in MuJoCo
+"""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import ClassVar, Self
 
 from pyro.distributions import HalfNormal, StudentT
+from torch import Tensor
 
+from invdyn.models.bodies.joint_parts import Motor
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.command import Command
+from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
 
 LEAST = -0.8
@@ -21,14 +33,14 @@ LEFT_OUT = 1.0
 
 
 class ActuatorGain(Actuator):
-    """Torque (1 + ε) u, of a wrong torque constant or gear ratio.
+    """Torque (1 + ε) u, of a wrong torque constant or gear ratio; of a servo a gain that is not its file's.
 
     ``ActuatorGain("elbow", "geared")`` is a torque that was logged before its gear. For all joints neither can be told
     from a common factor of all masses, unless there is a known weight or a passive recording. As ``gear`` in MuJoCo.
     """
 
     phrase = "an actuator gain"
-    meaning = "torques larger or smaller than commanded, by one factor"
+    meaning = "torques larger or smaller than commanded, by one factor; of a servo its gain"
     shown_by = "a known weight at the tip, or a passive swing"
     form_words: ClassVar[Mapping[str, str]] = {
         "geared": "as of a torque that was logged before its gear",
@@ -36,6 +48,25 @@ class ActuatorGain(Actuator):
 
     order = -1
     forms: ClassVar[tuple[str, ...]] = ("geared",)
+    servos: Mapping[int, Motor] = MappingProxyType({})
+    """Of its joints, by number, those that servos move."""
+
+    @property
+    def of_targets(self) -> bool:  # type: ignore[override]  # a target has no gear that may be left out
+        """Whether it may be a servo's."""
+        return not self.form
+
+    @property
+    def drives(self) -> bool:  # type: ignore[override]  # where a servo answers
+        """Whether it is a servo's."""
+        return bool(self.servos)
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        every = enumerate(getattr(body, "joint_parts", ()))
+        own = {k: parts.servo for k, parts in every if parts is not None and (not other.place or k in other.place)}
+        other.servos = {k: servo for k, servo in own.items() if servo is not None}
+        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Excess ε, a pure number; some gears are not what was written down, or not thought of at all."""
@@ -47,3 +78,16 @@ class ActuatorGain(Actuator):
         """(1 + ε) u."""
         factor = 1 + self.at_joints(p["gain"], command.mean.shape[-1])
         return command.changed(lambda torque: factor * torque)
+
+    def force(self, p: Values, now: Situation) -> Tensor | None:
+        """−ε S θ, or −ε D θ̇ where velocities are told, within a servo's limits; the command has the rest."""
+        found = [now.at(k, self._answer(p["gain"], k, servo, now)) for k, servo in self.servos.items()]
+        return sum(found[1:], start=found[0]) if found else None
+
+    def _answer(self, gain: Tensor, k: int, servo: Motor, now: Situation) -> Tensor:
+        stiff, slow = servo.stiffness * now.q[..., k : k + 1], servo.damping * now.qd[..., k : k + 1]
+        more = -gain * (stiff if servo.kind == "position" else slow)
+        if not servo.limited:
+            return more
+        whole = (now.motor if now.told is None else now.told)[..., k : k + 1] - stiff - slow
+        return (whole + more).clamp(servo.low, servo.high) - whole.clamp(servo.low, servo.high)

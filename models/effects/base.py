@@ -86,6 +86,8 @@ class Effect(ABC):
     """What its other readings are, by their word in :attr:`forms`, and its softer form, by a parameter of that."""
     shown_by: ClassVar[str] = ""
     """The recording that brings it out and nothing like it."""
+    edges: ClassVar[Mapping[str, tuple[float, str]]] = {}
+    """Of what :meth:`described` reports, by name, the size at which it is cut, and what one as large as that means."""
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     """Effects, by name, that stand in for it exactly: its parameters, by name, and theirs of the same value."""
 

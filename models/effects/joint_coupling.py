@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import HalfNormal, Normal
 from torch import Tensor
 
 from invdyn.models.effects.base import MARGIN, Effect
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.joint_stiffness import TURNS
+from invdyn.models.effects.joint_stiffness import CONSTANT, FARTHEST
 from invdyn.models.effects.parameter import Parameter, Values, quantiles
 from invdyn.models.effects.scale import Scale
 
@@ -41,14 +42,15 @@ class JointCoupling(Effect):
             Parameter("ratio", "1", ratio, None, quantiles(ratio, 6)),
         )
 
+    edges: ClassVar[Mapping[str, tuple[float, str]]] = {"rest_angle": (FARTHEST, CONSTANT)}
+
     def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
         """Stiffness k, N·m/rad, ratio r, and θ₀ = T₀/k, rad, of θ_i − r θ_j where the spring is slack."""
-        rest = values["torque"] / values["stiffness"].clamp_min(1e-12)
-        far = 2 * math.pi * TURNS
+        rest = (values["torque"] / values["stiffness"].clamp_min(1e-12)).clamp(-FARTHEST, FARTHEST)
         return {
             "stiffness": (values["stiffness"], "N·m/rad"),
             "ratio": (values["ratio"], "1"),
-            "rest_angle": (rest.clamp(-far, far), "rad"),
+            "rest_angle": (rest, "rad"),
         }
 
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:

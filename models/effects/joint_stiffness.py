@@ -14,6 +14,10 @@ from invdyn.models.effects.scale import Scale
 
 TURNS = 2
 """Whole turns within which a rest angle is told: of one that is farther nobody would see the spring."""
+FARTHEST = 2 * math.pi * TURNS
+"""The same in rad."""
+CONSTANT = "such a spring is a constant torque, as of an encoder that is off beside a servo; the catalogue has none"
+"""What a rest angle that far means."""
 
 
 class JointStiffness(Effect):
@@ -38,11 +42,12 @@ class JointStiffness(Effect):
             Parameter("torque", "N·m", Normal(0.0, 0.9 * torque)),
         )
 
+    edges: ClassVar[Mapping[str, tuple[float, str]]] = {"rest_angle": (FARTHEST, CONSTANT)}
+
     def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
         """Stiffness k, N·m/rad, and rest angle θ₀ = T₀/k, rad."""
-        rest = values["torque"] / values["stiffness"].clamp_min(1e-12)
-        far = 2 * math.pi * TURNS
-        return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest.clamp(-far, far), "rad")}
+        rest = (values["torque"] / values["stiffness"].clamp_min(1e-12)).clamp(-FARTHEST, FARTHEST)
+        return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest, "rad")}
 
     def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
         """A rest angle within a turn; of one that is farther away the spring would show as a constant torque alone.

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -207,3 +208,29 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)
         assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("static", "gained", "gives_way"), [(0.01, 0.95, True), (0.01, 0.85, False), (0.2, 0.95, False)]
+)
+@pytest.mark.parametrize("alone", [0.0, 1.0])
+def test_stribeck_friction_that_is_less_at_rest_is_coulomb_friction(static, gained, gives_way, alone, monkeypatch):
+    """Where Coulomb friction gains nine tenths of what the curve does; in part, where it leaves something."""
+    coulomb, stribeck = (EFFECTS[f"{name}_friction"]("pivot") for name in ("coulomb", "stribeck"))
+    bound = diagnosis_problem(recording_of(coulomb, torque=0.05), PENDULUM)
+    path = data_path(bound)[0]
+    none, dry = (refine(bound, e, {}, path, LOOSE) for e in ((), (coulomb,)))
+    most = none.log_evidence + (dry.log_evidence - none.log_evidence) / gained
+    values = {"coulomb": 0.1, "static": static, "velocity": 0.1}
+    mine = {"names": tuple(f"{stribeck.key}.{name}" for name in values), "mean": np.array([*values.values()])}
+    curved = replace(dry, effects=(stribeck.bound(bound.model.body),), log_evidence=most, **mine)
+    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
+    module, silent = sys.modules[_alone.__module__], SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan)
+    shares = {none.key: 0.0, dry.key: alone, curved.key: 0.0}
+    monkeypatch.setattr(module, "_alone", lambda _, __, cause, ___: shares[cause.key])
+    monkeypatch.setattr(module, "confirm_all", lambda _, causes, *__: [silent] * len(causes))
+    weighed = weigh(bound, pool, 0)
+    assert (weighed.causes[curved.key][1] + weighed.in_part[curved.key] == 0) is gives_way
+    if gives_way:
+        assert weighed.best.key == dry.key
+        assert weighed.in_part[dry.key] == pytest.approx(1 - alone, abs=1e-2)

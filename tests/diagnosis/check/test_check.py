@@ -197,3 +197,16 @@ def test_torques_that_nothing_explains_are_not_called_right(log):
     assert not found.mistakes
     assert found.unclear
     assert not check(log, ARM, effects=False).unclear
+
+
+def test_a_servo_whose_log_has_no_torque_is_told_of_its_targets(tmp_path):
+    """A twentieth of a radian is two newton-metres, which no column of the log has."""
+    write_servo_log(tmp_path / "log.csv")
+    write_mapping(tmp_path / "map.toml")
+    (reading,) = read_logs(str(tmp_path / "log.csv"), SERVO_ARM, str(tmp_path / "map.toml"))
+    off = replace(reading.recording, angles=np.add(reading.recording.angles, [0.1, 0]))
+    (wrong,) = check(replace(reading, recording=off), SERVO_ARM, effects=False).mistakes
+    assert (wrong.kind, wrong.joints) == ("offset", ("shoulder",))
+    assert wrong.words.startswith("the servo's targets are -0.1")
+    assert "N·m" not in wrong.sentence
+    assert "from its targets, or 0.1" in wrong.remedy

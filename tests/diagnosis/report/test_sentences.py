@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from reported import (
     ambiguous,
@@ -17,11 +18,11 @@ from reported import (
     two,
 )
 
-from invdyn.diagnosis.assessment.result import Cause, Part, Shrinkage, Written
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding, Part, Shrinkage, Written
 from invdyn.diagnosis.report import render, words
 from invdyn.diagnosis.report.file_sentences import written
 from invdyn.diagnosis.report.numbers import handy, percent
-from invdyn.diagnosis.report.sentences import details, kind, left, verdict
+from invdyn.diagnosis.report.sentences import details, kind, left, verdict, where
 
 
 @pytest.mark.parametrize(
@@ -185,3 +186,24 @@ def test_what_a_replay_is_off_by_stands_beside_the_share():
     same = replace(d, gap=replace(d.gap, replay_rms_m={"nominal": 0.0634, "corrected": 0.0634}))
     assert "on its own, the simulation errs by 63 mm." in plainly(" ".join(details(same)))
     assert "on its own" not in " ".join(details(replace(d, tracks=None)))
+
+
+def test_a_tie_is_told_as_one():
+    d = outside()
+    d = replace(d, causes=(), where=replace(d.where, joints={"shoulder": 0.499, "elbow": 0.501}))
+    assert "There is a gap at the shoulder and the elbow, and no effect" in verdict(d)
+    assert "as much at the shoulder and the elbow (50 % each)" in plainly(where(d))
+    rms = dict(d.gap.residual_torque_rms, shoulder=0.01, elbow=1.0)
+    assert "left unexplained at the elbow" in " ".join(details(replace(d, gap=replace(d.gap, residual_torque_rms=rms))))
+    near = replace(d, where=replace(d.where, joints={"shoulder": 0.48, "elbow": 0.52}))
+    assert "There is a gap at the elbow, and no effect" in verdict(near)
+    assert "mostly at the elbow (52 %)" in plainly(where(near))
+
+
+@pytest.mark.parametrize(("rest", "told"), [(4 * np.pi, True), (1.2, False)])
+def test_a_rest_angle_that_is_cut_is_told_as_cut(rest, told):
+    values = {"stiffness": (0.04, "N·m/rad"), "rest_angle": (rest, "rad")}
+    found = {name: Estimate(mean, 0.0, (mean, mean), unit) for name, (mean, unit) in values.items()}
+    spring = Finding("joint_stiffness", "dynamics", {"joint": "elbow"}, found)
+    lines = details(diagnosis(causes=(Cause((spring,), 0.97, 100.0, 0.1),)))
+    assert any("may be 720° or more: such a spring is a constant torque" in plainly(line) for line in lines) == told

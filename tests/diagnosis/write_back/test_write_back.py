@@ -46,9 +46,62 @@ def changed(path, *findings):
     return *models, text.decode(), asked.unsaid | unsaid
 
 
-def test_tilted_gravity_is_left_to_the_reader(file):
-    tilt = finding("gravity_tilt", {}, angle=0.04)
-    assert correction(cause(tilt), Body.load(file)).unsaid["gravity_tilt"].startswith("turn the file's gravity")
+TILT = 0.04
+
+
+@pytest.mark.parametrize("option", ['<option timestep="0.002" gravity="0 0 -9.81"/>', ""])
+def test_tilted_gravity_is_written_where_the_effect_has_it(file, option):
+    """Counter-clockwise in the plane of x and z; MuJoCo's own gravity is so without an option."""
+    file.write_text(file.read_text().replace('<option timestep="0.002" gravity="0 0 -9.81"/>', option))
+    tilt = finding("gravity_tilt", {}, angle=TILT)
+    _old, new, text, unsaid = changed(file, tilt)
+    assert not unsaid
+    assert new.opt.gravity == pytest.approx([9.81 * np.sin(TILT), 0.0, -9.81 * np.cos(TILT)], abs=1e-6)
+    assert new.opt.timestep == 0.002
+    assert f"gravity_x of the whole from 0 to {9.81 * np.sin(TILT):.4g} m/s²" in text
+    x, _ = correction(cause(tilt), Body.load(file)).changes
+    # an angle's interval of ± .02
+    assert x.interval_90 == pytest.approx((9.81 * np.sin(TILT - 0.02), 9.81 * np.sin(TILT + 0.02)))
+
+
+def test_gravity_of_a_tree_turns_about_two_axes(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    tree = load_body(tmp_path / "arm.xml")
+    asked = correction(cause(finding("gravity_tilt", {}, about_x=TILT, about_y=0.0)), tree)
+    text, unsaid = mjcf.rewritten(ARM.encode(), str(tmp_path / "arm.xml"), tree, asked.changes)
+    assert not unsaid
+    (tmp_path / "arm.xml").write_bytes(text)
+    size = np.linalg.norm(tree.gravity)
+    turned = load_body(tmp_path / "arm.xml").gravity
+    assert turned == pytest.approx([0.0, size * np.sin(TILT), -size * np.cos(TILT)], abs=1e-5)
+
+
+def test_gravity_of_an_included_file_is_named(file):
+    """Another option may stand there."""
+    file.with_name("rest.xml").write_text("<mujocoinclude><option timestep='0.001'/></mujocoinclude>")
+    option, include = '<option timestep="0.002" gravity="0 0 -9.81"/>', '<include file="rest.xml"/>'
+    file.write_text(file.read_text().replace(option, include))
+    *_, text, unsaid = changed(file, finding("gravity_tilt", {}, angle=TILT))
+    assert unsaid == dict.fromkeys(("gravity_x", "gravity_y"), mjcf.INCLUDED)
+    assert text == file.read_text()
+
+
+@pytest.mark.parametrize("given", ["", "gravity = [0, -9.81]  # mine\n"])
+def test_toml_has_gravity_and_urdf_no_word_for_it(tmp_path, given):
+    path = tmp_path / "arm.toml"
+    path.write_text(f'name = "arm"\n{given}[[links]]\nname = "a"\njoint = "j"\ntip = "t"\nlength = 1.0\nmass = 2.0\n')
+    body = Body.load(path)
+    asked = correction(cause(finding("gravity_tilt", {}, angle=TILT)), body)
+    text, unsaid = toml.rewritten(path.read_bytes(), body, asked.changes)
+    assert not unsaid
+    path.write_bytes(text)
+    assert Body.load(path).gravity == pytest.approx((9.81 * np.sin(TILT), -9.81 * np.cos(TILT)))
+    new, unsaid = urdf.rewritten(b'<robot name="r"><link name="a"/></robot>', asked.changes)
+    assert new == b'<robot name="r"><link name="a"/></robot>'
+    assert unsaid == dict.fromkeys(("gravity_x", "gravity_y"), urdf.ELSEWHERE["gravity"])
+    several = given.replace("[0,", "[0,\n") if given else "gravity = [\n0, -9.81]\n"
+    left = toml.rewritten((several + 'links = [{name = "a"}]\n').encode(), body, asked.changes)[1]
+    assert set(left) == {"gravity_x", "gravity_y"}
 
 
 def test_joints_numbers_add_to_the_files(file):
@@ -69,6 +122,13 @@ def test_joints_numbers_add_to_the_files(file):
     q = 0.7
     assert -1.2 * (q - new.qpos_spring[1]) == pytest.approx(-0.8 * (q - 0.4) - 0.4 * (q - 0.1))
     assert "from 0.1 to 0.35 u, 90 % interval 0.33 to 0.37" in text
+
+
+def test_of_stribeck_friction_what_it_has_in_motion_is_written(file):
+    stribeck = finding("stribeck_friction", {"joint": "elbow"}, coulomb=0.05, static=0.08, velocity=0.1)
+    _old, new, _text, unsaid = changed(file, stribeck)
+    assert new.dof_frictionloss[1] == pytest.approx(0.05)
+    assert set(unsaid) == {"stribeck_friction.elbow"}
 
 
 def test_all_else_stays_as_it_was_written(file):
@@ -97,6 +157,18 @@ def test_motors_and_links(file):
     assert new.body_ipos[fore] == pytest.approx([0, 0, -0.13])
     # about the hinge, which is y: .005 + .001, the others in proportion
     assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
+
+
+def test_a_servos_gain_is_its_kp(file):
+    file.write_text(robot(servo=True))
+    _old, new, _text, unsaid = changed(file, finding("actuator_gain", {}, gain=-0.2))
+    assert not unsaid
+    assert new.actuator_gainprm[0, 0] == pytest.approx(32.0)
+    assert new.actuator_biasprm[0, :3] == pytest.approx([0.0, -32.0, -3.0])
+    assert new.actuator_gear[:, 0].tolist() == [1.0, 8.0]
+    file.write_text(robot(servo=True).replace('kv="3"', 'dampratio="1"'))
+    *_, unsaid = changed(file, finding("actuator_gain", {"joint": "shoulder"}, gain=-0.2))
+    assert unsaid == {"servo gain of shoulder": mjcf.SERVO}
 
 
 def learned(place: str, quantity: str, before: float, after: float) -> Learned:

@@ -10,6 +10,7 @@ import torch
 from invdyn.models import ArmModel, Body, Link
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
+from invdyn.models.effects.actuator_gain import ActuatorGain
 from invdyn.models.effects.load_friction import LoadFriction
 from invdyn.models.effects.viscous_friction import ViscousFriction
 
@@ -171,3 +172,77 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     back = model.sight._to_third_order(states[1], 4, model.body_parameters(), ago)
     assert torch.equal(model.sight.view(states[1], 4).angles_after(ago), back)
     np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
+
+
+@pytest.mark.parametrize(
+    ("integrator", "flag", "late"),
+    [
+        ("Euler", "", (-0.2, -0.4)),
+        ("Euler", '<flag eulerdamp="disable"/>', (-0.8, -0.6)),
+        ("implicit", "", (0.8, 0.6)),
+        ("implicitfast", "", (0.8, 0.6)),
+        ("RK4", "", (0.0, 0.0)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*clockwise")
+def test_in_the_engines_own_steps_the_model_moves_as_the_engine(tmp_path, integrator, flag, late):
+    """What the equations themselves are off by is of first order in steps of 2 ms, what is left of second."""
+    servos = '<position joint="shoulder" kp="40" kv="0.5"/><position joint="elbow" kp="40" kv="0.5"/>'
+    text = TEXT.format(way=1, shoulder='damping="0.3" armature="0.02"', elbow='damping="0.1"', motors=servos)
+    option = f'timestep="0.002" integrator="{integrator}" gravity="0 0 -9.81">{flag}</option>'
+    text = text.replace('timestep="0.0002" gravity="0 0 -9.81" integrator="RK4"/>', option)
+    (tmp_path / "robot.xml").write_text(text)
+    body = Body.load(tmp_path / "robot.xml")
+    parts = body.joint_parts
+    assert [each.late for each in parts] == pytest.approx(late)
+    assert {each.step for each in parts} == {0.0 if integrator == "RK4" else 0.002}
+    q, control = in_mujoco(text)
+    theta = np.stack([each.zero + each.sign * q[:, k] for k, each in enumerate(parts)], -1)
+    told = [servo_torque(each.servo, each.zero + each.sign * control[:, k]) for k, each in enumerate(parts)]
+    model = ArmModel(body, np.arange(ROWS) * STEP, command=np.stack(told, -1))
+    off = {}
+    for stepped, played in (False, model.in_substeps(5)), (True, model.in_substeps(5).in_engine_steps()):
+        states = torch.zeros(ROWS, played.state_dim, dtype=torch.float64)
+        states[0, -4:-2] = torch.as_tensor(theta[0])
+        for row in range(1, ROWS):
+            states[row] = played.transition_mean(states[row - 1], row)
+        off[stepped] = np.abs(played.split(states)[1].numpy() - theta)[ROWS // 2 :].max()
+    assert off[True] < (1.0 if integrator == "RK4" else 1 / 3) * off[False] + 1e-12, off
+
+
+SERVOS = {
+    "position": ('<position joint="shoulder" kp="{gain}" kv="1" gear="2" forcerange="-2 3"/>', 10.0),
+    "velocity": ('<velocity joint="shoulder" kv="{gain}" forcerange="-1.5 1.5"/>', 2.0),
+}
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("kind", SERVOS)
+@pytest.mark.filterwarnings("ignore:.*clockwise")
+def test_a_servos_gain_is_that_of_its_mujoco_actuator(tmp_path, kind, way):
+    """What it makes of targets and angles, or velocities, by one factor, within its limits."""
+    servo, gain = SERVOS[kind]
+    elbow = '<motor joint="elbow" gear="10"/>'
+    file, real = (
+        TEXT.format(way=way, shoulder="", elbow='damping="0.1"', motors=servo.format(gain=each) + elbow)
+        for each in (gain, 1.4 * gain)
+    )
+    (tmp_path / "robot.xml").write_text(file)
+    body = Body.load(tmp_path / "robot.xml")
+    first, second = body.joint_parts
+    q, control = in_mujoco(real)
+    theta = np.array([first.zero, second.zero]) + np.array([first.sign, second.sign]) * q
+    gear, zero = (2.0, first.zero) if kind == "position" else (1.0, 0.0)
+    told = servo_torque(first.servo, control[:, 0] / gear * first.sign + zero)
+    model = ArmModel(body, np.arange(ROWS) * STEP, command=np.stack([told, second.sign * 10 * control[:, 1]], -1))
+    effect = ActuatorGain("shoulder").bound(body)
+    off = {}
+    for value in (0.0, 0.4):
+        played = model.in_substeps(20).with_effects(effect)
+        played = played.replace(**{f"effect.{effect.key}.gain": torch.tensor([value], dtype=torch.float64)})
+        states = torch.zeros(ROWS, played.state_dim, dtype=torch.float64)
+        states[0, -4:-2] = torch.as_tensor(theta[0])
+        for row in range(1, ROWS):
+            states[row] = played.transition_mean(states[row - 1], row)
+        off[value] = np.abs(played.split(states)[1].numpy() - theta).max()
+    assert off[0.4] < 2e-3 < 0.02 < off[0.0], off
