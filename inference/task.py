@@ -16,10 +16,11 @@ from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Free, fit
+from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.initialise import Problem, arm_problem
+from invdyn.inference.posterior.turns import fit_over_gaps
 from invdyn.models import ArmModel, ArticulatedBody, Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -170,7 +171,7 @@ def prepare(
     ]
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
-    chosen, model, path, converged, evidence = _fitted(problems, frees, report, kept)
+    chosen, model, path, converged, evidence, doubts = _fitted(problems, frees, report, kept)
     problem, free = problems[chosen], frees[chosen]
     record = {
         "fitted": {f.name: model.parameters[f.name].tolist() for f in free},
@@ -180,6 +181,8 @@ def prepare(
         "family": problem.model.observation.family,
         "torque_process": type(problem.model.torque).__name__,
     }
+    if doubts:
+        record["in_doubt"] = doubts
     if len(problems) > 1:
         names = [type(each.model.torque).__name__ for each in problems]
         record["torque_evidence"] = dict(zip(names, evidence, strict=True))
@@ -188,28 +191,29 @@ def prepare(
 
 def _fitted(
     problems: Sequence[Problem], frees: Sequence[list[Free]], report: Report | None, checkpoint: Checkpoint | None
-) -> tuple[int, ArmModel, Tensor, bool, list[float]]:
-    """Number of the likeliest problem, its model, mode, whether it converged, and the evidence of each, nats.
+) -> tuple[int, ArmModel, Tensor, bool, list[float], list[str]]:
+    """Number of the likeliest problem, its model, mode, whether it converged, evidence of each, nats, and doubts.
 
     They come from the checkpoint, or are fitted and kept there.
     """
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
         tensors, state = kept
         path, chosen = tensors.pop("path"), state["chosen"]
-        return chosen, problems[chosen].model.replace(**tensors), path, state["converged"], state["evidence"]
+        model = problems[chosen].model.replace(**tensors)
+        return chosen, model, path, state["converged"], state["evidence"], state["doubts"]
     fits = []
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         model = problem.model
         if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
             model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
-        fits.append(fit(model, problem.observations, free, progress=_share(report, number, len(problems))))
-    evidence = [float(each.log_marginal) for each in fits]
+        fits.append(fit_over_gaps(model, problem.observations, free, _share(report, number, len(problems))))
+    evidence = [float(each.log_marginal) for each, _ in fits]
     chosen = int(np.argmax(evidence))
-    best = fits[chosen]
+    best, doubts = fits[chosen]
     if checkpoint is not None:
         tensors = {**best.model.parameters, "path": best.path}
-        checkpoint.save(tensors, converged=best.converged, chosen=chosen, evidence=evidence)
-    return chosen, best.model, best.path, best.converged, evidence
+        checkpoint.save(tensors, converged=best.converged, chosen=chosen, evidence=evidence, doubts=doubts)
+    return chosen, best.model, best.path, best.converged, evidence, doubts
 
 
 def _share(report: Report | None, number: int, count: int) -> Report | None:

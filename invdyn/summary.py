@@ -89,12 +89,13 @@ def summary_text(idata: az.InferenceData) -> str:
     lines = [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     length = idata["posterior"]["position"].attrs["units"]
     lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
-    if torques := json.loads(idata.attrs["settings"]).get("torque_evidence"):
+    settings = json.loads(idata.attrs["settings"])
+    if torques := settings.get("torque_evidence"):
         best = max(torques, key=torques.get)
         others = " and ".join(f"{name} {torques[best] - torques[name]:.1f} nat" for name in torques if name != best)
         lines.append(f"torque process {best}, by evidence; behind it {others}")
     lines += [str(idata.attrs[note]) for note in ("charts", "unseen") if note in idata.attrs]
-    return "\n".join(lines + _too_few(idata))
+    return "\n".join(lines + settings.get("in_doubt", []) + _too_few(idata))
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}

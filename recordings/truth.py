@@ -1,6 +1,7 @@
 """True (simulated) or measured joint angles, velocities and torques, to score an inference against.
 
-CSV: `time` in s, then `<joint>_torque` N·m, `<joint>_angle` rad, `<joint>_velocity` rad/s; empty = unknown.
+CSV: `time` in s, then `<joint>_torque` N·m, `<joint>_angle` rad, `<joint>_velocity` rad/s. An empty cell is unknown,
+and so is a column that is not there: torques alone are a truth.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from .errors import InputError, about
 from .recording import check_range, check_time
 from .tables import read_table, write_table
 
+QUANTITIES = ("torque", "angle", "velocity")
 FINITE = float(np.finfo(np.float64).max)
 
 
@@ -65,7 +67,7 @@ class Truth:
 def write_truth(truth: Truth, path: str | Path) -> None:
     """Write the CSV above, whole or not at all. Raises OSError when `path` cannot be written."""
     columns = {"time": truth.time}
-    for quantity in ("torque", "angle", "velocity"):
+    for quantity in QUANTITIES:
         for k, joint in enumerate(truth.joint_names):
             columns[f"{joint}_{quantity}"] = getattr(truth, quantity)[:, k]
     write_table(columns, path)
@@ -81,18 +83,20 @@ def read_truth(path: str | Path) -> Truth:
         if "time" not in columns:
             raise InputError(f"no column 'time'; it has {', '.join(columns)}")
         check_time(columns["time"], where)
-        joints = tuple(c.removesuffix("_torque") for c in columns if c.endswith("_torque"))
-        expected = {"time"} | {f"{j}_{q}" for j in joints for q in ("torque", "angle", "velocity")}
-        if not joints or set(columns) != expected:
-            odd = ", ".join(sorted(set(columns) ^ expected)) or "no joint at all"
+        named = {c: c.rpartition("_") for c in columns if c != "time"}
+        odd = [c for c, (joint, _, quantity) in named.items() if not joint or quantity not in QUANTITIES]
+        if odd or not named:
             raise InputError(
-                f"a truth file has <joint>_torque, _angle and _velocity for each joint; odd or missing: {odd}"
+                "a truth file has columns <joint>_torque, <joint>_angle or <joint>_velocity; "
+                f"odd: {', '.join(odd) or 'no joint at all'}"
             )
+        joints = tuple(dict.fromkeys(joint for joint, _, _ in named.values()))
+        unknown = np.full_like(columns["time"], np.nan)
 
         def stack(quantity: str) -> np.ndarray:
-            return np.stack([columns[f"{joint}_{quantity}"] for joint in joints], axis=-1)
+            return np.stack([columns.get(f"{joint}_{quantity}", unknown) for joint in joints], axis=-1)
 
-        values = {quantity: stack(quantity) for quantity in ("angle", "velocity", "torque")}
+        values = {quantity: stack(quantity) for quantity in QUANTITIES}
         for quantity, value in values.items():
             check_range(f"truth: {quantity}", value, "frame {}".format)
         return Truth(columns["time"], **values, joint_names=joints)

@@ -57,14 +57,22 @@ class Articulated(Watched, Protocol):
 
 def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
     """Paths (C, T, D) of a model through observations (T, O); None where these tell too little."""
-    numbers = model.body_parameters()
-    numbers = type(numbers)(*(value.detach().cpu().double() for value in numbers))
-    time = model.time.cpu()
+    numbers, time = _plain_numbers(model), model.time.cpu()
     sd = joint_angle_sd(model, numbers)
     candidates = joint_angle_candidates(model.body, time.numpy(), observations, model.observation, numbers, sd)
     if candidates is None:
         return None
     return torch.stack([_path_through(model, torch.as_tensor(angles), time, numbers) for angles in candidates])
+
+
+def path_through(model: Articulated, angles: Tensor) -> Tensor:
+    """The path (T, D) of a model through joint angles (T, K), rad."""
+    return _path_through(model, angles.detach().cpu().double(), model.time.cpu(), _plain_numbers(model))
+
+
+def _plain_numbers(model: Articulated) -> Any:
+    numbers = model.body_parameters()
+    return type(numbers)(*(value.detach().cpu().double() for value in numbers))
 
 
 def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:

@@ -65,7 +65,7 @@ def test_a_choice_that_was_kept_is_not_made_again(smooth, tmp_path, monkeypatch)
         return prepare(smooth, ARM, options=SIZES, seed=0, settings=KNOWN, torque=torque, checkpoint=folder)
 
     first = again(BOTH)
-    monkeypatch.setattr(task_module, "fit", None)
+    monkeypatch.setattr(task_module, "fit_over_gaps", None)
     second = again(BOTH)
     assert second.record == first.record
     assert torch.equal(second.path, first.path)

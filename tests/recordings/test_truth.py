@@ -31,7 +31,7 @@ def test_refuses_other_shapes_and_files(tmp_path):
     path = tmp_path / "truth.csv"
     for text, words in [
         ("t,a_torque\n0,1\n1,1\n", "no column 'time'"),
-        ("time,a_torque,a_angle\n0,1,1\n1,1,1\n", "a_velocity"),
+        ("time,a_torque,a_speed\n0,1,1\n1,1,1\n", "odd: a_speed"),
         ("time\n0\n1\n", "no joint"),
         ("time,a_torque,a_angle,a_velocity\n1,1,1,1\n0,1,1,1\n", r"backwards at row 2 \(line 3\)"),
     ]:
@@ -39,3 +39,14 @@ def test_refuses_other_shapes_and_files(tmp_path):
         with pytest.raises(InputError, match=words) as caught:
             read_truth(path)
         assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_what_a_file_lacks_is_unknown(tmp_path):
+    """Torques alone are a truth, and a joint may have less than another."""
+    path = tmp_path / "truth.csv"
+    path.write_text("time,upper_arm_torque,b_angle\n0,1,2\n1,3,4\n")
+    truth = read_truth(path)
+    assert truth.joint_names == ("upper_arm", "b")
+    np.testing.assert_array_equal(truth.torque, [[1, np.nan], [3, np.nan]])
+    np.testing.assert_array_equal(truth.angle, [[np.nan, 2], [np.nan, 4]])
+    assert np.isnan(truth.velocity).all()

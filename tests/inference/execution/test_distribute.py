@@ -304,7 +304,7 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch, body):
         infer(SWING, body, seed=4, checkpoint=tmp_path / "run", progress=interrupt, **sizes)
     task, told = sys.modules["invdyn.inference.task"], []
     with monkeypatch.context() as patch:
-        patch.setattr(task, "fit", lambda *_, **__: pytest.fail("the fit was kept"))
+        patch.setattr(task, "fit_over_gaps", lambda *_, **__: pytest.fail("the fit was kept"))
         resumed = infer(
             SWING, body, seed=4, checkpoint=tmp_path / "run", progress=lambda *step: told.append(step), **sizes
         )
