@@ -117,13 +117,14 @@ def test_same_seed_same_table_and_another_method_beside_it_changes_nothing(compa
 
 def test_parameters_are_fitted_once_for_all_methods(data, monkeypatch):
     recording, _ = data
-    fits = []
+    fits, task = [], sys.modules[prepare.__module__]
+    fitted = task.fit_over_gaps
 
-    def counted(model, observations, *rest, **options):
+    def counted(model, observations, *rest):
         fits.append(len(observations))
-        return fit(model, observations, *rest, **options)
+        return fitted(model, observations, *rest)
 
-    monkeypatch.setattr(sys.modules[prepare.__module__], "fit", counted)
+    monkeypatch.setattr(task, "fit_over_gaps", counted)
     free = {name: value for name, value in KNOWN.items() if name != "torque.scale"}
     done = compare(recording, ARM, ["smc", "laplace"], **{**SMALL, "settings": free})
     assert fits == [40, 32]  # the tail's score must not have seen the tail
