@@ -125,9 +125,11 @@ class Diagnosed(Recorded):
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
-        from .inputs import load_body
+        from .inputs import is_log, load_body
 
-        body = freed(load_body(self.body), self.free)
+        names = [self.recording, *self.others, *([self.held_out] if self.held_out else [])]
+        logs = not self.calibration and (self.mapping is not None or all(map(is_log, names)))
+        body = freed(load_body(self.body, filmed=not logs or self.beside is not None), self.free)
         if self.calibration:
             return self.arguments(self.triangulated(), [], body, None)
         recording, *more = self.episodes_of(self.recording, body, self.numbers, self.frames)

@@ -41,10 +41,13 @@ from invdyn.recordings.reading import Reading
 from .inputs_in_space import load_in_space
 
 
-def load_body(name: str) -> Body | Tree:
-    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
+def load_body(name: str, *, filmed: bool = True) -> Body | Tree:
+    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
+
+    ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
+    """
     if resolved(name).exists():
-        return read_body(check_readable(name))
+        return read_body(check_readable(name), filmed=filmed)
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
