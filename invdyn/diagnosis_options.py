@@ -150,7 +150,8 @@ class Diagnosed(Recorded):
         from .inputs import is_log, read_logs
 
         if self.mapping is not None or is_log(name):
-            readings = read_logs(name, body, self.mapping, numbers, frames, self.units)
+            fps = self.fps if self.beside is None else None  # else it is the camera's
+            readings = read_logs(name, body, self.mapping, numbers, frames, self.units, fps)
         else:
             recording = self.read(name, body, as_filmed=True, frames=frames)
             readings = [Reading(recording, parse_units(self.units))]

@@ -152,6 +152,7 @@ def read_logs(
     episodes: Sequence[int] | None = None,
     frames: str = ":",
     units: str | None = None,
+    fps: float | None = None,
 ) -> list[Reading]:
     """A robot's own log, an episode each, as recordings of ``body``: angles and commands as its file counts them.
 
@@ -160,8 +161,10 @@ def read_logs(
     it reads in others.
 
     Raises InputError for a log, a mapping or episodes that make no sense, targets of a joint without a servo, and
-    ``units`` that do not stand in the mapping.
+    ``units`` or ``fps``, which stand in the mapping and the log.
     """
+    if fps is not None:
+        raise InputError(f"--fps {fps:g}: a robot's log carries its own times: leave --fps out")
     if units is not None:
         place = mapping or "a mapping (--map)"
         raise InputError(f"--units {units}: a log's units stand in {place}, track by track: leave --units out")
@@ -221,9 +224,7 @@ def read_as_it_stands(
     Raises as readers do, and InputError for ``units`` or ``fps`` beside a mapping, in which they stand.
     """
     if mapping is not None or is_log(name):
-        if fps is not None:
-            raise InputError(f"--fps {fps:g}: a robot's log carries its own times: leave --fps out")
-        return read_logs(name, body, mapping, [episode or 0], frames, units)[0]
+        return read_logs(name, body, mapping, [episode or 0], frames, units, fps)[0]
     said = parse_units(units)
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
     if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:

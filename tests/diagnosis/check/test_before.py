@@ -56,6 +56,29 @@ def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
         check_before(Reading(replace(log, **changed(log))), ARM)
 
 
+def test_what_comes_after_a_first_mistake_is_said_and_never_refused(log, monkeypatch):
+    """If the first is an effect, nobody knows that the second is a mistake."""
+    first = Wrong("offset", ("elbow",), "the torques are off", "subtract it", 0.6, 0.9, 0.1)
+    second = Wrong("torque sign", ("shoulder",), "the torques have the other sign", "change it", -1.0, 0.9, 0.01)
+    monkeypatch.setattr(
+        sys.modules[check_before.__module__],
+        "check",
+        lambda *_, **__: Check("log", (first, second), 0.01, {}, (), None),
+    )
+    with pytest.warns(UserWarning, match="says more") as told:
+        check_before(log, ARM)
+    off, turned = (str(each.message) for each in told)
+    assert "'elbow' the torques are off" in off
+    assert "then at joint 'shoulder' the torques have the other sign" in turned
+
+
+def test_torques_that_nothing_explains_are_told_of(log):
+    """`invdyn check` calls such a log unclear; a diagnosis goes on, for an effect may be what it is."""
+    noise = np.random.default_rng(0).normal(size=log.torques.shape)
+    with pytest.warns(UserWarning, match="the torques miss .* % of their size, and no sign"):
+        check_before(Reading(replace(log, torques=noise)), ARM)
+
+
 @pytest.mark.parametrize("factor", [200.0, 500.0])
 def test_a_factor_that_no_gear_has_is_not_sure(log, monkeypatch, factor):
     wrong = Wrong("scale", ("shoulder",), "too small", "multiply", factor, 0.9, 0.01)
@@ -108,3 +131,6 @@ def test_the_command_asks_a_log_first(tmp_path):
     refused = diagnosed(tmp_path, "log.csv", "--map", tmp_path / "map.toml")
     assert refused.exit_code == 2
     assert "the angles are exchanged" in refused.output
+    refused = diagnosed(tmp_path, "log.csv", "--map", tmp_path / "map.toml", "--fps", 50)
+    assert refused.exit_code == 2
+    assert "--fps 50: a robot's log carries its own times" in refused.output
