@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.inference.plausible_for_body import check_fits
+from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import Body, Tree
 from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
@@ -169,6 +169,9 @@ def read_logs(
         place = mapping or "a mapping (--map)"
         raise InputError(f"--units {units}: a log's units stand in {place}, track by track: leave --units out")
     given = None if mapping is None else LogMap.load(check_readable(mapping))
+    if given is not None:
+        with about(str(mapping)):
+            given.check_kinds(slides(body))
     start, stop = frame_range(frames)
 
     def read(**scales: float) -> list[Recording]:
