@@ -1,5 +1,6 @@
 """What is refused before a diagnosis, what is only said, and what goes by in silence."""
 
+import importlib
 import sys
 import warnings
 from dataclasses import replace
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from invdyn.cli import app
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.check.check import Check, Wrong
+from invdyn.diagnosis.check.units import wrong_units
 from invdyn.recordings import InputError, write_keypoint_csv
 from invdyn.recordings.reading import Reading
 
@@ -134,3 +136,36 @@ def test_the_command_asks_a_log_first(tmp_path):
     refused = diagnosed(tmp_path, "log.csv", "--map", tmp_path / "map.toml", "--fps", 50)
     assert refused.exit_code == 2
     assert "--fps 50: a robot's log carries its own times" in refused.output
+
+
+@pytest.mark.parametrize("command", ["check", "diagnose"])
+def test_units_are_asked_for_once_and_by_one_function(tmp_path, monkeypatch, command):
+    """`check`, and `diagnose` before it begins: one question a log, by the same function."""
+    asking = sys.modules["invdyn.diagnosis.check.check"]
+    diagnosing = importlib.import_module("invdyn.diagnosis.diagnose")
+    asked, begun = [], []
+
+    def counted(reading, body):
+        asked.append(reading.recording.name)
+        return wrong_units(reading, body)
+
+    def begins(*_, checked=False, **__):
+        begun.append(checked)  # else it would ask once more
+        raise InputError("far enough")
+
+    monkeypatch.setattr(asking, "wrong_units", counted)
+    monkeypatch.setattr(diagnosing, "diagnose", begins)
+    SERVO_ARM.to_toml(tmp_path / "arm.toml")
+    for name in ("log", "other"):
+        write_servo_log(tmp_path / f"{name}.csv")
+    write_mapping(tmp_path / "map.toml")
+    mapped = ("--map", tmp_path / "map.toml")
+    if command == "check":
+        given = (command, tmp_path / "arm.toml", tmp_path / "log.csv", *mapped, "--no-effects")
+        assert CliRunner().invoke(app, list(map(str, given))).exit_code == 0
+        assert asked == ["log"]
+    else:
+        stopped = diagnosed(tmp_path, "log.csv", *mapped, "--held-out", tmp_path / "other.csv")
+        assert "far enough" in stopped.output
+        assert asked == ["log", "other"]
+        assert begun == [True]
