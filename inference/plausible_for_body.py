@@ -42,8 +42,13 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
             units,
             guessed or body.has_priors or bool(body.learned),
             numbers.position[0].tolist() if rooted(body) else None,
-            (numbers.position.norm(dim=-1).sum() + numbers.sites.norm(dim=-1).max()).item(),
+            numbers.position.norm(dim=-1).sum().item() + max(numbers.sites.norm(dim=-1).tolist(), default=0.0),
         )
+
+
+def slides(body: ArticulatedBody) -> set[str]:
+    """Names of the joints that shift."""
+    return {motion.name for _, motion in body.motions() if not motion.turns} if isinstance(body, Tree) else set()
 
 
 def rooted(body: Tree) -> bool:

@@ -85,8 +85,7 @@ class Diagnosed(Recorded):
                 )
         if self.of_logs and (surplus := [option for option, value in self.of_keypoints.items() if value]):
             raise InputError(
-                f"{surplus[0]} says how keypoints are read: a robot's log carries its own times, names and units; "
-                f"leave {surplus[0]} out"
+                f"{surplus[0]}: a robot's log carries its own times, names and units: leave {surplus[0]} out"
             )
         if self.passive and self.hide_torque:
             raise InputError("--passive says that torques are zero, --hide-torque that they are unknown: choose one")
@@ -108,7 +107,7 @@ class Diagnosed(Recorded):
         from .inputs import is_log
 
         names = (*self.recordings, *self.others, *((self.held_out,) if self.held_out else ()))
-        return self.beside is None and (self.mapping is not None or all(is_log(name) for name in names))
+        return not (self.calibration or self.beside) and (self.mapping is not None or all(map(is_log, names)))
 
     @property
     def struck(self) -> tuple[str, ...]:
@@ -140,7 +139,7 @@ class Diagnosed(Recorded):
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
         from .inputs import load_body
 
-        body = freed(load_body(self.body), self.free)
+        body = freed(load_body(self.body, filmed=not self.of_logs), self.free)
         if self.calibration:
             return self.arguments(self.triangulated(), [], body, None)
         recording, *more = self.episodes_of(self.recording, body, self.numbers, self.frames)

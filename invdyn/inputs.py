@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.inference.plausible_for_body import check_fits
+from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import Body, Tree
 from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
@@ -41,10 +41,13 @@ from invdyn.recordings.reading import Reading
 from .inputs_in_space import load_in_space
 
 
-def load_body(name: str) -> Body | Tree:
-    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError."""
+def load_body(name: str, *, filmed: bool = True) -> Body | Tree:
+    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
+
+    ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
+    """
     if resolved(name).exists():
-        return read_body(check_readable(name))
+        return read_body(check_readable(name), filmed=filmed)
     ours = {
         Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
     }
@@ -163,6 +166,9 @@ def read_logs(
         place = mapping or "a mapping (--map)"
         raise InputError(f"--units {units}: a log's units stand in {place}, track by track: leave --units out")
     given = None if mapping is None else LogMap.load(check_readable(mapping))
+    if given is not None:
+        with about(str(mapping)):
+            given.check_kinds(slides(body))
     start, stop = frame_range(frames)
 
     def read(**scales: float) -> list[Recording]:

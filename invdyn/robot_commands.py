@@ -36,11 +36,11 @@ def check(
     from invdyn.recordings import write_text
 
     from .check_text import check_text
-    from .inputs import load_body, read_as_it_stands
+    from .inputs import is_log, load_body, read_as_it_stands
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
-    body = load_body(robot)
+    body = load_body(robot, filmed=mapping is None and not is_log(log))
     reading = read_as_it_stands(log, body, units, frames, mapping, episode, fps)
     found = run(reading, body, passive=passive, effects=effects)
     typer.echo(check_text(found))

@@ -4,7 +4,7 @@ A wrong unit is off by a factor of 10 or far more; what is refused here is off b
 What was declared (`--units`) is believed where nothing but its size speaks against it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +38,20 @@ def check_magnitudes(recording: Recording, units: Units) -> None:
             raise InputError(
                 f"angles reach {largest:.3g}, too much for radians; these look like degrees: "
                 f"{units.put('deg')} ({units.accepts('rad')} if radians they are)"
+            )
+
+
+def check_shifts(recording: Recording, slides: Collection[str], units: Units) -> None:
+    """Raise InputError where a joint that shifts does so by more than any body's is long: it is in mm, or cm."""
+    if recording.angles is None:
+        return
+    for name, shift in zip(recording.joint_names, recording.angles.T, strict=True):
+        known = shift[np.isfinite(shift)]
+        if name in slides and known.size and (extent := float(np.ptp(known))) > LARGEST_EXTENT:
+            line = f'write unit = "mm" (or "cm") in the line "angle = …" of [joints.{name}] in {units.mapping}'
+            raise InputError(
+                f"joint {name} shifts by {extent:.3g} m, too much for one body; these look like mm or cm: "
+                f"{'write that column in m' if units.mapping is None else line}"
             )
 
 

@@ -25,8 +25,12 @@ def check_before(recording: Recording | Reading, body: ArticulatedBody, passive:
     Surely: numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and less
     than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused where a
     `Reading` says what was declared. A `Recording` is in SI units by its own account, so a warning says it.
+
+    Each mistake is found with those before it put right. So the first alone can be sure: if it is none, but an effect,
+    the others may be none either, and are said. So are torques far from the motion of encoders that nothing explains.
     """
-    found = check(recording, body, passive=passive, effects=False).mistakes
+    checked = check(recording, body, passive=passive, effects=False)
+    found = checked.mistakes
     given = recording if isinstance(recording, Recording) else recording.recording
     implausible = [wrong for wrong in found if wrong.kind == "refused"]
     for wrong in implausible:
@@ -36,11 +40,18 @@ def check_before(recording: Recording | Reading, body: ArticulatedBody, passive:
     if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
         raise InputError(f"{given.name}: {what}; `invdyn check` says more")
-    for wrong in [wrong for wrong in found if not wrong.by_size][:1]:
-        said, effect = f"{given.name}: {wrong.sentence}", _looks_like(wrong, body)
-        if _sure(wrong, body) and effect is None:
+    for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
+        said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body)
+        if _sure(wrong, body) and effect is None and n == 0:
             raise InputError(f"{said}; `invdyn check` says more")
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
+    if checked.unclear and given.angles is not None:  # a film's accelerations are too noisy to tell
+        warnings.warn(
+            f"{given.name}: the torques miss {100 * (checked.unexplained or 0.0):.0f} % of their size, and no sign, "
+            "zero, unit, column or gear explains it: an effect may, or the log is not this body's; "
+            "`invdyn check` says more",
+            stacklevel=2,
+        )
 
 
 def _looks_like(wrong: Wrong, body: ArticulatedBody) -> str | None:

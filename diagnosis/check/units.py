@@ -7,6 +7,7 @@ which the torques fit best.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -14,11 +15,11 @@ import numpy as np
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import BETTER, NEAR, Mistake, units
 from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
-from invdyn.inference.plausible_for_body import check_fits
+from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
-from invdyn.recordings.plausible import check_magnitudes
+from invdyn.recordings.plausible import check_magnitudes, check_shifts
 from invdyn.recordings.reading import Reading
 from invdyn.recordings.units import Units
 
@@ -32,6 +33,8 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
     told = _implausible(recording, body, reading.units)
     if told is None and _implausible(recording, body, Units()) is None:
         return None, (), reading
+    if _shifted(recording, body, reading.units) is not None:  # of one joint, and told by its own line
+        return told, (), reading
     found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
         if found and len(tried) > len(found[0][1]):
@@ -88,9 +91,22 @@ def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
 
 def _implausible(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
     """What speaks against the size of the numbers; None for nothing."""
+    if (told := _shifted(recording, body, units)) is not None:
+        return told
+    turning = [name not in slides(body) for name in recording.joint_names]
     try:
-        check_magnitudes(recording, units)
+        angles = None if recording.angles is None else np.where(turning, recording.angles, np.nan)
+        check_magnitudes(replace(recording, angles=angles), units)
         check_fits(recording, body, units)
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def _shifted(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
+    """What speaks against the size of the numbers of joints that shift."""
+    try:
+        check_shifts(recording, slides(body), units)
     except InputError as error:
         return str(error)
     return None

@@ -40,10 +40,21 @@ def tables(robot: Robot, where: str) -> dict:
     `BodyError`, which begins with `where`, for what is no planar chain of hinges, and a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
-        return _tables(robot, where)
+        found, notes, against = _tables(robot, where)
+    if left := [*notes, *robot.left_out]:
+        warnings.warn(f"{where}: a rigid body leaves out {'; '.join(left)}", UserWarning, stacklevel=4)
+    if against:
+        warnings.warn(
+            f"{where}: {', '.join(against)} turn{'s' * (len(against) == 1)} clockwise in the plane of the picture; "
+            "a recording's torques and angles are counter-clockwise positive",
+            UserWarning,
+            stacklevel=4,
+        )
+    return found
 
 
-def _tables(robot: Robot, where: str) -> dict:
+def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
+    """The tables, what is told of centres of mass aside, and names of hinges that turn clockwise."""
     groups, hinges = _chain(robot.parts, where)
     axis, signs = _axis(hinges, where)
     u, v, normal = _frame(axis)
@@ -62,7 +73,7 @@ def _tables(robot: Robot, where: str) -> dict:
         along = (end - start) / length
         aside, reach = (float(x) for x in (com - start) @ np.array([[-along[1], along[0]], along]).T)
         if abs(aside) > ASIDE * length:
-            notes.append(f"that the centre of mass of {name} is {aside:.3g} m beside the line of its joints")
+            notes.append(f"that the centre of mass of {name} is {abs(aside):.3g} m beside the line of its joints")
         # about the hinge the inertia stays what it is
         given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside * aside}
         check_finite(list(given.values()), f"{where}: link '{name}'")
@@ -73,21 +84,19 @@ def _tables(robot: Robot, where: str) -> dict:
         if parts_here != NOTHING:
             links[-1]["parts"] = parts_here
         before = heading
-    if found := [*notes, *robot.left_out]:
-        warnings.warn(f"{where}: a rigid body leaves out {'; '.join(found)}", UserWarning, stacklevel=5)
-    if against := [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]:
-        warnings.warn(
-            f"{where}: {', '.join(against)} turn{'s' * (len(against) == 1)} clockwise in the plane of the picture; "
-            "a recording's torques and angles are counter-clockwise positive",
-            UserWarning,
-            stacklevel=5,
-        )
-    return {
+    against = [hinge.name for hinge, sign in zip(hinges, signs, strict=True) if sign * normal[axis] < 0]
+    found = {
         "name": Path(where).stem,
         "gravity": [float(g) for g in plane @ robot.gravity],
         "base": [float(b) for b in anchors[0]],
         "links": links,
     }
+    return found, notes, against
+
+
+def masses_aside(robot: Robot, where: str) -> list[str]:
+    """What a chain in the plane leaves out of centres of mass, in words, link by link. Raises as `tables` does."""
+    return _tables(robot, where)[1]
 
 
 def _chain(parts: Sequence[Part], where: str) -> tuple[list[list[Part]], list[PartJoint]]:

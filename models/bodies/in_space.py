@@ -3,6 +3,7 @@
 The plane is x–y, its hinges turn about z, and only moments about z play a part: the other moments are 0.
 """
 
+import warnings
 from pathlib import Path
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from invdyn.models.bodies import body_toml, body_xml, robot_file, tree_toml
 from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body_chain import masses_aside
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.parts import is_planar_chain
 from invdyn.models.bodies.spatial_link import SpatialLink
@@ -18,16 +20,24 @@ from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.bodies.whole_file import read_whole
 
 
-def load_body(path: str | Path) -> Body | Tree:
+def load_body(path: str | Path, *, filmed: bool = True) -> Body | Tree:
     """Read a body file: TOML, MJCF or URDF; raises as `Body.load` and `Tree.from_mjcf` do.
 
     A TOML says dimensions = 3 for a `Tree`. Of a robot a chain of hinges about one of the axes x, y and z is a `Body`,
     whatever else a `Tree`. What a file is, its content says, not its name.
+
+    A chain in the plane has its centres of mass on the lines of its joints. A robot that has one beside them, and is
+    not ``filmed`` in a plane, is a `Tree`, which takes it as it is; a warning (UserWarning) says so.
     """
     content = read_whole(path, body_xml.MOST_BYTES)
     if body_xml.is_xml(content):
         robot = robot_file.of(content, str(path))
-        return (Body if is_planar_chain(robot.parts) else Tree).from_robot(robot, path)
+        kind = Body if is_planar_chain(robot.parts) else Tree
+        if kind is Body and not filmed and (aside := masses_aside(robot, str(path))):
+            words = "; ".join(aside)
+            warnings.warn(f"{path}: taken as a body in space; in the plane it would leave out {words}", stacklevel=2)
+            kind = Tree
+        return kind.from_robot(robot, path)
     tables = body_toml.parse(content, str(path))
     return (Tree if tree_toml.is_in_space(tables, path) else Body).from_tables(tables, path)
 

@@ -116,7 +116,7 @@ class Dynamics(ABC):
         Or the largest of :meth:`levers`, where that is more. Without sites it is 1 m.
         """
         points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
-        points = torch.cat([points, torch.zeros_like(points[:1])])
+        points = torch.cat([points, points.new_zeros(1, points.shape[-1])])
         return torch.maximum(torch.cdist(points, points).max(), self.levers(p).max())
 
     def levers(self, p: Any) -> Tensor:

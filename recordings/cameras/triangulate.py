@@ -7,7 +7,7 @@ Pixel y of camera c is a Student-t about the projection of X, in the plane, with
 w is the tracker's confidence. Least squares are reweighted (EM for a t-distribution: Lange, Little and Taylor, JASA 84,
 1989) and solved by Gauss–Newton with Levenberg's damping. There are two starts: the point nearest to all rays, and the
 likeliest of those that each pair of cameras has. The better end is kept, so a camera that follows another limb drags no
-point along.
+point along. Where a point may as well be elsewhere the covariance says so, too (:mod:`.rivals`).
 σ, one for all, is where EM's step for it ends, with three coordinates a point taken off the degrees of freedom.
 Covariance: inverse of J' Λ J with Λ = (ν + 2)/(ν + 4) · τ w/σ², the t-distribution's information at EM's weights τ
 over their mean. Measured on simulated pixels of that distribution: 90 % regions of two to six cameras hold 86 to 88 %
@@ -15,11 +15,11 @@ of points.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from ..errors import InputError
+from . import lines_of_sight, rivals
 from .camera import Calibration
 from .projection import project_with_jacobian, rays
 
@@ -77,7 +77,7 @@ def triangulate(
             "no point is seen by two cameras at once: do the films overlap, in time and in what they show?"
         )
     problem = _Problem(calibration, pixels[several], trust[several])
-    starts = _starts(calibration, aim[several], trust[several])
+    pairs = starts = lines_of_sight.starts(calibration, aim[several], trust[several])
     sigma = scale or problem.first_scale(starts[0])
     if len(starts) > 1:
         starts = [starts[0], problem.likeliest(starts[1:], sigma)]
@@ -90,7 +90,11 @@ def triangulate(
             if abs(sigma / before - 1) < 1e-3:
                 break
         points = problem.likeliest([points, *(problem.descend(end, sigma) for end in ends)], sigma)
-    return problem.summary(points, sigma, several, _widest_angle(aim[several], trust[several]))
+    points, doubtful, wide = problem.weighed(points, pairs[1:], sigma)
+    found = problem.summary(points, sigma, several, lines_of_sight.widest_angle(aim[several], trust[several]))
+    place = np.flatnonzero(several)[doubtful]
+    found.covariance[place] = np.where(np.isfinite(found.covariance[place]), wide, np.nan)
+    return found
 
 
 def _checked(
@@ -111,34 +115,6 @@ def _checked(
     if trust.shape != pixels.shape[:2]:
         raise InputError(f"confidence must have shape {pixels.shape[:2]}, got {trust.shape}")
     return pixels, np.clip(trust, 0.0, 1.0)
-
-
-def _nearest(origins: np.ndarray, aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """Points (N, 3) nearest to rays from origins (C, 3) along aim (N, C, 3): least squares of the distances."""
-    across = np.where(trust > 0, trust, 0)[..., None, None] * (np.eye(3) - aim[..., :, None] * aim[..., None, :])
-    across = np.nan_to_num(across)
-    normal = across.sum(1) + 1e-12 * np.eye(3)
-    return np.linalg.solve(normal, (across @ origins[None, :, :, None]).sum(1))[..., 0]
-
-
-def _starts(calibration: Calibration, aim: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
-    """The point nearest to all rays, then those of each pair of cameras where there are more than two."""
-    origins = np.stack([camera.position for camera in calibration])
-    starts = [_nearest(origins, aim, trust)]
-    if len(calibration) > 2:
-        for pair in combinations(range(len(calibration)), 2):
-            both = np.all(trust[:, pair] > 0, axis=1, keepdims=True)
-            point = _nearest(origins[list(pair)], aim[:, pair], trust[:, pair])
-            starts.append(np.where(both, point, starts[0]))
-    return starts
-
-
-def _widest_angle(aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """(N,) rad, at most π/2, between the two lines of sight that differ most: cameras face to face tell no depth."""
-    aim = np.where((trust > 0)[..., None], aim, np.nan)
-    cross = np.linalg.norm(np.cross(aim[:, :, None], aim[:, None]), axis=-1)
-    angle = np.arctan2(cross, np.abs((aim[:, :, None] * aim[:, None]).sum(-1)))
-    return np.nanmax(angle, axis=(1, 2))
 
 
 @dataclass(frozen=True)
@@ -170,10 +146,9 @@ class _Problem:
     def summary(self, points: np.ndarray, sigma: float, several: np.ndarray, angle: np.ndarray) -> Triangulated:
         """Everything for all points, those that two cameras do not see included."""
         residual, jacobian = self._look(points)
-        tau = np.where(self.trust > 0, self._tau((residual**2).sum(-1), sigma, self.trust), 0.0)
-        tau /= tau[self.trust > 0].mean()
-        share = (FREEDOM + 2) / (FREEDOM + 4) * tau * self.trust / sigma**2
-        information = np.einsum("nc,ncij,ncik->njk", share, jacobian, jacobian)
+        tau = self._tau((residual**2).sum(-1), sigma, self.trust)
+        tau = np.where(self.trust > 0, tau / self._mean_tau(points, sigma), 0.0)
+        information = self._information(jacobian, tau * self.trust, sigma)
         ahead = (np.abs(residual).max(-1) < FAR).sum(1) >= 2
         known = ahead & (angle >= LEAST_ANGLE) & (np.linalg.cond(information) < 1e12)
         covariance = np.full((len(points), 3, 3), np.nan)
@@ -193,6 +168,58 @@ class _Problem:
             weights=spread(np.where(unseen, 0.0, tau), 0.0),
             scale=sigma,
         )
+
+    def weighed(
+        self, points: np.ndarray, pairs: list[np.ndarray], sigma: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The points (N, 3), which of them (R,) may be elsewhere, and the covariance of these over all modes.
+
+        ``pairs`` are the starts of each pair of cameras; with two cameras there is no other mode.
+        """
+        good, area = self._good(points, sigma), np.log(self._areas())
+        share = rivals.stray_share(good, area)
+        peak = np.log(np.where(self.trust > 0, self.trust, np.nan) / (2 * np.pi * sigma**2))
+        doubtful = np.flatnonzero(rivals.may_be_elsewhere(good, peak, area, share))
+        if not pairs or not len(doubtful):
+            doubtful = doubtful[:0]
+            return points, doubtful, np.zeros((0, 3, 3))
+        part = _Problem(self.calibration, self.pixels[doubtful], self.trust[doubtful])
+        modes = np.stack([points[doubtful], *(part.descend(start[doubtful], sigma) for start in pairs)])
+        usual = self._mean_tau(points, sigma)
+        covariance, density = [], []
+        for mode in modes:
+            residual, jacobian = part._look(mode)
+            tau = np.where(part.trust > 0, self._tau((residual**2).sum(-1), sigma, part.trust) / usual, 0.0)
+            information = self._information(jacobian, tau * part.trust, sigma)
+            told = (np.linalg.cond(information) < 1e12)[:, None, None]
+            covariance.append(np.where(told, np.linalg.inv(np.where(told, information, np.eye(3))), np.nan))
+            density.append(rivals.log_density(part._good(mode, sigma), area, share))
+        best, wide = rivals.spread(modes, np.stack(covariance), np.stack(density))
+        points = points.copy()
+        points[doubtful] = modes[best, np.arange(len(doubtful))]
+        return points, doubtful, wide
+
+    def _good(self, points: np.ndarray, sigma: float) -> np.ndarray:
+        """Log density (N, C), 1/px², of pixels that are no strays; NaN where there is none."""
+        square = (self._look(points)[0] ** 2).sum(-1)
+        trust = np.where(self.trust > 0, self.trust, np.nan)
+        tail = (FREEDOM + 2) / 2 * np.log1p(trust * square / (FREEDOM * sigma**2))
+        return np.log(trust / (2 * np.pi * sigma**2)) - tail
+
+    def _areas(self) -> np.ndarray:
+        """(C,) px², of what each camera shows: of the box around its pixels."""
+        pixels = np.where((self.trust > 0)[..., None], self.pixels, np.nan)
+        shown = [own[np.isfinite(own).all(-1)] for own in pixels.swapaxes(0, 1)]
+        return np.array([max(float(np.prod(np.ptp(own, axis=0))), 1.0) if len(own) else 1.0 for own in shown])
+
+    def _mean_tau(self, points: np.ndarray, sigma: float) -> float:
+        square = (self._look(points)[0] ** 2).sum(-1)
+        return float(self._tau(square, sigma, self.trust)[self.trust > 0].mean())
+
+    @staticmethod
+    def _information(jacobian: np.ndarray, tau: np.ndarray, sigma: float) -> np.ndarray:
+        share = (FREEDOM + 2) / (FREEDOM + 4) * tau / sigma**2
+        return np.einsum("nc,ncij,ncik->njk", share, jacobian, jacobian)
 
     def descend(self, points: np.ndarray, sigma: float) -> np.ndarray:
         """Gauss–Newton, damped point by point: a step that does not help is taken back, and a shorter one tried."""

@@ -3,7 +3,7 @@
     time = "t"                       # a table's column of times; "time" if not said
     time_unit = "ms"                 # s if not said
     [joints.elbow]
-    angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit
+    angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit; m of a slide
     torque = {track = "i2", gear = 50, constant = 0.12, sign = -1}   # N·m = sign · gear · constant · value
     target = {track = "action.2", unit = "deg"}                      # of a servo: an angle, or a velocity
 
@@ -12,7 +12,7 @@ called as ROS's JointState has them, "….elbow.position" and "….elbow.effort"
 """
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,11 @@ import numpy as np
 
 from ..errors import InputError, about
 from ..toml_tables import read_toml
-from ..units import RADIANS, TIMES, Units
+from ..units import METRES, RADIANS, TIMES, Units
 from .tracks import Episode, Track, track
 
 ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
+SHIFTS = {**METRES, "m/s": 1.0, "cm/s": METRES["cm"], "mm/s": METRES["mm"]}
 TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.0980665, "A": 1.0, "mA": 1e-3}
 KEYS = {
     "angle": ("track", "unit", "sign", "zero"),
@@ -35,11 +36,12 @@ KEYS = {
 
 @dataclass(frozen=True)
 class Source:
-    """A track and what makes SI units of its values: value · factor + offset."""
+    """A track and what makes SI units of its values: value · factor + offset; and the unit that was said, if any."""
 
     track: str
     factor: float = 1.0
     offset: float = 0.0
+    unit: str | None = None
 
     def of(self, episode: Episode, where: str) -> Track:
         """The track in SI units. Raises InputError where the log has none of that name, or without times."""
@@ -87,6 +89,20 @@ class LogMap:
 
         joints = {name: of(joint) for name, joint in self.joints.items()}
         return replace(self, joints=joints, second=self.second * time)
+
+    def check_kinds(self, slides: Collection[str]) -> None:
+        """Raise InputError for an angle or target in a unit of length of a joint that turns, or the other way round.
+
+        ``slides`` are the names of the joints that shift; their numbers are m where no unit is said.
+        """
+        for name, joint in self.joints.items():
+            known, what = (SHIFTS, "shifts") if name in slides else (ANGLES, "turns")
+            for kind, source in (("angle", joint.angle), ("target", joint.target)):
+                if source is not None and source.unit is not None and source.unit not in known:
+                    raise InputError(
+                        f"joints.{name}.{kind}: the joint {what}: expected a unit of {', '.join(known)}, "
+                        f"got {source.unit!r}"
+                    )
 
     @classmethod
     def load(cls, path: str | Path) -> "LogMap":
@@ -148,12 +164,14 @@ def _source(given: Any, kind: str, where: str) -> Source:
             raise InputError(f"{where}: expected {key} as a number, got {value!r:.40}")
     if numbers.get("sign", 1) not in (1, -1):
         raise InputError(f"{where}: expected sign as 1 or -1, got {numbers['sign']:g}")
-    units = TORQUES if kind == "torque" else ANGLES
+    units = TORQUES if kind == "torque" else {**ANGLES, **SHIFTS}
     unit = table.get("unit", "N·m" if kind == "torque" else "rad")
     if not isinstance(unit, str) or unit not in units:
         raise InputError(f"{where}: unit: expected one of {', '.join(units)}, got {unit!r:.40}")
     factor = units[unit] * numbers.get("sign", 1) * numbers.get("gear", 1.0) * numbers.get("constant", 1.0)
-    return Source(table["track"], float(factor), float(numbers.get("zero", numbers.get("offset", 0.0))))
+    return Source(
+        table["track"], float(factor), float(numbers.get("zero", numbers.get("offset", 0.0))), table.get("unit")
+    )
 
 
 def _known(table: dict[str, Any], keys: Sequence[str], where: str) -> None:

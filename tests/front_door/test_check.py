@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from robot_log import ARM, robot_log
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
 from typer.testing import CliRunner
 
 from invdyn.cli import app
+from invdyn.models import Tree, dynamics_for, load_body
 from invdyn.recordings import write_keypoint_csv
 
 
@@ -99,3 +101,100 @@ def test_effects_stand_once_with_their_places(files):
     flat = " ".join(shown.split())
     assert "viscous_friction (shoulder, elbow)" in flat
     assert flat.count("viscous_friction") == 1
+
+
+@pytest.mark.filterwarnings("default:.*taken as a body in space:UserWarning")
+def test_a_log_of_an_arm_with_a_mass_aside_is_of_a_body_in_space(tmp_path):
+    """A counterweight beside the line of the joints explains its share of the torques."""
+    pytest.importorskip("mujoco")
+    links = [("shoulder", "0 0 0", "0.15 0 0"), ("elbow", "0.3 0 0", "0.1 0 0.08")]
+    inner, outer = (
+        f'<body pos="{at}"><joint name="{joint}" axis="0 -1 0"/>'
+        f'<inertial mass="1" pos="{mass}" diaginertia="0.01 0.01 0.01"/>'
+        for joint, at, mass in links
+    )
+    site = '<site name="tip" pos="0.25 0 0"/>'
+    arm = f"<mujoco><worldbody>{inner}{outer}{site}</body></body></worldbody></mujoco>"
+    (tmp_path / "arm.xml").write_text(arm)
+    tree = Tree.from_mjcf(tmp_path / "arm.xml")
+    time = np.arange(0, 4, 0.01)
+    rate = np.array([2.0, 3.0])
+    q, qd, qdd = (
+        f(np.outer(time, rate)) for f in (np.sin, lambda x: rate * np.cos(x), lambda x: -(rate**2) * np.sin(x))
+    )
+    torque = dynamics_for(tree).inverse(*map(torch.tensor, (q, qd, qdd)), tree.parameters()).numpy()
+    table = np.column_stack([time, q, torque])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", comments="", header="time,q1,q2,u1,u2")
+    joints = "".join(
+        f'[joints.{joint}]\nangle = {{track = "q{n}", unit = "rad"}}\ntorque = {{track = "u{n}"}}\n'
+        for n, (joint, *_) in enumerate(links, 1)
+    )
+    (tmp_path / "map.toml").write_text(f'time_unit = "s"\n{joints}')
+    found = run(tmp_path / "arm.xml", tmp_path / "log.csv", "--map", tmp_path / "map.toml", "--no-effects")
+    assert "nothing looks wrong" in found.output
+    assert "taken as a body in space" in found.output
+
+
+CART = """name = "cart"
+dimensions = 3
+gravity = [0.0, 0.0, -9.81]
+[[links]]
+name = "cart"
+joint = "rail"
+type = "slide"
+axis = [1.0, 0.0, 0.0]
+mass = 1.0
+inertia = [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]
+com = [0.0, 0.0, 0.0]
+[[links]]
+name = "pole"
+parent = "cart"
+joint = "hinge"
+axis = [0.0, 1.0, 0.0]
+mass = 0.5
+com = [0.0, 0.0, -0.2]
+inertia = [0.01, 0.01, 0.001, 0.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture
+def cart(tmp_path):
+    """A cart on a rail with a pole, its log in mm and degrees, and what writes a mapping of it."""
+    (tmp_path / "cart.toml").write_text(CART)
+    tree = load_body(tmp_path / "cart.toml")
+    time = np.arange(0, 4, 0.01)
+    wave, rate = np.outer(time, [2.0, 3.0]), np.array([2.0, 3.0])
+    size = np.array([0.3, 0.8])
+    q, qd, qdd = size * np.sin(wave), size * rate * np.cos(wave), -size * rate**2 * np.sin(wave)
+    force = dynamics_for(tree).inverse(*map(torch.tensor, (q, qd, qdd)), tree.parameters()).numpy()
+    table = np.column_stack([time, q * [1e3, 180 / np.pi], force])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", comments="", header="time,x,q,f,u")
+
+    def mapped(shift, turn="deg"):
+        unit = f', unit = "{shift}"' if shift else ""
+        text = f'[joints.rail]\nangle = {{track = "x"{unit}}}\ntorque = "f"\n'
+        (tmp_path / "map.toml").write_text(
+            f'time_unit = "s"\n{text}[joints.hinge]\nangle = {{track = "q", unit = "{turn}"}}\ntorque = "u"\n'
+        )
+        return run(tmp_path / "cart.toml", tmp_path / "log.csv", "--map", tmp_path / "map.toml", "--no-effects")
+
+    return mapped
+
+
+def test_a_slide_is_logged_in_a_unit_of_length(cart):
+    found = cart("mm")
+    assert found.exit_code == 0, found.output
+    assert "nothing looks wrong" in found.output
+
+
+def test_a_slide_in_millimetres_is_found(cart):
+    for unit in ("", "m"):
+        wrong = cart(unit)
+        assert wrong.exit_code == 2
+        assert "joint rail shifts by 600 m" in wrong.output
+        assert 'write unit = "mm" (or "cm") in the line "angle = …" of [joints.rail]' in wrong.output
+
+
+def test_units_are_of_the_joints_kind(cart):
+    assert "joints.rail.angle: the joint shifts: expected a unit of m, cm, mm" in cart("deg").output
+    assert "joints.hinge.angle: the joint turns: expected a unit of rad, deg" in cart("mm", "cm").output

@@ -1,5 +1,6 @@
 """What is refused before a diagnosis, what is only said, and what goes by in silence."""
 
+import importlib
 import sys
 import warnings
 from dataclasses import replace
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from invdyn.cli import app
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.check.check import Check, Wrong
+from invdyn.diagnosis.check.units import wrong_units
 from invdyn.recordings import InputError, write_keypoint_csv
 from invdyn.recordings.reading import Reading
 
@@ -54,6 +56,29 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
 def test_what_an_effect_looks_like_is_said_and_goes_on(log, changed, says):
     with pytest.warns(UserWarning, match=says):
         check_before(Reading(replace(log, **changed(log))), ARM)
+
+
+def test_what_comes_after_a_first_mistake_is_said_and_never_refused(log, monkeypatch):
+    """If the first is an effect, nobody knows that the second is a mistake."""
+    first = Wrong("offset", ("elbow",), "the torques are off", "subtract it", 0.6, 0.9, 0.1)
+    second = Wrong("torque sign", ("shoulder",), "the torques have the other sign", "change it", -1.0, 0.9, 0.01)
+    monkeypatch.setattr(
+        sys.modules[check_before.__module__],
+        "check",
+        lambda *_, **__: Check("log", (first, second), 0.01, {}, (), None),
+    )
+    with pytest.warns(UserWarning, match="says more") as told:
+        check_before(log, ARM)
+    off, turned = (str(each.message) for each in told)
+    assert "'elbow' the torques are off" in off
+    assert "then at joint 'shoulder' the torques have the other sign" in turned
+
+
+def test_torques_that_nothing_explains_are_told_of(log):
+    """`invdyn check` calls such a log unclear; a diagnosis goes on, for an effect may be what it is."""
+    noise = np.random.default_rng(0).normal(size=log.torques.shape)
+    with pytest.warns(UserWarning, match="the torques miss .* % of their size, and no sign"):
+        check_before(Reading(replace(log, torques=noise)), ARM)
 
 
 @pytest.mark.parametrize("factor", [200.0, 500.0])
@@ -118,3 +143,36 @@ def test_the_command_asks_a_log_first(tmp_path):
     refused = diagnosed(tmp_path, "log.csv", "--map", tmp_path / "map.toml")
     assert refused.exit_code == 2
     assert "the angles are exchanged" in refused.output
+
+
+@pytest.mark.parametrize("command", ["check", "diagnose"])
+def test_units_are_asked_for_once_and_by_one_function(tmp_path, monkeypatch, command):
+    """`check`, and `diagnose` before it begins: one question a log, by the same function."""
+    asking = sys.modules["invdyn.diagnosis.check.check"]
+    diagnosing = importlib.import_module("invdyn.diagnosis.diagnose")
+    asked, begun = [], []
+
+    def counted(reading, body):
+        asked.append(reading.recording.name)
+        return wrong_units(reading, body)
+
+    def begins(*_, checked=False, **__):
+        begun.append(checked)  # else it would ask once more
+        raise InputError("far enough")
+
+    monkeypatch.setattr(asking, "wrong_units", counted)
+    monkeypatch.setattr(diagnosing, "diagnose", begins)
+    SERVO_ARM.to_toml(tmp_path / "arm.toml")
+    for name in ("log", "other"):
+        write_servo_log(tmp_path / f"{name}.csv")
+    write_mapping(tmp_path / "map.toml")
+    mapped = ("--map", tmp_path / "map.toml")
+    if command == "check":
+        given = (command, tmp_path / "arm.toml", tmp_path / "log.csv", *mapped, "--no-effects")
+        assert CliRunner().invoke(app, list(map(str, given))).exit_code == 0
+        assert asked == ["log"]
+    else:
+        stopped = diagnosed(tmp_path, "log.csv", *mapped, "--held-out", tmp_path / "other.csv")
+        assert "far enough" in stopped.output
+        assert asked == ["log", "other"]
+        assert begun == [True]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, planar_dynamics
+from invdyn.models import Body, BodyError, dynamics_for, load_body, planar_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -255,3 +255,26 @@ def test_warnings_of_mujoco_are_ours_and_leave_no_log(tmp_path, monkeypatch):
         read(exact().replace('<geom type="capsule"', '<geom type="capsule" solmix="nan"'), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
     assert mujoco.get_mju_user_warning() == before
+
+
+def aside():
+    return exact().replace('pos="0.1 0 0.2" mass="0.5"', 'pos="0.1 0.04 0.2" mass="0.5"')
+
+
+def test_a_centre_of_mass_aside_is_kept_where_no_plane_is_filmed(tmp_path):
+    """The chain in the plane drops it and says so; as a body in space the robot moves as MuJoCo's does."""
+    (tmp_path / "arm.xml").write_text(aside())
+    with pytest.warns(UserWarning, match="leaves out that the centre of mass of b is 0.04 m beside the line"):
+        assert isinstance(load_body(tmp_path / "arm.xml"), Body)
+    with pytest.warns(UserWarning, match="in space; in the plane .* centre of mass of b is 0.04 m beside"):
+        tree = load_body(tmp_path / "arm.xml", filmed=False)
+    model = mujoco.MjModel.from_xml_string(aside())
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    data.qpos[:], data.qvel[:], data.qfrc_applied[:] = rng.uniform(-2, 2, (3, 2))
+    mujoco.mj_forward(model, data)
+    state = (torch.tensor(x) for x in (data.qpos, data.qvel, data.qfrc_applied))
+    ours = dynamics_for(tree).forward(*state, tree.parameters())
+    np.testing.assert_allclose(ours.numpy(), data.qacc, rtol=1e-8)
+    (tmp_path / "line.xml").write_text(exact())
+    assert isinstance(load_body(tmp_path / "line.xml", filmed=False), Body)

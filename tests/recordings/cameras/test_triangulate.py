@@ -133,3 +133,25 @@ def test_nothing_in_common_is_refused():
         triangulate(calibration.select(["cam1"]), pixels[:, :1])
     with pytest.raises(InputError, match="shape"):
         triangulate(calibration, pixels[:, :1])
+
+
+def test_where_two_pairs_of_three_cameras_agree_the_covariance_holds_both_places():
+    """One pixel of three strays in some rows: whichever pair is believed, the truth is within what is stated."""
+    calibration = ring(4)
+    calibration = Calibration(tuple(calibration)[:3], metric=True)
+    points = swinging(200).reshape(-1, 3)
+    beyond, strays = 0, 0
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        pixels = pixels_of(calibration, points) + rng.normal(size=(len(points), 3, 2))
+        astray = rng.random(pixels.shape[:2]) < 0.02
+        pixels[astray] += rng.normal(size=(astray.sum(), 2)) * 60
+        found = triangulate(calibration, pixels)
+        error = found.points - points
+        normal = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
+        alone = astray.sum(1) == 1
+        strays += alone.sum()
+        beyond += ((normal > 16) & (np.linalg.norm(error, axis=-1) > 0.05) & alone).sum()  # 16: 1 in 900 by chance
+        assert np.mean(normal[~astray.any(1)] < 6.25) == pytest.approx(0.9, abs=0.04)
+    assert strays > 150
+    assert beyond <= 3  # 9 with the covariance of one place alone
