@@ -13,7 +13,7 @@ from .errors import InputError
 from .exchanged_names import check_names
 from .pace import FASTEST, check_interval, froude
 from .recording import Recording
-from .units import RADIANS, Units, median_distances
+from .units import METRES, RADIANS, Units, median_distances
 
 LARGEST_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
 LARGEST_ANGLE = 50.0  # rad, eight turns of a joint; degrees exceed it
@@ -29,8 +29,8 @@ def check_magnitudes(recording: Recording, units: Units) -> None:
     """Raise InputError when lengths are too large for metres, or angles for radians that nobody declared."""
     if recording.length_unit == "m" and (extent := _extent(recording)) > LARGEST_EXTENT:
         raise InputError(
-            f"keypoints spread over {extent:.3g} m, too much for one body; these look like pixels: "
-            "pass --units px (or mm, cm)"
+            f"keypoints spread over {extent:.3g} m, too much for one body; "
+            + (_odd_columns(recording) or "these look like pixels: pass --units px (or mm, cm)")
         )
     if units.angle is None and recording.angles is not None:
         largest = np.nanmax(np.abs(recording.angles), initial=0.0)
@@ -96,7 +96,7 @@ def check_plausible(
         points = dict(zip(names, chain.swapaxes(0, 1), strict=True))
         check_names(points, dict(zip(pairwise(names), lengths, strict=True)), recording.keypoint_names)
         for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
-            _check_length((names[k], names[k + 1]), observed, length, guessed, recording.length_unit)
+            _check_length((names[k], names[k + 1]), observed, length, guessed, recording)
     if recording.length_unit == "m":  # elsewhere g is not known
         _check_speeds(recording, chain, lengths, units)
     angles = recording.angles
@@ -147,20 +147,48 @@ def check_in_space(
     check_names(known, known_distances, recording.keypoint_names)
     for pair, length in known_distances.items():
         (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
-        _check_length(pair, observed, length, guessed)
+        _check_length(pair, observed, length, guessed, recording)
     if recording.angles is not None and units.angle is None:
         for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
             if name in levers:
                 _check_turning(name, angle, recording.time, levers[name], units)
 
 
-def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, unit: str = "m") -> None:
+def _odd_columns(recording: Recording) -> str:
+    """What to do where some columns are in a smaller unit than the others, by their sizes; "" where none are.
+
+    Centimetres among metres are a hundred times as large, give or take what a link may be off by.
+    """
+    columns = {
+        f"{name}_{'xyz'[axis]}": np.median(np.abs(values[np.isfinite(values)]))
+        for name, own in zip(recording.keypoint_names, recording.keypoints.swapaxes(0, 1), strict=True)
+        for axis, values in enumerate(own.T)
+        if np.isfinite(values).any()
+    }
+    ranked = sorted(columns, key=lambda name: columns[name])
+    for one, other in pairwise(ranked):
+        small, large = columns[one], columns[other]
+        if small > 0 and large * METRES["cm"] * WORST_LINK_RATIO >= small * METRES["m"]:
+            odd, rest = ranked[ranked.index(other) :], ranked[: ranked.index(other)]
+            what = f"{', '.join(odd)} {'is' if len(odd) == 1 else 'are'} about {large:.3g}"
+            return (
+                f"{what}, {', '.join(rest)} at most about {small:.3g}: expected one unit in all columns; write those"
+                " in mm or cm in m, or, if all are in one unit, pass --units px (or mm, cm)"
+            )
+    return ""
+
+
+def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, recording: Recording) -> None:
+    unit = recording.length_unit
     longest = WORST_LINK_RATIO if guessed else LONGEST_LINK_RATIO
     if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= longest:
+        usual = (
+            "check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
+            f"{WORST_LINK_RATIO:g}"
+        )
         raise InputError(
             f"{ends[0]} and {ends[1]} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} "
-            f"{unit} long: check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
-            f"{WORST_LINK_RATIO:g}"
+            f"{unit} long: {_odd_columns(recording) or usual}"
         )
 
 

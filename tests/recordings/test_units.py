@@ -120,3 +120,20 @@ def test_median_link_lengths_and_body_lengths():
     keypoints[:, 1] = np.nan
     with pytest.raises(InputError, match="never seen together"):
         in_body_lengths(Recording(recording.time, keypoints, recording.keypoint_names))
+
+
+@pytest.mark.parametrize(
+    ("factor", "odd"), [(1000.0, ["elbow_x"]), (1000.0, ["wrist_x", "wrist_y"]), (100.0, ["wrist_y"])]
+)
+def test_columns_in_two_units_are_named(tmp_path, factor, odd):
+    """All in one unit, they are told of as before."""
+    place = {f"{name}_{axis}": (k, a) for k, name in enumerate(("elbow", "wrist")) for a, axis in enumerate("xy")}
+    tips = Recording(arm().time, arm().keypoints[:, 1:] + 0.1, ("elbow", "wrist"))
+    keypoints = tips.keypoints.copy()
+    for name in odd:
+        keypoints[(slice(None), *place[name])] *= factor
+    mixed = Recording(tips.time, keypoints, tips.keypoint_names)
+    with pytest.raises(InputError, match=rf"{', '.join(odd)} (is|are) about .* one unit in all columns"):
+        check_plausible(load(saved(tmp_path, mixed)), (0.3, 0.4), base=None)
+    with pytest.raises(InputError, match="look like pixels"):
+        load(saved(tmp_path, tips.scaled(1000.0, "m")))
