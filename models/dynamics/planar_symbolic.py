@@ -109,7 +109,7 @@ class SymbolicDynamics(PlanarDynamics):
         if own_inertia is not None:
             joint["own"] = own_inertia
         batch = common(seen.batch, *(value.shape[:-1] for value in joint.values()))
-        plain = seen.is_plain and is_plain(*joint.values())
+        plain = seen.is_plain and is_plain(*joint.values(), *seen.numbers[:1])
         if self._compiled and plain and self._compiled.pays(traced, batch):
             return self._compiled("forward", traced, joint, seen.numbers, batch)
         columns = {word: value.unbind(-1) for word, value in joint.items()}

@@ -181,7 +181,8 @@ class SpatialDynamics(Dynamics):
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
         learned = body.has_tangent or (torch.is_grad_enabled() and body.is_differentiated)
-        if self._compiled and not learned and is_plain(*joint.values()) and self._compiled.pays(traced, batch):
+        plain = not learned and is_plain(*joint.values(), *numbers[:1])
+        if self._compiled and plain and self._compiled.pays(traced, batch):
             return self._compiled(method, traced, joint, numbers, batch)
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)

@@ -45,12 +45,13 @@ def has_tangent(value: Tensor) -> bool:
 
 
 def is_plain(*values: Tensor) -> bool:
-    """Whether they are numbers on the CPU alone: nobody asks for derivatives, records or transforms (`make_fx`)."""
+    """Whether they are numbers of one type on the CPU, and nobody asks for derivatives, records or transforms."""
     if torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None:
         return False
-    learned = torch.is_grad_enabled()
+    learned, dtype = torch.is_grad_enabled(), values[0].dtype
     return not any(
-        value.device.type != "cpu" or has_tangent(value) or (learned and value.requires_grad) for value in values
+        value.dtype != dtype or value.device.type != "cpu" or has_tangent(value) or (learned and value.requires_grad)
+        for value in values
     )
 
 

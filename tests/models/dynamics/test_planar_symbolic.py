@@ -77,3 +77,16 @@ def test_models_of_a_process_share_one_and_copies_find_it():
     dynamics = planar_dynamics(3)
     assert planar_dynamics(3) is dynamics
     assert pickle.loads(pickle.dumps(dynamics)) is dynamics
+
+
+@pytest.mark.parametrize("mixed", ["own inertia", "torque", "body"])
+def test_mixed_types_are_torchs(mixed):
+    """Machine code is of one type: it would read a float32's bytes as a float64's."""
+    fast, slow = both(2)
+    p, (q, qd, tau), own = body(2), state(2, 20), torch.rand(2, dtype=torch.float64)
+    if mixed == "body":
+        p = BodyParameters(*(value.float() for value in p))
+    tau, own = tau.float() if mixed == "torque" else tau, own.float() if mixed == "own inertia" else own
+    found, expected = fast.forward(q, qd, tau, p, own), slow.forward(q, qd, tau, p, own)
+    assert found.dtype == expected.dtype == torch.float64
+    assert torch.equal(found, expected)

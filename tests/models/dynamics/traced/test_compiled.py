@@ -29,6 +29,14 @@ def same(found, expected):
     assert torch.equal(found.nan_to_num(7e7), expected.nan_to_num(7e7))
 
 
+def test_mixed_types_are_torchs():
+    """Machine code is of one type: it would read a float32's bytes as a float64's."""
+    fast, slow = both(panda())
+    q, qd, tau = random_state(7, 0, (50,), torch.float64)
+    for p, own in ((panda().parameters(), torch.full((7,), 0.1)), (panda().parameters(torch.float32), None)):
+        same(fast.forward(q, qd, tau, p, own), slow.forward(q, qd, tau, p, own))
+
+
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("tree", [paper_arm(), panda(), random_tree(3, 5)], ids=lambda tree: tree.name)
 def test_torchs_bits(tree, dtype):
