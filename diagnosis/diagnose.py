@@ -30,6 +30,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.engine_steps import search_either
 from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
@@ -198,7 +199,7 @@ def _searched(
         with diverging():
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            bound, found = search_either(bound, path, stray, without, workers, most)
+            bound, found = search_either(bound, path, lambda law: search(law, path, stray, without, workers, most))
             return heavy_tailed(bound, found)
     except Diverged as error:
         raise cannot_follow(bound) from error

@@ -107,7 +107,7 @@ class Diagnosed(Recorded):
         from .inputs import is_log
 
         names = (*self.recordings, *self.others, *((self.held_out,) if self.held_out else ()))
-        return not (self.calibration or self.beside) and (self.mapping is not None or all(map(is_log, names)))
+        return not (self.calibration or self.beside) and all(is_log(name, self.mapping) for name in names)
 
     @property
     def struck(self) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class Diagnosed(Recorded):
 
         from .inputs import is_log, read_logs
 
-        if self.mapping is not None or is_log(name):
+        if is_log(name, self.mapping):
             readings = read_logs(name, body, self.mapping, numbers, frames, self.units)
         else:
             recording = self.read(name, body, as_filmed=True, frames=frames)

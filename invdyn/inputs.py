@@ -205,9 +205,9 @@ def _in_the_bodys_terms(logged: Logged, body: Body | Tree) -> Recording:
     return replace(recording, angles=angles, torques=told)
 
 
-def is_log(name: str) -> bool:
-    """Whether a file is a robot's log by its kind, and no table of keypoints."""
-    return kind_of(Path(name)) not in (None, "csv")
+def is_log(name: str, mapping: str | None = None) -> bool:
+    """Whether a file is read as a robot's log: there is a mapping, or it is no table of keypoints by its kind."""
+    return mapping is not None or kind_of(Path(name)) not in (None, "csv")
 
 
 def read_as_it_stands(
@@ -223,7 +223,7 @@ def read_as_it_stands(
 
     Raises as readers do, and InputError for ``units`` or ``fps`` beside a mapping, in which they stand.
     """
-    if mapping is not None or is_log(name):
+    if is_log(name, mapping):
         if fps is not None:
             raise InputError(f"--fps {fps:g}: a robot's log carries its own times: leave --fps out")
         return read_logs(name, body, mapping, [episode or 0], frames, units)[0]

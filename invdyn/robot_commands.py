@@ -40,7 +40,7 @@ def check(
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
-    body = load_body(robot, filmed=mapping is None and not is_log(log))
+    body = load_body(robot, filmed=not is_log(log, mapping))
     reading = read_as_it_stands(log, body, units, frames, mapping, episode, fps)
     found = run(reading, body, passive=passive, effects=effects)
     typer.echo(check_text(found))

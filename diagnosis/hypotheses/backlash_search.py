@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import led, lifted
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.simplex_search import grid, log_prior_of
+from invdyn.diagnosis.hypotheses.simplex_search import grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import FIRM
@@ -112,7 +112,7 @@ class Play:
             self.problem.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
-        return LOST if cause is None else cause.log_evidence + log_prior_of([self.parameter], np.array([width]))
+        return LOST if cause is None else cause.log_evidence + log_density_of([self.parameter], np.array([width]))
 
 
 def refine_play(
@@ -144,7 +144,7 @@ def refine_play(
     play.score(top)
     cause = play.best
     width = cause.noise[play.name]
-    integral = log_prior_of([parameter], np.array([width])) + 0.5 * float(np.log(2 * np.pi * variance))
+    integral = log_density_of([parameter], np.array([width])) + 0.5 * float(np.log(2 * np.pi * variance))
     noise_log = base.noise_log | {effect.key: integral}
     noise_sd = base.noise_sd | {play.name: width * float(np.sqrt(variance))}
     evidence, by_size = cause.log_evidence + integral, cause.by_size + integral

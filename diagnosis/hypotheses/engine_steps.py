@@ -14,7 +14,7 @@ one of them is likelier there, the search is made under that as well:
 Where "no effect" leaves nothing of the equations themselves, no engine is asked for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from torch import Tensor
 
@@ -22,41 +22,31 @@ from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.drop import without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import MOST_EFFECTS, log_prior_of
+from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.models.effects.base import Effect
 
 
 def search_either(
-    problem: DiagnosisProblem,
-    path: Tensor,
-    stray: bool,
-    left_out: Sequence[str] = (),
-    workers: int = 1,
-    most: int = MOST_EFFECTS,
+    problem: DiagnosisProblem, path: Tensor, search: Callable[[DiagnosisProblem], HypothesisPool]
 ) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The likelier law's problem, and its pool; see :func:`.search`."""
-
-    def sought(law: DiagnosisProblem) -> HypothesisPool:
-        return search(law, path, stray, left_out, workers, most)
-
+    """The likelier law's problem, and the pool that ``search`` finds under it; ``path`` (T, D) is the data's."""
     own, other = problem, problem.in_engine_steps()
     if other is own:
-        return own, sought(own)
+        return own, search(own)
     alone = attempt(refine, own, (), {}, path, own.regime.loose)
     if alone is None or alone.complete:
-        return own, sought(own)
+        return own, search(own)
     stepped = attempt(refine, other, (), {}, alone.path, best_size(own, alone))
     if stepped is not None and stepped.log_evidence > alone.log_evidence:
         own, other = other, own
-    found = sought(own)
+    found = search(own)
     best = found.best
     worth = _worth(best, found.candidates)
     if not best.effects or not any(_worth(c, found.candidates) > worth for c in _under(other, own, best)):
         return own, found
-    again = attempt(sought, other)
+    again = attempt(search, other)
     if again is None or _worth(again.best, found.candidates) <= worth:
         return own, found
     return other, again

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_prior_of
+from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
@@ -97,7 +97,7 @@ def _added(
 
     def score(log_values: np.ndarray) -> float:
         values = np.minimum(np.exp(log_values), most)
-        return float(logsumexp(by_size(values))) + log_prior_of(parameters, values)
+        return float(logsumexp(by_size(values))) + log_density_of(parameters, values)
 
     gained = [(float(logsumexp(by_size(np.array(point)))), point) for point in points]
     top, start = max(gained)

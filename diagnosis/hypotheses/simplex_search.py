@@ -1,8 +1,9 @@
 """Parameters that no slope tells of, by a search of their evidence: a grid, a simplex, and the curvature at the top.
 
-The evidence is that of the data under the changed emission (:func:`..sensitivity.whiten.whiten` without any column).
-It is looked at on a grid of quantiles of the prior, and climbed from the best point on, in logarithms (Nelder & Mead
-1965). With H the Hessian of the log density s at the mode x̂, by differences, the integral is Laplace's:
+Of an effect on the scatter the evidence is that of the data under the changed emission
+(:func:`..sensitivity.whiten.whiten` without any column). It is looked at on a grid of quantiles of the prior, and
+climbed from the best point on, in logarithms (Nelder & Mead 1965). With H the Hessian of the log density s at the mode
+x̂, by differences, the integral is Laplace's:
 
     log ∫ exp s ≈ s(x̂) + ½ p log 2π − ½ log det(−H).
 
@@ -21,8 +22,11 @@ from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.scale import Scale
 
 EVALUATIONS = 16
+"""Of the score, for each parameter, at most in the simplex search."""
 QUANTILES = (0.1, 0.3, 0.6, 0.9)
+"""Of a prior that states no grid of its own: where the grid's points are."""
 DRAWS = 2000
+"""Of a prior, from which its quantiles come: not all have a closed form."""
 
 Score = Callable[[np.ndarray], float]
 """Log evidence plus log prior of the parameters, as logarithms (p,)."""
@@ -47,7 +51,7 @@ def log_spread(parameter: Parameter) -> float:
     return float((high - low) / (ndtri(QUANTILES[-1]) - ndtri(QUANTILES[0])))
 
 
-def log_prior_of(parameters: Sequence[Parameter], values: np.ndarray) -> float:
+def log_density_of(parameters: Sequence[Parameter], values: np.ndarray) -> float:
     """Log prior density of values, in nats, of their logarithms."""
     total = 0.0
     for parameter, value in zip(parameters, values, strict=True):

@@ -176,13 +176,15 @@ class _Problem:
 
         ``pairs`` are the starts of each pair of cameras; with two cameras there is no other mode.
         """
+        none = points, np.zeros(0, dtype=int), np.zeros((0, 3, 3))
+        if not pairs:
+            return none
         good, area = self._good(points, sigma), np.log(self._areas())
         share = rivals.stray_share(good, area)
         peak = np.log(np.where(self.trust > 0, self.trust, np.nan) / (2 * np.pi * sigma**2))
         doubtful = np.flatnonzero(rivals.may_be_elsewhere(good, peak, area, share))
-        if not pairs or not len(doubtful):
-            doubtful = doubtful[:0]
-            return points, doubtful, np.zeros((0, 3, 3))
+        if not len(doubtful):
+            return none
         part = _Problem(self.calibration, self.pixels[doubtful], self.trust[doubtful])
         modes = np.stack([points[doubtful], *(part.descend(start[doubtful], sigma) for start in pairs)])
         usual = self._mean_tau(points, sigma)

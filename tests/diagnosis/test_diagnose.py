@@ -98,7 +98,7 @@ def test_what_check_refuses_is_refused_unless_somebody_asked_before(monkeypatch)
         diagnose(recording, PENDULUM, checked=True)
 
 
-@pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search_either"])
+@pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError, torch.linalg.LinAlgError])
 def test_a_simulation_that_runs_away_is_told_in_one_line(monkeypatch, part, error):
     def singular(*_, **__):

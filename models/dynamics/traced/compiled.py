@@ -1,4 +1,4 @@
-"""Traced programs without gradients, as machine code: torch's numbers to the last bit, in a twentieth of its time.
+"""Traced programs without gradients, as machine code: torch's numbers to the last bit, in a fraction of its time.
 
 torch takes one operation after the other over all particles, and each costs microseconds whatever their number. The
 machine code (:mod:`.machine_code`) takes all operations for eight particles, then for the next eight. Angles' cosines

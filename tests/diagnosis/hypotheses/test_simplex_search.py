@@ -7,7 +7,7 @@ import pytest
 import torch
 from pyro.distributions import LogNormal
 
-from invdyn.diagnosis.hypotheses.simplex_search import QUANTILES, climb, grid, log_prior_of, log_spread
+from invdyn.diagnosis.hypotheses.simplex_search import QUANTILES, climb, grid, log_density_of, log_spread
 from invdyn.models.effects.base import Parameter
 
 
@@ -58,4 +58,4 @@ def test_the_prior_is_of_logarithms():
     normal = [
         torch.distributions.Normal(m, s).log_prob(torch.tensor(np.log(v))) for m, s, v in ((-3, 0.5, 0.06), (0, 1, 1.5))
     ]
-    assert log_prior_of(parameters, values) == pytest.approx(float(sum(normal)), abs=1e-5)
+    assert log_density_of(parameters, values) == pytest.approx(float(sum(normal)), abs=1e-5)
