@@ -16,7 +16,8 @@ length Δ it leaves the angle's change a variance of q² Δ³ / 12, so that n tu
 The walk is a rough guide, so only what costs ``DEAREST`` is left out. The gap with the cheapest turn comes first. A
 doubt is told where another way has more than ``TOLD`` of the probability.
 
-Of links in the plane that no encoder counts. Shapes: T rows, K links, C ways, path (T, D).
+Of links in the plane that no encoder counts. A link that turns by more than half a turn from row to row is beyond this:
+gap or none, its turns cannot be told. Shapes: T rows, K links, C ways, path (T, D).
 """
 
 import math
