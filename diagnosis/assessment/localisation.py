@@ -64,12 +64,12 @@ def where(
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)
-            if effect.side == "dynamics":
-                dynamics += share
+            moves = effect.side == "dynamics"
+            dynamics, observation = dynamics + share * moves, observation + share * (not moves)
+            if moves or effect.sensor == "encoders":
                 mine = joints_of(effect, body)
                 joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
             else:
-                observation += share
                 names = [name for name in effect.where if name in tracked]
                 keypoints = keypoints + share * (
                     np.isin(tracked, names) / len(names) if names else spread if len(tracked) else 0.0
