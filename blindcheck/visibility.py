@@ -5,7 +5,8 @@ an effect of the dynamics, the world without it replays the same commands. Once 
 the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
 for: nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
 the body could show counts; in space all that an effect of the observation changes. Encoders count where a setting says
-so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
+so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without
+it.
 """
 
 from collections.abc import Sequence

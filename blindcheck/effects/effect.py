@@ -1,7 +1,8 @@
 """An effect as the blind check plays it: where it acts, its units, how large it is drawn, and what installs it.
 
 A mechanism of the dynamics is one function with the decorator :func:`mechanism` above it; what sensors show is told by
-:func:`sight`, and played by `camera` and `encoders`. All of them are gathered in `EFFECTS`, in the order in which they are told.
+:func:`sight`, and played by `camera` and `encoders`. All of them are gathered in `EFFECTS`, in the order in which they
+are told.
 """
 
 from collections.abc import Callable, Mapping

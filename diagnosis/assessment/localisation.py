@@ -19,8 +19,9 @@ SMOOTH = 0.1
 
 
 def joints_of(effect: Effect, body: ArticulatedBody) -> list[int]:
-    """Joints of the body that an effect of the dynamics acts at; none where it acts on the whole arm."""
-    if effect.side != "dynamics" or effect.site == "arm" or not effect.place:
+    """Joints of the body that an effect acts at; none of one on the whole arm, or on what a camera sees."""
+    filmed = effect.side == "observation" and effect.sensor != "encoders"
+    if filmed or effect.site == "arm" or not effect.place:
         return []
     if effect.site == "link":
         return list(body.moved_by(effect.place[0]))

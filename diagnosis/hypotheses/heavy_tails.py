@@ -74,9 +74,7 @@ def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> Fitte
     return cause if stray is None else cause.less(problem, stray)
 
 
-def _with_strays(
-    problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis
-) -> FittedHypothesis | None:
+def _with_strays(problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis) -> FittedHypothesis | None:
     """The ``best`` cause, its stray detections looked for once more along the path that it has ``there``."""
     stray = next(effect for effect in best.effects if effect.name == "outliers")
     among = unknowns(problem, there.effects)

@@ -87,7 +87,8 @@ class Writer:
             return None
         parts = self._parts(change.place)
         if change.quantity == ZERO:
-            return self._zero(element, number, parts.sign * change.after, change.comment)
+            self._zero(element, number, parts.sign * change.after, change.comment)
+            return None
         if change.quantity == "rest":
             rest = parts.sign * (change.after - parts.zero)
             self.text.change(element, change.comment, springref=_said(np.degrees(rest) if self.degrees else rest))

@@ -1,4 +1,4 @@
-"""What servos answer to angle and velocity, where an effect changes it: within their limits (:mod:`..bodies.joint_parts`)."""
+"""What servos answer to angle and velocity, changed by an effect: within limits (:mod:`..bodies.joint_parts`)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,7 +17,7 @@ def servos_at(body: ArticulatedBody, place: Sequence[int]) -> Mapping[int, Motor
 
 
 def answer_changed(servo: Motor, k: int, now: Situation, more: Tensor) -> Tensor:
-    """By how much joint ``k``'s ``servo`` gives another torque where it asks for so much ``more``, (..., 1) N·m each."""
+    """How much more joint ``k``'s ``servo`` gives where it asks for so much ``more``, (..., 1) N·m each."""
     if not servo.limited:
         return more
     told = (now.motor if now.told is None else now.told)[..., k : k + 1]

@@ -17,7 +17,7 @@ def test_one_encoder_shows_more_and_the_others_the_angles():
     true = np.stack([np.sin(3 * when), np.cos(4 * when)], -1)
     np.testing.assert_allclose(readings(REAL, when, {}), true, atol=1e-5)
     off = readings(REAL, when, {"encoder_offset": (1, {"offset": 0.05})})
-    np.testing.assert_allclose(off, true + [0.0, 0.05], atol=1e-5)
+    np.testing.assert_allclose(off, true + np.array([0.0, 0.05]), atol=1e-5)
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pinocchio"])

@@ -117,7 +117,7 @@ def test_an_encoders_offset_is_the_joints_reference(tmp_path, way):
     off, (here, there), elbow = -way * 0.04, map(mujoco.MjData, (old, new)), 1
     angle = np.array([0.3, -0.2])
     for model, data, more in ((old, here, 0.0), (new, there, off)):
-        data.qpos[:] = angle + [0.0, more]
+        data.qpos[:] = angle + np.array([0.0, more])
         mujoco.mj_forward(model, data)
     np.testing.assert_allclose(there.xpos, here.xpos, atol=1e-6)
     np.testing.assert_allclose(there.qfrc_passive, here.qfrc_passive, atol=1e-6)

@@ -1,4 +1,4 @@
-"""An encoder that counts from elsewhere, against MuJoCo with a servo that follows it, and as a part of what is found."""
+"""An encoder that counts from elsewhere: against MuJoCo with a servo that follows it, and as a diagnosis finds it."""
 
 import numpy as np
 import pytest
@@ -109,9 +109,7 @@ def test_of_encoders_alone_the_first_one_may_be_tilted_gravity(joint):
     value = {f"effect.encoder_offset.{joint}.offset": torch.tensor([3 * OFF], dtype=torch.float64)}
     whole = record(arm.with_effects(EncoderOffset(joint)).replace(**value))[0]
     nothing = np.empty((len(whole.time), 0, 2))
-    log = Recording(
-        whole.time, nothing, (), angles=whole.angles, torques=whole.torques, joint_names=whole.joint_names
-    )
+    log = Recording(whole.time, nothing, (), angles=whole.angles, torques=whole.torques, joint_names=whole.joint_names)
     found = diagnose(log, BENCH, most=1)
     best = max(found.causes, key=lambda cause: cause.probability)
     alike = {key for group in found.ambiguity_set for key in group}
