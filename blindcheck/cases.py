@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects import OBSERVATIONS
+from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, seen_by_camera, world_with
@@ -224,7 +225,7 @@ def _record(
     points = np.round(points if style.base else points[:, 1:], 7)
     angles = None
     if style.encoder:
-        true = np.stack([np.interp(when, real.time, column) for column in real.q.T], axis=-1)
+        true = readings(real, when, {e.name: (e.place, e.parameters) for e in present})
         angles = np.round(true + style.encoder * rng.standard_normal(true.shape), 7)
     lost = rng.random(len(stated)) < style.missing
     lost[0] = False

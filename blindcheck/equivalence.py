@@ -26,6 +26,7 @@ simpler of the two is the better answer. But the other one can play it, and with
     lens_distortion   by keypoint_offset      likewise
     camera_roll       by keypoint_offset      likewise: across the link
     gravity_tilt      by keypoint_offset      one link, no encoders: likewise
+    encoder_offset    by gravity_tilt         first joint, about a level axis, no keypoints
 
 And one link has two numbers, its inertia and the moment of its weight, to the motor's torque: of rotor, payload, gain,
 clock and inertial error each changes one or both, and two together what a third does, as far as each can.
@@ -118,6 +119,7 @@ def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
         "lens_distortion": "keypoint_offset" if on_a_circle else None,
         "camera_roll": "keypoint_offset" if on_a_circle else None,
         "gravity_tilt": "keypoint_offset" if one and not _has_encoders(answer) else None,
+        "encoder_offset": "gravity_tilt" if truth.get("joint") == joints[0] else None,
     }.get(name)
     return tuple(sorted({*equal, *([played] if played else [])}))
 

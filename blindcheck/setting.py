@@ -64,9 +64,10 @@ def _measured(rng: np.random.Generator, body: Body) -> Body:
 
 
 def _planar_style(rng: np.random.Generator, names: Sequence[str]) -> Style:
+    base, encoders = bool(rng.random() < 0.5), bool(rng.random() < 0.15) or "encoder_offset" in names
     return Style(
-        base=bool(rng.random() < 0.5),
-        encoder=float(f"{10 ** rng.uniform(-3.5, -2.5):.2g}") if rng.random() < 0.15 else None,
+        base=base,
+        encoder=float(f"{10 ** rng.uniform(-3.5, -2.5):.2g}") if encoders else None,
         missing=float(rng.uniform(0.01, 0.05)) if rng.random() < 0.3 else 0.0,
     )
 

@@ -5,7 +5,8 @@ an effect of the dynamics, the world without it replays the same commands. Once 
 the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
 for: nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
 the body could show counts; in space all that an effect of the observation changes. Encoders count where a setting says
-so. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without it.
+so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without
+it.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from invdyn.blindcheck.effects import OBSERVATIONS
+from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
@@ -43,11 +45,11 @@ def visibility(
 
     def shown(trajectory: Trajectory, effects: Sequence[Present]) -> np.ndarray:
         points = tips(trajectory, effects)
-        if style is None or style.encoder is None or not style.counted:
+        if style is None or style.encoder is None or not (style.counted or each.name == "encoder_offset"):
             return points
         # angles as so many metres as they are as well known
-        told = [np.interp(stated / pace(effects), trajectory.time, column) for column in trajectory.q.T]
-        angles = np.stack(told, -1) * (noise / style.encoder)
+        told = readings(trajectory, stated / pace(effects), {e.name: (e.place, e.parameters) for e in effects})
+        angles = told * (noise / style.encoder)
         flat = points.reshape(len(stated), -1) if style.filmed else points[:, :0, 0]
         return np.concatenate([flat, angles], -1)[..., None]
 
@@ -60,7 +62,7 @@ def visibility(
     elif regime == "unknown_torque" and each.name != "timestamp_jitter" and isinstance(s.body, Body):
         # no torque makes one frame alone jump
         change = _misfit(tips(real, present), s.body, noise)
-    elif each.name in OBSERVATIONS and each.name != "clock_rate":
+    elif each.name in OBSERVATIONS and each.name not in ("clock_rate", "encoder_offset"):
         change = (tips(real, present) - tips(real, rest)) / noise
     else:
         world, camera = partial(world_with, s.body, rest, s, engine), partial(shown, effects=rest)

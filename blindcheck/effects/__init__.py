@@ -1,23 +1,23 @@
 """The effects that the blind check plays, one beside its size and units; `EFFECTS` has them all by name."""
 
 # in this order cases draw them
-from invdyn.blindcheck.effects import joints, inertia, motors, disturbances, camera_effects  # isort: skip
+from invdyn.blindcheck.effects import joints, inertia, motors, disturbances, sensors  # isort: skip
 from invdyn.blindcheck.effects.effect import EFFECTS, Injected
 
 MECHANISMS = {name: effect.install for name, effect in EFFECTS.items() if effect.install is not None}
 """What installs each effect of the dynamics."""
 
 OBSERVATIONS = tuple(name for name, effect in EFFECTS.items() if effect.install is None)
-"""Effects on what the camera sees."""
+"""Effects on what sensors show."""
 
 __all__ = [
     "EFFECTS",
     "MECHANISMS",
     "OBSERVATIONS",
     "Injected",
-    "camera_effects",
     "disturbances",
     "inertia",
     "joints",
     "motors",
+    "sensors",
 ]

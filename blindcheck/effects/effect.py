@@ -1,7 +1,8 @@
 """An effect as the blind check plays it: where it acts, its units, how large it is drawn, and what installs it.
 
-A mechanism of the dynamics is one function with the decorator :func:`mechanism` above it; what the camera sees is told
-by :func:`sight`, and played by `camera`. All of them are gathered in `EFFECTS`, in the order in which they are told.
+A mechanism of the dynamics is one function with the decorator :func:`mechanism` above it; what sensors show is told by
+:func:`sight`, and played by `camera` and `encoders`. All of them are gathered in `EFFECTS`, in the order in which they
+are told.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,9 +25,10 @@ class Injected:
         site: "joint", "link", "keypoint" or "arm".
         units: of every parameter, "1" where it has none; non-ideal forms have the last ones besides.
         size: draws the parameters.
-        install: called with world, place (none of the whole arm) and the parameters by name; None for what the camera
-            sees.
-        needs: what a case with it must have: "command", "gravity", "clock" (known torque), "two joints".
+        install: called with world, place (none of the whole arm) and the parameters by name; None for what sensors
+            show.
+        needs: what a case with it must have: "command", "gravity", "clock" (known torque), "two joints",
+            "encoders".
     """
 
     name: str
@@ -51,5 +53,5 @@ def mechanism(*, units: Mapping[str, str], size: Size, site: str = "joint", need
 
 
 def sight(name: str, *, units: Mapping[str, str], size: Size, site: str = "arm", needs: tuple[str, ...] = ()) -> None:
-    """Tell of an effect on what the camera sees."""
+    """Tell of an effect on what sensors show."""
     EFFECTS[name] = Injected(name, site, units, size, None, needs)

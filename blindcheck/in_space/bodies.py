@@ -36,7 +36,7 @@ from invdyn.models.bodies.spatial_link import SpatialLink
 JOINTS, SHARES = (3, 4, 5, 6, 7), (0.4, 0.25, 0.2, 0.05, 0.1)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 """Of a link that runs along x: a roll, a pitch, a yaw."""
-MOTORS = {"actuator_gain", "actuator_saturation", "actuator_deadzone", "hot_motor"}
+MOTORS = {"actuator_gain", "actuator_saturation", "actuator_deadzone", "hot_motor", "encoder_offset"}
 """Effects that mean something else of a servo."""
 DAMPED = {"viscous_friction", "drifting_friction"}
 """Effects whose size is another one where the joint is damped already."""
@@ -187,10 +187,11 @@ def bodies(rng: np.random.Generator, needs: Sequence[str], names: Sequence[str],
 def style(rng: np.random.Generator, names: Sequence[str]) -> Style:
     """Encoders alone in two cases of five, keypoints alone in three of ten, both in the others.
 
-    What the camera alone shows has keypoints.
+    What the camera alone shows has keypoints, what encoders show has encoders.
     """
-    seen = bool({*names} & {*OBSERVATIONS} - {"clock_rate"})
-    kind = str(rng.choice(["encoders", "keypoints", "both"], p=[0.0, 0.5, 0.5] if seen else [0.4, 0.3, 0.3]))
+    seen = bool({*names} & {*OBSERVATIONS} - {"clock_rate", "encoder_offset"})
+    shares = [0.0, 0.5, 0.5] if seen else [0.5, 0.0, 0.5] if "encoder_offset" in names else [0.4, 0.3, 0.3]
+    kind = str(rng.choice(["encoders", "keypoints", "both"], p=shares))
     encoder, missing = float(f"{between(rng, 1e-4, 1e-3):.2g}"), float(rng.uniform(0.01, 0.05))
     return Style(
         base=False,

@@ -19,8 +19,9 @@ SMOOTH = 0.1
 
 
 def joints_of(effect: Effect, body: ArticulatedBody) -> list[int]:
-    """Joints of the body that an effect of the dynamics acts at; none where it acts on the whole arm."""
-    if effect.side != "dynamics" or effect.site == "arm" or not effect.place:
+    """Joints of the body that an effect acts at; none of one on the whole arm, or on what a camera sees."""
+    filmed = effect.side == "observation" and effect.sensor != "encoders"
+    if filmed or effect.site == "arm" or not effect.place:
         return []
     if effect.site == "link":
         return list(body.moved_by(effect.place[0]))
@@ -64,12 +65,12 @@ def where(
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)
-            if effect.side == "dynamics":
-                dynamics += share
+            moves = effect.side == "dynamics"
+            dynamics, observation = dynamics + share * moves, observation + share * (not moves)
+            if moves or effect.sensor == "encoders":
                 mine = joints_of(effect, body)
                 joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
             else:
-                observation += share
                 names = [name for name in effect.where if name in tracked]
                 keypoints = keypoints + share * (
                     np.isin(tracked, names) / len(names) if names else spread if len(tracked) else 0.0

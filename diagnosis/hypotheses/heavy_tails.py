@@ -6,8 +6,9 @@ the normal law (Lange, Little & Taylor 1989, JASA 84), with
     P(normal) = ½,    P(ν) = 1/6 for ν = 4, 8, 16
 
 Heavy tails are no cause to be named. The best cause with stray detections is held against what it is without them
-under each ν, its path and parameters refined. Where that is likelier, so is every cause near the best: the pool is
-carried over to that law, without stray detections. The t law's width is that of its own best fit: it is the noise of
+under each ν, its path and parameters refined. Where that is likelier, the stray detections are looked for once more
+along that path. Where it still is, so is every cause near the best: the pool is carried over to that law, without stray
+detections. The t law's width is that of its own best fit: it is the noise of
 the rows between its tails. Far from its mode that law pulls nowhere, so all are refined from what they were.
 """
 
@@ -19,11 +20,13 @@ import torch
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool
+from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_mistake
 from invdyn.diagnosis.problem.prior import log_prior_of
+from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.side_by_side import side_by_side
 
 DEGREES = (4.0, 8.0, 16.0)
@@ -44,9 +47,14 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     rest = _without_strays(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
         return problem, found
-    worth, tailed = max((_fitted(problem, rest, degrees) for degrees in DEGREES), key=lambda law: law[0])
-    worth += log_prior_of(rest.effects, found.candidates) - log(len(DEGREES))
-    if worth < best.log_evidence + log_prior_of(best.effects, found.candidates):
+    laws = [_fitted(problem, rest, degrees) for degrees in DEGREES]
+    worth, tailed, there = max(laws, key=lambda law: law[0])
+    named, unnamed = (log_prior_of(each.effects, found.candidates) for each in (best, rest))
+    least = worth - log(len(DEGREES)) + unnamed - named  # log evidence up to which stray detections are less likely
+    if best.log_evidence <= least:
+        # It may be the path: where no torque holds it, Gauss–Newton bends it to detections that stray.
+        found.add(_with_strays(problem, best, there))
+    if found.pool[best.key].log_evidence > least:
         return problem, found
     least = found.score(best) - BEHIND
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
@@ -66,14 +74,25 @@ def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> Fitte
     return cause if stray is None else cause.less(problem, stray)
 
 
+def _with_strays(problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis) -> FittedHypothesis | None:
+    """The ``best`` cause, its stray detections looked for once more along the path that it has ``there``."""
+    stray = next(effect for effect in best.effects if effect.name == "outliers")
+    among = unknowns(problem, there.effects)
+    model = among.set_in(_without_strays(problem, best).model, there.mean)
+    base = replace(_without_strays(problem, best), model=model, path=there.path, mean=there.mean, log_evidence=-inf)
+    return attempt(refine_searched, problem, base, stray)
+
+
 def _carried(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis | None:
     """A cause under the problem's law, refined from what it is under another."""
     size = best_size(problem, cause)
     return attempt(refine, problem, cause.effects, cause.values, cause.path, size, **cause.searched)
 
 
-def _fitted(problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float) -> tuple[float, DiagnosisProblem]:
-    """Log evidence of a cause under Student's t, and the problem under it; −∞ where it cannot be refined."""
+def _fitted(
+    problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float
+) -> tuple[float, DiagnosisProblem, FittedHypothesis]:
+    """Log evidence of a cause under Student's t, the problem under it, and the cause; −∞ where it cannot be refined."""
     model = problem.model.observed_by(problem.model.observation.with_family("multivariate_t"))
     model = model.replace(**{"emission.df": torch.full((1,), degrees, dtype=model.dtype)})
     tailed = problem
@@ -81,7 +100,7 @@ def _fitted(problem: DiagnosisProblem, cause: FittedHypothesis, degrees: float) 
         tailed = replace(problem, problem=replace(problem.problem, model=model))
         refined = _carried(tailed, cause)
         if refined is None:
-            return -inf, tailed
+            return -inf, tailed, cause
         model = model.replace(**{WIDTH: refined.kappa * model.parameters[WIDTH]})
         cause = refined
-    return cause.log_evidence, tailed
+    return cause.log_evidence, tailed, cause

@@ -144,11 +144,13 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     tracked = list(observation.tracked_names)
     parts = getattr(body, "joint_parts", ())
     servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
+    # a servo follows an encoder that no log may have
+    read = {"any": True, "keypoints": bool(tracked), "encoders": observation.encoders is not None or bool(servos)}
     found = []
     for name, kind in EFFECTS.items():
         if name in without:
             continue
-        if kind.side == "observation" and not tracked and name != "clock_rate":
+        if kind.side == "observation" and not read[kind.sensor]:
             continue
         found += [
             effect.bound(body)

@@ -35,7 +35,7 @@ FACTORS = np.array([1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125
 PLAIN = 2.0
 """A factor on torques within this of 1 is a gain: for the diagnosis."""
 SMALL_ZERO = math.radians(7)
-"""A zero that is less off is a tilt, or a centre of mass that is aside: for the diagnosis."""
+"""A zero that is less off is a tilt, an encoder's offset, or a centre of mass that is aside: for the diagnosis."""
 SMALL_OFFSET = 0.2
 """Of a joint's rms torque: a constant torque that is smaller is for the diagnosis."""
 MANY = 3

@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.result import LEFT_OUT, STEPS, Cause, Diagnosis, Finding, named
+from invdyn.diagnosis.assessment.result import LEFT_OUT, STEPS, Cause, Diagnosis, Finding, Where, named
 from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
@@ -139,12 +139,16 @@ def _small(diagnosis: Diagnosis) -> str:
 
 
 def _place(diagnosis: Diagnosis) -> str:
-    w = diagnosis.where
+    seen, site, shares = _shares(diagnosis.where)
+    if (top := largest(shares)) and top[1] >= 0.5 - WITHIN:
+        return f" at {named(_largest(site, shares))}"
+    return f" in {SIDES['observation']}" if seen else ""
+
+
+def _shares(w: Where) -> tuple[bool, str, dict[str, float]]:
+    """Whether the gap is in what sensors show; kind and shares of the places: keypoints where a camera shows it."""
     seen = (side := largest(w.side)) is not None and side[0] == "observation"
-    top = largest(w.keypoints if seen else w.joints)
-    if top and top[1] >= 0.5 - WITHIN:
-        return f" at {named(_largest('keypoint', w.keypoints) if seen else _largest('joint', w.joints))}"
-    return " in how the motion is seen" if seen else ""
+    return (seen, "keypoint", w.keypoints) if seen and any(w.keypoints.values()) else (seen, "joint", w.joints)
 
 
 def _most(shares: dict[str, float]) -> list[str]:
@@ -198,10 +202,10 @@ def where(diagnosis: Diagnosis) -> str | None:
     parts = []
     if side := largest(w.side):
         parts.append(f"in {SIDES.get(side[0], side[0])} ({percent(side[1])})")
-    shares = ("keypoint", w.keypoints) if side and side[0] == "observation" else ("joint", w.joints)
-    if (top := largest(shares[1])) and len(shares[1]) > 1:
+    _, site, shares = _shares(w)
+    if (top := largest(shares)) and len(shares) > 1:
         much = "" if top[1] >= 0.9 else "mostly " if top[1] > 0.5 else "in part "
-        if len(places := _largest(*shares)) > 1:
+        if len(places := _largest(site, shares)) > 1:
             parts.append(f"as much at {named(places)} ({percent(top[1])} each)")
         else:
             parts.append(f"{much}at {places[0]} ({percent(top[1])})")

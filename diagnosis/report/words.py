@@ -7,7 +7,7 @@ from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.joint_limit import SIDES as STOPS
 
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
-SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "camera’s view"}
+SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "sensors’ view"}
 
 
 def effect_words(effect: str) -> str:

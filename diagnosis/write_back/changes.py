@@ -20,6 +20,9 @@ from invdyn.models.effects.inertias import inertia_of
 SEEN = "how the motion is seen is no part of a simulation's file"
 OF_LINK = ("mass", "com", "inertia")
 """What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
+ZERO = "encoder zero"
+"""What an encoder shows where the body's angle is 0, rad."""
+ZERO_ELSEWHERE = "subtract it from the log's angles, or from the joint's zero in the map"
 Z_90 = 1.645
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
 IN_PART = {"stribeck_friction": "its friction in motion is written; for what it has more near rest there is no word"}
@@ -70,14 +73,12 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
     changes: list[FileChange] = []
     unsaid: dict[str, str] = {}
     for finding in cause.effects:
-        if finding.side != "dynamics":
-            unsaid[finding.key] = SEEN
-        elif finding.effect in SAID:
+        if finding.effect in SAID:
             changes += SAID[finding.effect](finding, body)
             if finding.effect in IN_PART:
                 unsaid[finding.key] = IN_PART[finding.effect]
         else:
-            unsaid[finding.key] = NOT_SAID
+            unsaid[finding.key] = NOT_SAID if finding.side == "dynamics" else SEEN
     said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
     for number in cause.learned:
         before, to = number.change.before, number.change.after
@@ -175,6 +176,11 @@ def _delay(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     return [FileChange(j, "motor delay", 0.0, e.mean, e.interval_90, e.unit, finding.key) for j in joints]
 
 
+def _zero(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
+    e = finding.parameters["offset"]
+    return [FileChange(finding.where["joint"], ZERO, 0.0, e.mean, e.interval_90, e.unit, finding.key)]
+
+
 def _gravity(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     """Turned gravity in the body's frame; each angle moves its coordinates by themselves, to first order."""
     given, own = finding.parameters, torch.tensor(body.gravity, dtype=torch.float64)
@@ -213,5 +219,6 @@ SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
     "payload": _payload,
     "inertial_error": _inertial,
     "gravity_tilt": _gravity,
+    "encoder_offset": _zero,
 }
 """Effects that a file can say."""

@@ -1,6 +1,7 @@
 """Changes written into a copy of an MJCF file (mujoco.readthedocs.io, XML reference).
 
     damping, friction, armature, stiffness, rest    damping, frictionloss, armature, stiffness, springref of a joint
+    encoder zero                                    ref of a joint, with its range and springref
     motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
     servo gain                                      kp or kv of the joint's position or velocity servo
     payload                                         a body of that mass at the tip
@@ -17,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from invdyn.diagnosis.write_back.changes import OF_LINK, FileChange
+from invdyn.diagnosis.write_back.changes import OF_LINK, ZERO, FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
@@ -85,11 +86,24 @@ class Writer:
             self.text.change(element, change.comment, **{JOINT[change.quantity]: _said(change.after)})
             return None
         parts = self._parts(change.place)
+        if change.quantity == ZERO:
+            self._zero(element, number, parts.sign * change.after, change.comment)
+            return None
         if change.quantity == "rest":
             rest = parts.sign * (change.after - parts.zero)
             self.text.change(element, change.comment, springref=_said(np.degrees(rest) if self.degrees else rest))
             return None
         return self._motor(number, change)
+
+    def _zero(self, element: Element, joint: int, off: float, comment: str) -> None:
+        """A joint counted from elsewhere; its stops and its spring's rest stay where they are in the world."""
+        adr, limited = self.model.jnt_qposadr[joint], bool(self.model.jnt_limited[joint])
+        turned = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and self.degrees
+        angles = {"ref": [self.model.qpos0[adr]], "springref": [self.model.qpos_spring[adr]]}
+        angles |= {"range": self.model.jnt_range[joint]} if limited else {}
+        moved = {key: np.asarray(value) + off for key, value in angles.items()}
+        said = {key: _row(np.degrees(value) if turned else value) for key, value in moved.items()}
+        self.text.change(element, comment, **said)
 
     def _parts(self, joint: str) -> JointParts:
         return self.body.joint_parts[self.body.joint_names.index(joint)] or NOTHING

@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 
-from invdyn.diagnosis.write_back.changes import FileChange
+from invdyn.diagnosis.write_back.changes import ZERO, ZERO_ELSEWHERE, FileChange
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.protocol import AXES
 
@@ -32,6 +32,7 @@ def rewritten(content: bytes, body: ArticulatedBody, changes: Sequence[FileChang
         else:
             by_hand = change.quantity == "inertia" or change.quantity.startswith("com")
             why = "change it among the link's numbers" if by_hand else "a body's TOML has no word for it"
+            why = ZERO_ELSEWHERE if change.quantity == ZERO else why
             unsaid[change.words] = why
             continue
         starts = [n for n, line in enumerate(lines) if HEADER.match(line)]

@@ -8,12 +8,13 @@ all that goes with it, and a link whose mass is not that of one `<inertial>`: li
 import math
 from collections.abc import Sequence
 
-from invdyn.diagnosis.write_back.changes import OF_LINK, FileChange
+from invdyn.diagnosis.write_back.changes import OF_LINK, ZERO, ZERO_ELSEWHERE, FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 
 SAID = {"damping": ("dynamics", "damping"), "friction": ("dynamics", "friction"), "motor limit": ("limit", "effort")}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 ELSEWHERE = {
+    ZERO: ZERO_ELSEWHERE,
     "payload": "give the last link that mass",
     "gravity": "URDF has no word for it; whatever plays the file has a gravity of its own",
 }

@@ -21,6 +21,7 @@ from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.servo_answer import answer_changed, servos_at
 
 LEAST = -0.8
 """Motors that give nearly nothing, of arms without mass, explain whatever there is."""
@@ -63,9 +64,7 @@ class ActuatorGain(Actuator):
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         other = super()._bound(body, where)
-        every = enumerate(getattr(body, "joint_parts", ()))
-        own = {k: parts.servo for k, parts in every if parts is not None and (not other.place or k in other.place)}
-        other.servos = {k: servo for k, servo in own.items() if servo is not None}
+        other.servos = servos_at(body, other.place)
         return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -87,7 +86,4 @@ class ActuatorGain(Actuator):
     def _answer(self, gain: Tensor, k: int, servo: Motor, now: Situation) -> Tensor:
         stiff, slow = servo.stiffness * now.q[..., k : k + 1], servo.damping * now.qd[..., k : k + 1]
         more = -gain * (stiff if servo.kind == "position" else slow)
-        if not servo.limited:
-            return more
-        whole = (now.motor if now.told is None else now.told)[..., k : k + 1] - stiff - slow
-        return (whole + more).clamp(servo.low, servo.high) - whole.clamp(servo.low, servo.high)
+        return answer_changed(servo, k, now, more)

@@ -65,7 +65,9 @@ class Effect(ABC):
     """
 
     side: ClassVar[str] = "dynamics"
-    """"dynamics" for what moves the arm, "observation" for what only the camera sees."""
+    """"dynamics" for what moves the arm, "observation" for what only sensors see."""
+    sensor: ClassVar[str] = "keypoints"
+    """Of one on the observation side, whose readings it changes: "keypoints", "encoders", or "any" sensor's."""
     site: ClassVar[str] = "joint"
     """"joint", "link", "keypoint", "pair" (of joints), "keypoints" (a pair) or "arm"."""
     planar: ClassVar[bool] = False
@@ -313,8 +315,8 @@ class Effect(ABC):
         return view.points
 
     def angles(self, p: Values, view: View) -> Tensor:
-        """What the encoders show, (..., K) rad."""
-        return view.q
+        """What the encoders show, (..., K) rad; ``view.angles`` is what earlier effects made of them."""
+        return view.angles
 
     def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
         """Standard deviation of each tip's coordinates, (..., S, d) m."""

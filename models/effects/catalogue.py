@@ -1,4 +1,4 @@
-"""Every effect by its canonical name: dynamics first, then what only the camera sees, each in order of the alphabet.
+"""Every effect by its canonical name: dynamics first, then what only sensors see, each in order of the alphabet.
 
 The catalogue is gathered from the files beside this one: ``viscous_friction.py`` with the class ``ViscousFriction``
 is the effect "viscous_friction". Abstract classes, and files whose classes have other names, are what effects share.

@@ -27,7 +27,7 @@ class ClockRate(Effect):
         "frames": "of the sensors alone, while commands keep true time",
     }
 
-    side, site, order = "observation", "arm", 1
+    side, site, sensor, order = "observation", "arm", "any", 1
     forms: ClassVar[tuple[str, ...]] = ("frames",)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -180,11 +180,11 @@ class Composition:
         return view
 
     def angles(self, parameters: Mapping[str, Tensor], view: View) -> Tensor:
-        """What the encoders show, (..., K) rad: one effect's at most, as no two change it."""
+        """What the encoders show, (..., K) rad."""
         for effect, p in self._each(parameters):
             if type(effect).angles is not Effect.angles:
-                return effect.angles(p, view)
-        return view.q
+                view = replace(view, angles=effect.angles(p, view))
+        return view.angles
 
     def noise(self, parameters: Mapping[str, Tensor], view: View, sd: Tensor) -> Tensor:
         """Standard deviations of the tips' coordinates, (..., S, d) m."""

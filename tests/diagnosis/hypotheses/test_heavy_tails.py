@@ -67,3 +67,13 @@ def test_normal_noise_and_stray_detections_stay_what_they_are(law):
     assert same is here
     assert pool is found
     assert ("outliers" in found.ranked[0].key) is (law == "strays")
+
+
+def test_strays_that_bent_their_own_path_are_looked_for_along_that_of_the_other_law():
+    here, _, found = searched("strays")
+    best, none = found.best, found.pool[""]
+    bent = replace(best, log_evidence=none.log_evidence + 100, path=none.path)
+    same, pool = heavy_tailed(here, replace(found, pool={"": none, best.key: bent}))
+    assert same is here
+    assert pool.best.key == best.key
+    assert pool.best.log_evidence == pytest.approx(best.log_evidence, abs=1.0)

@@ -11,7 +11,7 @@ from robot_xml import play, robot
 
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding, Learned
 from invdyn.diagnosis.write_back import mjcf, toml, urdf
-from invdyn.diagnosis.write_back.changes import FileChange, correction
+from invdyn.diagnosis.write_back.changes import ZERO_ELSEWHERE, FileChange, correction
 from invdyn.diagnosis.write_back.rollout import commands, rollout
 from invdyn.models import Body, load_body
 
@@ -102,6 +102,31 @@ def test_toml_has_gravity_and_urdf_no_word_for_it(tmp_path, given):
     several = given.replace("[0,", "[0,\n") if given else "gravity = [\n0, -9.81]\n"
     left = toml.rewritten((several + 'links = [{name = "a"}]\n').encode(), body, asked.changes)[1]
     assert set(left) == {"gravity_x", "gravity_y"}
+
+
+@pytest.mark.filterwarnings("ignore:.*leaves out limits")
+@pytest.mark.parametrize("way", [1, -1])
+def test_an_encoders_offset_is_the_joints_reference(tmp_path, way):
+    """The joint reads .04 more where it was; its stops and its spring's rest stay where they were in the world."""
+    given = f'axis="0 {way} 0" range="-90 45" limited="true" ref="5"'
+    path = tmp_path / "robot.xml"
+    path.write_text(robot(degrees=True).replace('name="elbow" axis="0 1 0"', f'name="elbow" {given}'))
+    assert 'ref="5"' in path.read_text()
+    old, new, _text, unsaid = changed(path, finding("encoder_offset", {"joint": "elbow"}, "observation", offset=0.04))
+    assert not unsaid
+    off, (here, there), elbow = -way * 0.04, map(mujoco.MjData, (old, new)), 1
+    angle = np.array([0.3, -0.2])
+    for model, data, more in ((old, here, 0.0), (new, there, off)):
+        data.qpos[:] = angle + np.array([0.0, more])
+        mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(there.xpos, here.xpos, atol=1e-6)
+    np.testing.assert_allclose(there.qfrc_passive, here.qfrc_passive, atol=1e-6)
+    np.testing.assert_allclose(new.jnt_range[elbow] - old.jnt_range[elbow], off, atol=1e-6)
+    assert np.ptp(new.jnt_range[elbow]) == pytest.approx(np.radians(135))
+    body = Body.load(path)
+    asked = correction(cause(finding("encoder_offset", {"joint": "elbow"}, "observation", offset=0.04)), body)
+    for other in (urdf.rewritten(b'<robot name="r"><link name="a"/></robot>', asked.changes)[1],):
+        assert other == {"encoder zero of elbow": ZERO_ELSEWHERE}
 
 
 def test_joints_numbers_add_to_the_files(file):

@@ -1,4 +1,4 @@
-"""How large the effects are that the camera sees (`camera` plays them): names, units and draws."""
+"""How large the effects are that sensors show (`camera` and `encoders` play them): names, units and draws."""
 
 import numpy as np
 
@@ -12,6 +12,13 @@ def _centre(rng: np.random.Generator, s: Scene) -> dict:
     if s.body.num_joints == 1 or rng.random() > NONIDEAL:
         return {}
     return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
+
+
+def _encoder_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
+    return {"offset": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 4.0))}
+
+
+sight("encoder_offset", site="joint", units={"offset": "rad"}, needs=("clock", "encoders"), size=_encoder_offset)
 
 
 def _keypoint_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
