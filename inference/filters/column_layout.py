@@ -24,6 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch._guards import TracingContext, tracing
+from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.func import functionalize
 from torch.fx import GraphModule, Interpreter
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -42,12 +44,24 @@ def stored_by_columns(value: Tensor) -> Tensor:
     return value if value.ndim < 3 else by_column(value)
 
 
+def recorded(function: Callable[..., Any], example: tuple[Tensor, ...]) -> GraphModule:
+    """The tensor operations of ``function`` at ``example``.
+
+    At each of them torch notes the result's shape in a mode for fake tensors. It makes a mode for every operation where
+    it finds none, and keeps the whole stack of calls with each, which takes twice as long as all the rest: so one mode
+    lies ready here.
+    """
+    with tracing(TracingContext(FakeTensorMode())):
+        return make_fx(lambda *arguments: function(*arguments))(*example)
+
+
 def by_columns(graph: GraphModule, example: tuple[Tensor, ...], batch: torch.Size) -> GraphModule:
     """The record ``graph`` of a row of ``batch`` (M, N), whose arguments are like ``example``, column by column."""
     if any(getattr(getattr(node.target, "_schema", None), "is_mutable", False) for node in graph.graph.nodes):
         # Nothing may be changed in place: a column can be an entry of several tensors.
-        graph = make_fx(functionalize(lambda *arguments: graph(*arguments)))(*example)
-    return make_fx(lambda *arguments: _ByColumns(graph, batch).run(*arguments))(*example)
+        in_place = graph
+        graph = recorded(functionalize(lambda *arguments: in_place(*arguments)), example)
+    return recorded(lambda *arguments: _ByColumns(graph, batch).run(*arguments), example)
 
 
 @dataclass

@@ -17,9 +17,8 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.fx import GraphModule
-from torch.fx.experimental.proxy_tensor import make_fx
 
-from invdyn.inference.filters.column_layout import by_columns, stored_by_columns
+from invdyn.inference.filters.column_layout import by_columns, recorded, stored_by_columns
 
 Particles = dict[str, Tensor]
 Advance = Callable[[Tensor, Tensor, Tensor | None, Particles, Tensor], tuple]
@@ -101,7 +100,7 @@ def compiled(function: Callable[..., tuple], example: tuple[Tensor, ...], batch:
     devices = {value.device for value in example if value.is_cuda}
     try:
         with torch.random.fork_rng(devices=list(devices)):
-            record = make_fx(lambda *arguments: function(*arguments))(*example)
+            record = recorded(function, example)
             record.graph.eliminate_dead_code()
             graph = compile_record(by_columns(record, example, batch), example)
             graph(*example)  # so that what it calls at first use fails here

@@ -15,6 +15,7 @@ applications": affine maps compose associatively), so that it is fast and differ
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,13 @@ class GaussianChain(TorchDistribution):
     def path(self, noise: Tensor) -> Tensor:
         """Path (…, T, D) of standardised innovations ε (…, T, D)."""
         pushed = (self.root @ noise.unsqueeze(-1)).squeeze(-1)
-        return self.loc + accumulate(self.gain, pushed)
+        reaches = composed(self.gain) if self.gain.requires_grad else self._composed
+        return self.loc + accumulate(reaches, pushed)
+
+    @cached_property
+    def _composed(self) -> list[Tensor]:
+        """Of gains that nobody learns: one chain gives a path in every step of a guide's ascent, or of NUTS."""
+        return composed(self.gain)
 
     def noise(self, path: Tensor) -> Tensor:
         """Innovations ε (…, T, D) of a path: the inverse of :meth:`path`."""
@@ -106,14 +113,22 @@ class GaussianChain(TorchDistribution):
         return cls(smoother.path + torch.as_tensor(shift), torch.as_tensor(gain), torch.as_tensor(lower))
 
 
-def accumulate(gain: Tensor, pushed: Tensor) -> Tensor:
-    """Solve δ_t = A_t δ_{t−1} + b_t, δ_0 = b_0, for gain A (T, D, D) and pushed b (…, T, D)."""
+def composed(gain: Tensor) -> list[Tensor]:
+    """Of gains A (T, D, D), for 1, 2, 4, … rows: what t's row has of the state so many rows before."""
+    reach, found = 1, [gain]
+    while 2 * reach < len(gain):
+        gain = torch.cat([gain[:reach], gain[reach:] @ gain[:-reach]])
+        found.append(gain)
+        reach *= 2
+    return found
+
+
+def accumulate(reaches: Sequence[Tensor], pushed: Tensor) -> Tensor:
+    """Solve δ_t = A_t δ_{t−1} + b_t, δ_0 = b_0, for pushed b (…, T, D), and gains A as :func:`composed`."""
     steps, dim = pushed.shape[-2:]
     columns = pushed.reshape(-1, steps, dim).permute(1, 2, 0)  # (T, D, paths): one product a row
-    reach = 1
-    while reach < steps:
+    for doubled, gain in enumerate(reaches if steps > 1 else ()):
         # After this round row t holds what rows t − 2·reach + 1 … t have pushed.
+        reach = 2**doubled
         columns = torch.cat([columns[:reach], columns[reach:] + gain[reach:] @ columns[:-reach]])
-        gain = torch.cat([gain[:reach], gain[reach:] @ gain[:-reach]])
-        reach *= 2
     return columns.permute(2, 0, 1).reshape(pushed.shape)

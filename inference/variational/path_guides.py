@@ -123,7 +123,7 @@ class Markov(PathGuide):
         self.steer = nn.Parameter(torch.zeros_like(self.start.gain))
         self.skew = nn.Parameter(torch.zeros_like(self.start.root))
 
-    def distribution(self) -> TorchDistribution:
+    def distribution(self) -> GaussianChain:
         """The chain, with gains and roots corrected."""
         start = self.start
         gain = start.gain + start.root @ self.steer * self.before.unsqueeze(-2)
@@ -133,9 +133,9 @@ class Markov(PathGuide):
 
     def forward(self) -> Tensor:
         """Sample the site "path"; gradients flow through the path alone."""
-        with torch.no_grad():
-            frozen = self.distribution()
-        return pyro.sample("path", PathwiseOnly(self.distribution(), frozen))
+        live = self.distribution()
+        frozen = GaussianChain(live.loc.detach(), live.gain.detach(), live.root.detach())
+        return pyro.sample("path", PathwiseOnly(live, frozen))
 
     def conditional(self, whole: TorchDistribution, t: int, before: Tensor | None) -> TorchDistribution:
         """N(μ_t + A_t (x_{t−1} − μ_{t−1}), L_t L_tᵀ)."""

@@ -46,17 +46,18 @@ def rk4(
 ) -> tuple[Tensor, Tensor]:
     """Classical Runge–Kutta of order 4 on (θ, θ̇); four accelerations a sub-step."""
     step = dt / _checked(substeps)
+    half, sixth = step / 2, step / 6
     for i in range(substeps):
         start, middle, end = i / substeps, (i + 0.5) / substeps, (i + 1) / substeps
         v1, a1 = qd, acceleration(q, qd, start)
-        v2 = qd + step / 2 * a1
-        a2 = acceleration(q + step / 2 * v1, v2, middle)
-        v3 = qd + step / 2 * a2
-        a3 = acceleration(q + step / 2 * v2, v3, middle)
+        v2 = qd + half * a1
+        a2 = acceleration(q + half * v1, v2, middle)
+        v3 = qd + half * a2
+        a3 = acceleration(q + half * v2, v3, middle)
         v4 = qd + step * a3
         a4 = acceleration(q + step * v3, v4, end)
-        q = q + step / 6 * (v1 + 2 * (v2 + v3) + v4)
-        qd = qd + step / 6 * (a1 + 2 * (a2 + a3) + a4)
+        q = q + sixth * (v1 + 2 * (v2 + v3) + v4)
+        qd = qd + sixth * (a1 + 2 * (a2 + a3) + a4)
     return q, qd
 
 

@@ -48,11 +48,13 @@ def is_plain(*values: Tensor) -> bool:
     """Whether they are numbers of one type on the CPU, and nobody asks for derivatives, records or transforms."""
     if torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None:
         return False
-    learned, dtype = torch.is_grad_enabled(), values[0].dtype
-    return not any(
-        value.dtype != dtype or value.device.type != "cpu" or has_tangent(value) or (learned and value.requires_grad)
-        for value in values
-    )
+    learned, forward, dtype = torch.is_grad_enabled(), forward_ad._current_level >= 0, values[0].dtype
+    for value in values:
+        if value.dtype != dtype or not value.is_cpu or (learned and value.requires_grad):
+            return False
+        if forward and has_tangent(value):
+            return False
+    return True
 
 
 class Compiled:
@@ -81,12 +83,16 @@ class Compiled:
         N = math.prod(batch) // B
         if not N:
             return like.new_empty(len(traced.source.results), *batch).movedim(0, -1)
-        given = [_by_column(joint[word], batch, (B, N)) for word in traced.words]
+        given: Sequence[Tensor] = [_by_column(joint[word], batch) for word in traced.words]
+        if N < LANES and given:  # all at once: this is every step of one body's simulation
+            room = _filled(torch.cat([each.reshape(-1, B, N) for each in given]))
+            given = room.split([len(each) for each in given])
         words = (ctypes.c_void_p * len(given))(*(each.data_ptr() for each in given))
-        out = torch.empty(len(traced.source.results), B, max(N, LANES), dtype=dtype)
+        rows = len(traced.source.results)
+        out = torch.empty(rows, B, max(N, LANES), dtype=dtype)
         call = self._compiled(method, traced, dtype, own)
         call(words, body.data_ptr(), out.data_ptr(), B, out.shape[-1])
-        return out[..., :N].reshape(-1, *batch).movedim(0, -1)
+        return (out if N >= LANES else out[..., :N]).reshape(rows, *batch).movedim(0, -1)
 
     def _body(self, method: str, numbers: Sequence[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
         """Numbers (count, B), or (count, 1, N) where each particle has its own: True then.
@@ -126,11 +132,11 @@ def _first_shared(numbers: Sequence[Tensor], ndim: int) -> int:
     return split
 
 
-def _by_column(value: Tensor, batch: Sequence[int], shape: tuple[int, int]) -> Tensor:
-    value = value.detach()
+def _by_column(value: Tensor, batch: Sequence[int]) -> Tensor:
+    """Columns (columns, *batch), each in one piece of memory: no copy of what lies so already."""
     if value.shape[:-1] != batch:
         value = value.expand(*batch, value.shape[-1])
-    return _filled(value.movedim(-1, 0).reshape(-1, *shape).contiguous())
+    return value.movedim(-1, 0).contiguous()
 
 
 def _filled(columns: Tensor) -> Tensor:

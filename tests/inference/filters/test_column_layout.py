@@ -3,10 +3,9 @@
 import oracles
 import pytest
 import torch
-from torch.fx.experimental.proxy_tensor import make_fx
 
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter
-from invdyn.inference.filters.column_layout import by_columns, stored_by_columns
+from invdyn.inference.filters.column_layout import by_columns, recorded, stored_by_columns
 from invdyn.inference.filters.particles import take
 from invdyn.models import ArmModel, Body, Keypoints, Link, Matern32, Observation
 from invdyn.models.effects import CoulombFriction, Outliers, SoftTissue, ViscousFriction
@@ -54,7 +53,7 @@ def rows(model, guide, y, seen):
         return *after.values(), *others
 
     example = (torch.tensor([2]), log_weights, *before.values())
-    record = by_columns(make_fx(row)(*example), example, log_weights.shape)
+    record = by_columns(recorded(row, example), example, log_weights.shape)
     outputs = []
     for function in (row, record):
         torch.manual_seed(1)
@@ -121,7 +120,7 @@ OPERATIONS = {
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_an_operation_is_the_operation(name):
     x = torch.linspace(-1, 1, 3 * 7 * 4).reshape(3, 7, 4)
-    record = by_columns(make_fx(OPERATIONS[name])(x), (x,), x.shape[:2])
+    record = by_columns(recorded(OPERATIONS[name], (x,)), (x,), x.shape[:2])
     torch.manual_seed(1)
     expected = OPERATIONS[name](x.clone())
     torch.manual_seed(1)

@@ -6,7 +6,7 @@ import torch
 from oracles import kalman, random_chain, rts, with_gaps
 
 from invdyn.inference import GaussianChain, gauss_newton, posterior_linearisation
-from invdyn.inference.smoothing.gaussian_chain import accumulate
+from invdyn.inference.smoothing.gaussian_chain import accumulate, composed
 from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 
 T = 9
@@ -43,7 +43,7 @@ def test_accumulate_is_the_recursion(steps):
     expected = [pushed[..., 0, :]]
     for t in range(1, steps):
         expected.append((gain[t] @ expected[-1].unsqueeze(-1)).squeeze(-1) + pushed[..., t, :])
-    assert accumulate(gain, pushed) == pytest.approx(torch.stack(expected, -2), rel=1e-4, abs=1e-4)
+    assert accumulate(composed(gain), pushed) == pytest.approx(torch.stack(expected, -2), rel=1e-4, abs=1e-4)
 
 
 def test_the_chain_is_the_exact_posterior_of_a_linear_model():

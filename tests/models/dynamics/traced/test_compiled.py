@@ -6,9 +6,11 @@ import sys
 
 import pytest
 import torch
+from torch.autograd import forward_ad
 from torch.fx.experimental.proxy_tensor import make_fx
 from trees import mobile_arm, panda, paper_arm, random_state, random_tree
 
+from invdyn.models.dynamics.interface import _import_forward_mode
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled
 
@@ -90,6 +92,18 @@ def test_gradients_come_from_torch():
     mass.grad = None
     fast.forward(q, qd, tau.detach(), learned).sum().backward()
     assert mass.grad.abs().sum() > 0
+
+
+def test_a_tangent_comes_from_torch():
+    """It is carried whatever no_grad says; machine code has none."""
+    fast, slow = both(paper_arm())
+    p, (q, qd, tau) = paper_arm().parameters(), random_state(K, 3, batch=(9,))
+    _import_forward_mode()
+    with torch.no_grad(), forward_ad.dual_level():
+        moving = forward_ad.make_dual(q, qd)
+        found, expected = (forward_ad.unpack_dual(d.forward(moving, qd, tau, p)) for d in (fast, slow))
+    assert expected.tangent.abs().sum() > 0
+    same(found.tangent, expected.tangent)
 
 
 def test_recorded_and_mapped_operations_stay_torchs():
