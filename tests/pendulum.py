@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from oracles import Chain
 
+from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, log_prior
@@ -79,6 +80,12 @@ def causes(damping=DAMPING):
     here = diagnosis_problem(recorded(damping), PENDULUM)
     path = path_of(here)
     return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
+
+
+@cache
+def diagnosed():
+    """What is said of the pendulum when it rubs and nobody knows: for tests that look at it from several sides."""
+    return diagnose(recording_of(FRICTION, damping=DAMPING), PENDULUM, without=MANY)
 
 
 @cache
