@@ -58,3 +58,17 @@ def _seeded():
 def fine_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The blind check's reality in steps of .2 ms at most: its own errors stay below what a test measures."""
     monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 2e-4)
+
+
+@pytest.fixture
+def coarse_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blind check's reality in steps of a millisecond, half as many: no longer true to the micrometre."""
+    monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 1e-3)
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch, coarse_steps: None) -> None:
+    """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
+    monkeypatch.setattr("invdyn.blindcheck.cases.TRIES", 2)
+    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.STEPS", 1)
+    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.DOUBLED", 0)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from oracles import Chain
 
+from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, log_prior
@@ -31,17 +32,28 @@ INERTIA = 0.03  # about the pivot
 BRAKE = 0.02
 
 
+ARMS = {}
+
+
+def commanded(body=PENDULUM, rows=80, effort=0.5, seed=0):
+    """An arm under known commands, filmed with 2 mm of noise: one for all tests, as to draw its commands takes long."""
+    key = id(body), rows, effort, seed
+    if key not in ARMS:
+        arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=effort, commanded=True, seed=seed)
+        ARMS[key] = arm, body  # kept, so that no other body gets its id
+    return ARMS[key][0]
+
+
 def recorded(damping=0.0, seed=0, mass=1.0, rows=80):
     """A pendulum under known commands, filmed with 2 mm of noise."""
-    body = PENDULUM.with_values(mass=[mass])
-    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=seed)
+    arm = commanded(PENDULUM if mass == 1.0 else PENDULUM.with_values(mass=[mass]), rows, seed=seed)
     values = {"effect.viscous_friction.pivot.damping": torch.tensor([damping], dtype=torch.float64)}
     return record(arm.with_effects(FRICTION).replace(**values), seed)[0]
 
 
 def recording_of(effect=None, body=PENDULUM, rows=80, effort=0.5, seed=0, **values):
     """A recording of a body with an effect at these values, under known commands, filmed with 2 mm of noise."""
-    arm = random_arm(body, duration=rows / 50, fps=50, noise=0.002, torque_scale=effort, commanded=True, seed=seed)
+    arm = commanded(body, rows, effort, seed)
     if effect is not None:
         named = {f"effect.{effect.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
         arm = arm.with_effects(effect).replace(**named)
@@ -50,7 +62,7 @@ def recording_of(effect=None, body=PENDULUM, rows=80, effort=0.5, seed=0, **valu
 
 def driven(*effects, rows=80, **values):
     """A pendulum with effects at values "<effect>_<parameter>", under known commands, filmed with 2 mm of noise."""
-    arm = random_arm(PENDULUM, duration=rows / 50, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
+    arm = commanded(rows=rows)
     parts = [EFFECTS[name]("pivot") for name in effects]
     given = {n: v for part in parts for n, v in values.items() if n.startswith(part.name)}
     named = {f"effect.{n.rpartition('_')[0]}.pivot.{n.rpartition('_')[2]}": v for n, v in given.items()}
@@ -68,6 +80,12 @@ def causes(damping=DAMPING):
     here = diagnosis_problem(recorded(damping), PENDULUM)
     path = path_of(here)
     return here, refine(here, (), {}, path, LOOSE), refine(here, (FRICTION,), {}, path, LOOSE)
+
+
+@cache
+def diagnosed():
+    """What is said of the pendulum when it rubs and nobody knows: for tests that look at it from several sides."""
+    return diagnose(recording_of(FRICTION, damping=DAMPING), PENDULUM, without=MANY)
 
 
 @cache

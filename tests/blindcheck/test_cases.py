@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 import invdyn.blindcheck.cases as cases
-import invdyn.blindcheck.initial_state_fit as starts
-import invdyn.blindcheck.simulator as simulator
 from invdyn.blindcheck.cases import KINDS, effects_of, make_case, planned
 from invdyn.blindcheck.commitment import canonical
 from invdyn.blindcheck.engine import MUJOCO
@@ -61,20 +59,6 @@ def check(case, kind, folder):
         struck = [effect["effect"], *(["camera_roll"] if effect["effect"] == "gravity_tilt" else [])]
         assert public["without"] == (struck if kind == "leave_one_out" else [])
     return read
-
-
-@pytest.fixture
-def coarse(monkeypatch):
-    """MuJoCo in steps of a millisecond, half as many: no longer true to the micrometre."""
-    monkeypatch.setattr(simulator, "LONGEST_STEP", 1e-3)
-
-
-@pytest.fixture
-def hasty(monkeypatch, coarse):
-    """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
-    monkeypatch.setattr(cases, "TRIES", 2)
-    monkeypatch.setattr(starts, "STEPS", 1)
-    monkeypatch.setattr(starts, "DOUBLED", 0)
 
 
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
@@ -169,7 +153,7 @@ def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
 
 
 @pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
-def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse):
+def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse_steps):
     """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
     monkeypatch.setattr(cases, "TRIES", tries)
     (effect,) = make_case(seed, "commanded", "backlash").answer["effects"]
@@ -203,9 +187,10 @@ def test_the_room_stays_independent():
             assert not [each for each in imported if str(each).startswith(rooms)]
 
 
-def test_a_body_that_cannot_be_is_drawn_again(monkeypatch):
+def test_a_body_that_cannot_be_is_drawn_again(monkeypatch, hasty):
     """A link that has lost more than its mass, which grown sizes may take."""
     monkeypatch.setattr(cases, "WEAK", 10.0)
+    monkeypatch.setattr(cases, "TRIES", 16)
     case = make_case(1, "weak", "inertial_error")
     (effect,) = case.answer["effects"]
     link = next(each for each in case.body.links if each.name == effect["link"])

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum import ARM, FRICTION, MANY, PENDULUM, recording_of
+from pendulum import ARM, FRICTION, MANY, PENDULUM, diagnosed, recording_of
 
 from invdyn.diagnosis import diagnose, save
 from invdyn.models.effects import EFFECTS
@@ -25,10 +25,9 @@ def named(found):
 
 def test_several_have_their_causes_in_common():
     """Both know the damping better than one does, and nothing follows from one's last row to the other's first."""
-    alone = diagnose(rubbing(0), PENDULUM, without=MANY)
     both = diagnose([rubbing(0), rubbing(1)], PENDULUM, without=MANY)
     assert named(both) == ["viscous_friction.pivot"]
-    first, together = (found.causes[0].effects[0].parameters["damping"] for found in (alone, both))
+    first, together = (found.causes[0].effects[0].parameters["damping"] for found in (diagnosed(), both))
     assert together.sd < first.sd
     assert abs(together.mean - DAMPING) < 4 * together.sd
     assert len(both.tracks.time) == 160
@@ -48,7 +47,7 @@ def test_an_end_that_nobody_saw_changes_nothing():
 
 def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
     """And of what the camera does nothing is: no torque is missing."""
-    assert diagnose(rubbing(0), PENDULUM, without=MANY).to_json()["where"]["depends_on"] == ["velocity:pivot"]
+    assert diagnosed().to_json()["where"]["depends_on"] == ["velocity:pivot"]
     off = recording_of(EFFECTS["keypoint_offset"]("tip"), rows=80, along=0.0, across=0.03)
     with pytest.warns(UserWarning, match="off all along.*, or a marker aside"):
         found = diagnose(off, PENDULUM, without=MANY)

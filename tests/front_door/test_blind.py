@@ -18,6 +18,7 @@ from invdyn.blindcheck.worker import serve
 from invdyn.recordings import InputError
 
 pytest.importorskip("mujoco")
+pytestmark = pytest.mark.usefixtures("hasty")
 
 METHOD = '''
 """Says that there is no gap, after looking for the answers; fails where a file named `fail` stands above."""

@@ -40,7 +40,7 @@ TIPS, JOINTS = ("elbow", "wrist"), ("shoulder", "elbow")
 GAP = slice(9, 12)
 SIZES = SMCOptions(num_filters=4, num_particles=30, num_draws=3)
 QUICK = {
-    "nuts": {"chains": 2, "warmup": 6},
+    "nuts": {"chains": 2, "warmup": 3},
     "particle-gibbs": {"warmup": 2, "thin": 2},
     "svi": {"max_steps": 10},
     "svi-markov": {"max_steps": 10},

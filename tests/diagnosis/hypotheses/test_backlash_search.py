@@ -21,7 +21,7 @@ def loose_joint():
     """A rod whose load reverses, with play of .06 rad: its setting, "no effect", and play."""
     body = replace(PENDULUM, gravity=(0.0, 0.0))
     play = EFFECTS["backlash"]("pivot")
-    arm = random_arm(body, duration=3.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
+    arm = random_arm(body, duration=2.0, fps=50, noise=0.0005, torque_scale=0.5, commanded=True, seed=0)
     width = torch.tensor([0.06], dtype=torch.float64)
     recording = record(arm.with_effects(play).replace(**{"effect.backlash.pivot.width": width}), 0)[0]
     here = diagnosis_problem(recording, body)

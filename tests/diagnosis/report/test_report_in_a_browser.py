@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 from browsing import chromium, opened, requests
-from pendulum import FRICTION, MANY, PENDULUM, recording_of
+from pendulum import diagnosed
 from reported import KINDS, Page, diagnosis, hostile
 
-from invdyn.diagnosis import diagnose, save
+from invdyn.diagnosis import save
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.report.sentences import verdict
 from invdyn.inference import load_posterior
@@ -73,7 +73,7 @@ def test_fits_a_phone(browser, tmp_path, name):
 
 def test_what_a_diagnosis_saves_is_opened(browser, tmp_path):
     """All three files of a real one, which says the same in each."""
-    found = diagnose(recording_of(FRICTION, damping=0.05), PENDULUM, without=MANY)
+    found = diagnosed()
     save(found, tmp_path)
     told = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert told == found.to_json()

@@ -149,6 +149,15 @@ def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
     assert with_friction < 0.02 < 0.1 < without, (without, with_friction)
 
 
+def test_a_servos_limit_cuts_what_was_told_alone():
+    """Told 5 N·m of which it gives 1, beside 2 N·m that nobody told it."""
+    servo = JointParts(motor=Motor("position", gain=60.0, stiffness=60.0, low=-1.0, high=1.0))
+    body = Body("arm", [Link("rod", "joint", "tip", 1.0, 1.0, parts=servo)], gravity=(0.0, 0.0))
+    model = ArmModel(body, np.arange(3) * 1e-3, command=np.full((3, 1), 5.0))
+    after = model.transition_mean(torch.tensor([2.0, 0.0, 0.0], dtype=torch.float64), 1)
+    assert float(after[-1]) == pytest.approx((1 + 2) * 3 * 1e-3, rel=0.01)  # of an inertia of a third
+
+
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     """Two rows ahead it has answered several times; a tenth of a row back is still third order."""
