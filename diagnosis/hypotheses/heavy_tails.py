@@ -8,8 +8,8 @@ the normal law (Lange, Little & Taylor 1989, JASA 84), with
 Heavy tails are no cause to be named. The best cause with stray detections is held against what it is without them
 under each ν, its path and parameters refined. Where that is likelier, the stray detections are looked for once more
 along that path. Where it still is, so is every cause near the best: the pool is carried over to that law, without stray
-detections. The t law's width is that of its own best fit: it is the noise of
-the rows between its tails. Far from its mode that law pulls nowhere, so all are refined from what they were.
+detections. The t law's width is that of its own best fit: it is the noise of the rows between its tails. Far from its
+mode that law pulls nowhere, so all are refined from what they were.
 """
 
 from dataclasses import replace
@@ -50,11 +50,11 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     laws = [_fitted(problem, rest, degrees) for degrees in DEGREES]
     worth, tailed, there = max(laws, key=lambda law: law[0])
     named, unnamed = (log_prior_of(each.effects, found.candidates) for each in (best, rest))
-    least = worth - log(len(DEGREES)) + unnamed - named  # log evidence up to which stray detections are less likely
-    if best.log_evidence <= least:
+    rivals = worth - log(len(DEGREES)) + unnamed - named  # log evidence up to which stray detections are less likely
+    if best.log_evidence <= rivals:
         # It may be the path: where no torque holds it, Gauss–Newton bends it to detections that stray.
         found.add(_with_strays(problem, best, there))
-    if found.pool[best.key].log_evidence > least:
+    if found.pool[best.key].log_evidence > rivals:
         return problem, found
     least = found.score(best) - BEHIND
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]

@@ -7,7 +7,7 @@ A servo follows its encoder. So one that holds a target holds another angle, off
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar, Self
+from typing import Self
 
 from pyro.distributions import StudentT
 from torch import Tensor
@@ -31,7 +31,6 @@ class EncoderOffset(Effect):
     phrase = "an encoder offset"
     meaning = "an encoder whose zero is not the simulation's"
     shown_by = "the joint at a mechanical stop, or a camera beside the encoders"
-    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {}
 
     side, sensor, order = "observation", "encoders", 1
     servos: Mapping[int, Motor] = MappingProxyType({})
