@@ -24,8 +24,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch._guards import TracingContext, tracing
-from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.func import functionalize
 from torch.fx import GraphModule, Interpreter
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -51,6 +49,9 @@ def recorded(function: Callable[..., Any], example: tuple[Tensor, ...]) -> Graph
     it finds none, and keeps the whole stack of calls with each, which takes twice as long as all the rest: so one mode
     lies ready here.
     """
+    from torch._guards import TracingContext, tracing  # torch's own affair: without it a row runs as it is
+    from torch._subclasses.fake_tensor import FakeTensorMode
+
     with tracing(TracingContext(FakeTensorMode())):
         return make_fx(lambda *arguments: function(*arguments))(*example)
 
