@@ -61,12 +61,13 @@ def where(
         shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
     )
     dynamics, observation = (outside, 0.0) if regime.knows_torque else (0.0, outside)
-    joints, keypoints = dynamics * everywhere, observation * spread
+    joints, keypoints, read = dynamics * everywhere, observation * spread, 0.0
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)
             moves = effect.side == "dynamics"
             dynamics, observation = dynamics + share * moves, observation + share * (not moves)
+            read += share * (effect.sensor == "encoders")
             if moves or effect.sensor == "encoders":
                 mine = joints_of(effect, body)
                 joints = joints + share * (np.isin(np.arange(len(joints)), mine) / len(mine) if mine else everywhere)
@@ -78,7 +79,7 @@ def where(
     return Where(
         side=_normal({"dynamics": dynamics, "observation": observation}),
         joints=_normal(dict(zip(body.joint_names, joints.tolist(), strict=True))),
-        keypoints=_normal(dict(zip(tracked, keypoints.tolist(), strict=True))),
+        keypoints=_normal(dict(zip(tracked, (keypoints * (keypoints.sum() > read)).tolist(), strict=True))),
         intervals=acting(causes) or intervals(model.time.numpy(), frame_gap),
         depends_on=tuple(depends_on),
     )

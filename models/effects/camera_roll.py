@@ -20,7 +20,7 @@ class CameraRoll(Optics):
 
     phrase = "camera roll"
     meaning = "a picture turned about the line of sight"
-    shown_by = "the joints' encoders, or the base's own edges in view of the camera"
+    shown_by = "encoders and a camera together, or the base's own edges in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"gravity_tilt": {"angle": "angle"}}
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -30,7 +30,7 @@ class EncoderOffset(Effect):
 
     phrase = "an encoder offset"
     meaning = "an encoder whose zero is not the simulation's"
-    shown_by = "the joint at a mechanical stop, or a camera beside the encoders"
+    shown_by = "encoders and a camera together, or the base's own edges in view of the camera"
 
     side, sensor, order = "observation", "encoders", 1
     servos: Mapping[int, Motor] = MappingProxyType({})

@@ -22,7 +22,7 @@ class GravityTilt(Effect):
 
     phrase = "tilted gravity"
     meaning = "gravity that points elsewhere than in the simulation"
-    shown_by = "the joints' encoders, or the base's own edges in view of the camera"
+    shown_by = "encoders and a camera together, or the base's own edges in view of the camera"
     twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
     site = "arm"

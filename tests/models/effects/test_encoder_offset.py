@@ -1,12 +1,14 @@
 """An encoder that counts from elsewhere: against MuJoCo with a servo that follows it, and as a diagnosis finds it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from servo_in_mujoco import servo_log, servo_mjcf
 
 from invdyn.diagnosis.diagnose import diagnose
-from invdyn.diagnosis.report.sentences import verdict
+from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
 from invdyn.models.effects import CameraLatency, EncoderOffset
 from invdyn.recordings import Recording
@@ -103,21 +105,23 @@ def test_a_servos_encoder_is_found(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:.*the torques miss")  # by much
-@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
-def test_of_encoders_alone_the_first_one_may_be_tilted_gravity(joint):
+@pytest.mark.parametrize(("joint", "filmed"), [("shoulder", True), ("shoulder", False), ("elbow", False)])
+def test_of_encoders_alone_the_first_one_may_be_tilted_gravity(joint, filmed):
     arm = random_arm(BENCH, duration=3.0, fps=50, noise=0.002, commanded=True, encoder_noise=1e-3)
     value = {f"effect.encoder_offset.{joint}.offset": torch.tensor([3 * OFF], dtype=torch.float64)}
     whole = record(arm.with_effects(EncoderOffset(joint)).replace(**value))[0]
     nothing = np.empty((len(whole.time), 0, 2))
-    log = Recording(whole.time, nothing, (), angles=whole.angles, torques=whole.torques, joint_names=whole.joint_names)
+    log = whole if filmed else replace(whole, keypoints=nothing, keypoint_names=())
     found = diagnose(log, BENCH, most=1)
     best = max(found.causes, key=lambda cause: cause.probability)
     alike = {key for group in found.ambiguity_set for key in group}
-    if joint == "elbow":
-        assert [finding.key for finding in best.effects] == ["encoder_offset.elbow"]
+    if filmed or joint == "elbow":
+        assert [finding.key for finding in best.effects] == [f"encoder_offset.{joint}"]
         assert best.effects[0].parameters["offset"].mean == pytest.approx(3 * OFF, abs=0.004)
         assert found.where.side["observation"] > 0.9
-        assert found.where.joints["elbow"] > 0.9
-        assert "an encoder offset at the elbow" in verdict(found)
+        assert found.where.joints[joint] > 0.9
+        assert not any(found.where.keypoints.values())
+        assert f"an encoder offset at the {joint}" in verdict(found)
+        assert f"at the {joint}" in details(found)[0]
     else:
         assert alike == {"encoder_offset.shoulder", "gravity_tilt"}
