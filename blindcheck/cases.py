@@ -33,7 +33,7 @@ from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
-from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, seen_by_camera, world_with
+from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, shown_by_sensors, world_with
 from invdyn.blindcheck.motion import Plan, frame_times, play, random_plan
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.setting import Style
@@ -221,11 +221,11 @@ def _record(
     stated = frame_times(plan)
     when = stated / pace(present)
     rng = np.random.default_rng([*seed, 0])
-    points = engine.film(real, when, seen_by_camera(present), noise, seed)
+    points = engine.film(real, when, shown_by_sensors(present), noise, seed)
     points = np.round(points if style.base else points[:, 1:], 7)
     angles = None
     if style.encoder:
-        true = readings(real, when, {e.name: (e.place, e.parameters) for e in present})
+        true = readings(real, when, shown_by_sensors(present))
         angles = np.round(true + style.encoder * rng.standard_normal(true.shape), 7)
     lost = rng.random(len(stated)) < style.missing
     lost[0] = False

@@ -60,8 +60,8 @@ def pace(present: Sequence[Present]) -> float:
     return next((e.parameters["rate"] for e in present if e.name == "clock_rate"), 1.0)
 
 
-def seen_by_camera(present: Sequence[Present]) -> list[Effect]:
-    """Those that the camera has to know, as it takes them."""
+def shown_by_sensors(present: Sequence[Present]) -> list[Effect]:
+    """Those that camera and encoders have to know, as they take them."""
     return [(e.name, e.place, e.parameters) for e in present if e.name in OBSERVATIONS]
 
 

@@ -18,7 +18,7 @@ from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
-from invdyn.blindcheck.injected_effects import Present, pace, seen_by_camera, world_with
+from invdyn.blindcheck.injected_effects import Present, pace, shown_by_sensors, world_with
 from invdyn.blindcheck.motion import frame_times
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.setting import Style
@@ -41,14 +41,14 @@ def visibility(
     rest, stated = [e for e in present if e is not each], frame_times(s.plan)
 
     def tips(trajectory: Trajectory, effects: Sequence[Present], sd: float = 0.0) -> np.ndarray:
-        return engine.film(trajectory, stated / pace(effects), seen_by_camera(effects), sd, seed)[:, 1:]
+        return engine.film(trajectory, stated / pace(effects), shown_by_sensors(effects), sd, seed)[:, 1:]
 
     def shown(trajectory: Trajectory, effects: Sequence[Present]) -> np.ndarray:
         points = tips(trajectory, effects)
         if style is None or style.encoder is None or not (style.counted or each.name == "encoder_offset"):
             return points
         # angles as so many metres as they are as well known
-        told = readings(trajectory, stated / pace(effects), {e.name: (e.place, e.parameters) for e in effects})
+        told = readings(trajectory, stated / pace(effects), shown_by_sensors(effects))
         angles = told * (noise / style.encoder)
         flat = points.reshape(len(stated), -1) if style.filmed else points[:, :0, 0]
         return np.concatenate([flat, angles], -1)[..., None]

@@ -99,7 +99,8 @@ class Writer:
         """A joint counted from elsewhere; its stops and its spring's rest stay where they are in the world."""
         adr, limited = self.model.jnt_qposadr[joint], bool(self.model.jnt_limited[joint])
         turned = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and self.degrees
-        angles = {"ref": [self.model.qpos0[adr]], "springref": [self.model.qpos_spring[adr]]}
+        angles = {"ref": [self.model.qpos0[adr]]}
+        angles |= {"springref": [self.model.qpos_spring[adr]]} if self.model.jnt_stiffness[joint] else {}
         angles |= {"range": self.model.jnt_range[joint]} if limited else {}
         moved = {key: np.asarray(value) + off for key, value in angles.items()}
         said = {key: _row(np.degrees(value) if turned else value) for key, value in moved.items()}

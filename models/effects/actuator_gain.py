@@ -7,21 +7,19 @@ makes of the target and of the quantity that this is for,
     τ = (1 + ε)(K c + u₀ − D θ̇) − S θ        of one that is told velocities, kv in MuJoCo
 """
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import ClassVar, Self
+from collections.abc import Mapping
+from typing import ClassVar
 
 from pyro.distributions import HalfNormal, StudentT
 from torch import Tensor
 
 from invdyn.models.bodies.joint_parts import Motor
-from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.scale import Scale
-from invdyn.models.effects.servo_answer import answer_changed, servos_at
+from invdyn.models.effects.servo_answer import OfServos, answer_changed
 
 LEAST = -0.8
 """Motors that give nearly nothing, of arms without mass, explain whatever there is."""
@@ -33,7 +31,7 @@ LEFT_OUT = 1.0
 """Its least."""
 
 
-class ActuatorGain(Actuator):
+class ActuatorGain(Actuator, OfServos):
     """Torque (1 + ε) u, of a wrong torque constant or gear ratio; of a servo a gain that is not its file's.
 
     ``ActuatorGain("elbow", "geared")`` is a torque that was logged before its gear. For all joints neither can be told
@@ -49,23 +47,11 @@ class ActuatorGain(Actuator):
 
     order = -1
     forms: ClassVar[tuple[str, ...]] = ("geared",)
-    servos: Mapping[int, Motor] = MappingProxyType({})
-    """Of its joints, by number, those that servos move."""
 
     @property
     def of_targets(self) -> bool:  # type: ignore[override]  # a target has no gear that may be left out
         """Whether it may be a servo's."""
         return not self.form
-
-    @property
-    def drives(self) -> bool:  # type: ignore[override]  # where a servo answers
-        """Whether it is a servo's."""
-        return bool(self.servos)
-
-    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
-        other = super()._bound(body, where)
-        other.servos = servos_at(body, other.place)
-        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Excess ε, a pure number; some gears are not what was written down, or not thought of at all."""

@@ -1,19 +1,34 @@
 """What servos answer to angle and velocity, changed by an effect: within limits (:mod:`..bodies.joint_parts`)."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Self
 
 from torch import Tensor
 
 from invdyn.models.bodies.joint_parts import Motor
 from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.effects.base import Effect
 from invdyn.models.effects.effect_context import Situation
 
 
-def servos_at(body: ArticulatedBody, place: Sequence[int]) -> Mapping[int, Motor]:
-    """Servos at some joints of ``body``, by their numbers; at all of them where ``place`` is empty."""
-    every = enumerate(getattr(body, "joint_parts", ()))
-    own = {k: parts.servo for k, parts in every if parts is not None and (not place or k in place)}
-    return {k: servo for k, servo in own.items() if servo is not None}
+class OfServos(Effect):
+    """Base of the effects that change what the servos at their joints answer, if any are there."""
+
+    servos: Mapping[int, Motor] = MappingProxyType({})
+    """Those of its joints, or of all joints where it has no place, by number."""
+
+    @property
+    def drives(self) -> bool:  # type: ignore[override]  # where a servo answers
+        """Whether it is a servo's."""
+        return bool(self.servos)
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        every = enumerate(getattr(body, "joint_parts", ()))
+        own = {k: parts.servo for k, parts in every if parts is not None and (not other.place or k in other.place)}
+        other.servos = {k: servo for k, servo in own.items() if servo is not None}
+        return other
 
 
 def answer_changed(servo: Motor, k: int, now: Situation, more: Tensor) -> Tensor:

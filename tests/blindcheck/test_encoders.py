@@ -15,8 +15,8 @@ REAL = Trajectory(TIME, Q, np.gradient(Q, TIME, axis=0), np.zeros((1001, 3, 2)),
 def test_one_encoder_shows_more_and_the_others_the_angles():
     when = np.array([0.0105, 0.4, 0.99])
     true = np.stack([np.sin(3 * when), np.cos(4 * when)], -1)
-    np.testing.assert_allclose(readings(REAL, when, {}), true, atol=1e-5)
-    off = readings(REAL, when, {"encoder_offset": (1, {"offset": 0.05})})
+    np.testing.assert_allclose(readings(REAL, when, []), true, atol=1e-5)
+    off = readings(REAL, when, [("encoder_offset", 1, {"offset": 0.05})])
     np.testing.assert_allclose(off, true + np.array([0.0, 0.05]), atol=1e-5)
 
 

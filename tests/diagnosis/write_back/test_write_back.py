@@ -125,8 +125,9 @@ def test_an_encoders_offset_is_the_joints_reference(tmp_path, way):
     assert np.ptp(new.jnt_range[elbow]) == pytest.approx(np.radians(135))
     body = Body.load(path)
     asked = correction(cause(finding("encoder_offset", {"joint": "elbow"}, "observation", offset=0.04)), body)
-    for other in (urdf.rewritten(b'<robot name="r"><link name="a"/></robot>', asked.changes)[1],):
-        assert other == {"encoder zero of elbow": ZERO_ELSEWHERE}
+    assert urdf.rewritten(b'<robot name="r"><link name="a"/></robot>', asked.changes)[1] == {
+        "encoder zero of elbow": ZERO_ELSEWHERE
+    }
 
 
 def test_joints_numbers_add_to_the_files(file):
