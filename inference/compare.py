@@ -219,9 +219,8 @@ def _scores(idata: az.InferenceData) -> dict[str, float]:
         return {}
     torque = idata["posterior"]["torque"].transpose("chain", "draw", "time", "joint").values
     truth = idata["constant_data"]["truth_torque"].transpose("time", "joint").values
-    weights = np.exp(idata["sample_stats"]["log_weight"].values)
-    weights = np.repeat(weights / weights.sum() / torque.shape[1], torque.shape[1])
-    scores = score_table(torque.reshape(-1, *torque.shape[2:]), weights, truth)
+    draws = torque.reshape(-1, *torque.shape[2:])
+    scores = score_table(draws, np.full(len(draws), 1 / len(draws)), truth)
     joints = idata["posterior"]["joint"].values
     return {f"{joint}_{name}": float(score[k]) for k, joint in enumerate(joints) for name, score in scores.items()}
 

@@ -70,15 +70,13 @@ def belief(idata: az.InferenceData, model: StateSpaceModel) -> tuple[Tensor, Ten
     draws = np.concatenate(pieces, -1)
     if draws.shape[-1] != model.state_dim:
         raise InputError("the torque process has a state that the posterior does not hold")
-    weights = np.exp(idata["sample_stats"]["log_weight"].values)
-    weights = np.repeat(weights / weights.sum(), draws.shape[1]) / draws.shape[1]
+    effective = idata.attrs["outer_ess"] * draws.shape[1]
     draws = draws.reshape(-1, draws.shape[-1])
-    effective = 1 / (weights**2).sum()
     if effective < 2 * model.state_dim:
         raise InputError(f"{effective:.1f} effective draws are too few for a state of {model.state_dim} numbers")
-    mean = weights @ draws
+    mean = draws.mean(0)
     deviation = draws - mean
-    covariance = (weights[:, None] * deviation).T @ deviation / (1 - 1 / effective)
+    covariance = deviation.T @ deviation / len(draws) / (1 - 1 / effective)
     # Numbers of very different size: Cholesky of the correlation. A method may be certain of a state.
     sd = np.sqrt(covariance.diagonal()).clip(1e-12)
     correlation = covariance / np.outer(sd, sd) + 1e-9 * np.eye(len(sd))

@@ -10,7 +10,7 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
-from invdyn.inference import Comparison, learned_lengths
+from invdyn.inference import Comparison, learned_lengths, pooled
 
 from .plots import quantiles
 
@@ -52,13 +52,12 @@ FEWEST_DRAWS = 20
 def independent_draws(idata: az.InferenceData) -> float:
     """How many independent trajectories the bands rest on, at most, at a typical row.
 
-    Filters count by their weights, and draws of one that are the same particle count once; of chains the effective
-    sample size is known.
+    Copies of one particle count once: of n draws in groups of c equal ones, n² / Σ c². Of chains the effective sample
+    size is known.
     """
-    angle = np.sort(idata["posterior"]["angle"].isel(joint=0).transpose("chain", "draw", "time").values, axis=1)
-    distinct = 1 + (np.diff(angle, axis=1) > 0).sum(axis=1)  # chain, time
-    weight = np.exp(idata["sample_stats"]["log_weight"].values)[:, None]
-    drawn = float(np.median(1 / (weight**2 / distinct).sum(axis=0)))
+    angle = pooled(idata)["angle"].isel(joint=0).transpose("time", "sample").values
+    copies = [np.unique(row, return_counts=True)[1] for row in angle]
+    drawn = float(np.median([count.sum() ** 2 / (count.astype(float) ** 2).sum() for count in copies]))
     return min(drawn, float(idata["sample_stats"].attrs.get("ess_bulk", drawn)))
 
 

@@ -41,6 +41,10 @@ class StateSpaceModel(ABC):
     state_dim: int
     observation_dim: int
     num_steps: int
+    state_names: tuple[str, ...] = ()
+    """Names of the states, for results; by number where there are none."""
+    observation_names: tuple[str, ...] = ()
+    """Names of the observed numbers of a row."""
     roots: frozenset[str] = frozenset()
     """Parameters that are lower-triangular square roots."""
 

@@ -187,17 +187,14 @@ def posterior(problem: DiagnosisProblem, cause: FittedHypothesis, confirmed: Con
             paths = GaussianChain.of(smoother).sample((len(confirmed.values), DRAWS))
         else:
             paths = genealogy(confirmed.result, DRAWS)
-        idata = to_inference_data(
+        values = dict(zip(unknowns(problem, cause.effects).names, torch.as_tensor(confirmed.values).T, strict=True))
+        values |= {name: torch.full((len(paths),), value) for name, value in cause.noise.items()}
+        return to_inference_data(
             replace(problem.problem, model=at_mean),
             paths,
             confirmed.result,
             method="diagnosis",
             seed=seed,
             settings={"cause": cause.key, "regime": problem.regime.name},
+            parameters={f"effect.{name}": each for name, each in values.items()},
         )
-    draws = idata["posterior"].sizes["draw"]
-    for name, column in zip(unknowns(problem, cause.effects).names, confirmed.values.T, strict=True):
-        idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.repeat(column[:, None], draws, 1))
-    for name, value in cause.noise.items():
-        idata["posterior"][f"effect.{name}"] = (["chain", "draw"], np.full((len(confirmed.values), draws), value))
-    return idata

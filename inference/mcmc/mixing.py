@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 
 
-def mixing(torque: np.ndarray) -> dict[str, float]:
-    """Largest R-hat, smallest bulk and tail effective sample size of any entry of draws (chain, draw, …)."""
+def mixing(draws: np.ndarray) -> dict[str, float]:
+    """Largest R-hat, smallest bulk and tail effective sample size of any entry of draws (M, R, …)."""
     # ArviZ's own conversion warns of more chains than draws, which is what batched chains are.
-    data = xr.Dataset({"torque": (["chain", "draw", *(f"dim_{k}" for k in range(torque.ndim - 2))], torque)})
+    data = xr.Dataset({"x": (["chain", "draw", *(f"dim_{k}" for k in range(draws.ndim - 2))], draws)})
     return {
-        "r_hat": float(az.rhat(data)["torque"].max()),
-        "ess_bulk": float(az.ess(data, method="bulk")["torque"].min()),
-        "ess_tail": float(az.ess(data, method="tail")["torque"].min()),
+        "r_hat": float(az.rhat(data)["x"].max()),
+        "ess_bulk": float(az.ess(data, method="bulk")["x"].min()),
+        "ess_tail": float(az.ess(data, method="tail")["x"].min()),
     }

@@ -11,14 +11,14 @@ from torch import Tensor
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 
 
 def laplace(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     options: SMCOptions | None = None,
     start: Tensor | None = None,

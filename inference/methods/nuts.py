@@ -11,8 +11,8 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.mcmc.mixing import mixing
 from invdyn.inference.mcmc.nuts import sample_paths
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.recordings import InputError
@@ -24,7 +24,7 @@ FEWEST_DRAWS = 4
 
 
 def nuts(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     options: SMCOptions | None = None,
     start: Tensor | None = None,
@@ -45,7 +45,8 @@ def nuts(
         progress: called with (done, total, what).
         chains, warmup: chains, begun apart from one another, and steps of each that are thrown away.
 
-    The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any torque,
+    The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any number
+    that the problem monitors,
     and the number of divergent steps. Raises InputError for a longer series, or fewer draws of
     a chain than ``FEWEST_DRAWS``.
     """
@@ -81,5 +82,5 @@ def nuts(
             method="nuts",
             seed=seed,
             settings={**(settings or {}), "chains": chains, "warmup": warmup},
-            diagnostics={**mixing(model.net_torque(paths).numpy()), "divergences": divergent},
+            diagnostics={**mixing(problem.monitored(paths)), "divergences": divergent},
         )

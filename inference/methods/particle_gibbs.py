@@ -16,13 +16,13 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.mcmc.mixing import mixing
 from invdyn.inference.mcmc.particle_gibbs import run_chains
 from invdyn.inference.methods.smc import FILTERS, PREDICTIVE, fitted_guide
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.recordings import InputError
 
 
 def particle_gibbs(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     guide: str = "controlled",
     options: SMCOptions | None = None,
@@ -58,10 +58,10 @@ def particle_gibbs(
         raise InputError(
             f"particle Gibbs needs at least 2 particles, the held one among them: got {options.num_particles}"
         )
-    if problem.model.body.has_priors:
+    if problem.uncertain:
         raise InputError(
-            "particle Gibbs takes the body as known, and this one is uncertain: drop its priors and [uncertainty], "
-            "or use smc"
+            f"particle Gibbs takes parameters as known, and {', '.join(problem.uncertain)} is uncertain: drop its "
+            "priors and [uncertainty], or use smc"
         )
     options.check()
     model, observations = problem.model.to(dtype=torch.float64), problem.observations.double()
@@ -104,5 +104,5 @@ def particle_gibbs(
                 "warmup": warmup,
                 "thin": thin,
             },
-            diagnostics=mixing(model.net_torque(kept).numpy()),
+            diagnostics=mixing(problem.monitored(kept)),
         )

@@ -18,8 +18,8 @@ from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, adapted_smoother, run_task
 from invdyn.inference.filters.particles import FilterResult
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 
 PILOTS, FILTERS, PREDICTIVE = range(3)
@@ -27,7 +27,7 @@ PILOTS, FILTERS, PREDICTIVE = range(3)
 
 
 def smc(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     guide: str = "controlled",
     options: SMCOptions | None = None,
@@ -96,7 +96,11 @@ def smc(
 
 
 def fitted_guide(
-    problem: Problem, options: SMCOptions, start: torch.Tensor | None, seed: int, checkpoint: Checkpoint | None
+    problem: StateSpaceProblem,
+    options: SMCOptions,
+    start: torch.Tensor | None,
+    seed: int,
+    checkpoint: Checkpoint | None,
 ) -> GaussianSmoother:
     """:func:`adapted_smoother`, or the one that was kept."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:

@@ -7,8 +7,8 @@ from torch import Tensor
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
@@ -17,7 +17,7 @@ GUIDES = {"svi": MeanField, "svi-markov": Markov}
 
 
 def svi(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     guide: str = "svi",
     options: SMCOptions | None = None,

@@ -40,11 +40,11 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.methods.vsmc_learner import AtParameters
 from invdyn.inference.methods.vsmc_parameters import OverParameters
-from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.problem import StateSpaceProblem
 
 
 def vsmc(
-    problem: Problem,
+    problem: StateSpaceProblem,
     *,
     free: Sequence[Free] = (),
     options: SMCOptions | None = None,

@@ -18,13 +18,13 @@ from invdyn.inference.filters.filtering import SMCOptions, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.fitting.marginal_likelihood import Free
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.training import train
 from invdyn.inference.variational.vsmc import VSMC_ELBO
-from invdyn.models import ArmModel, StateSpaceModel
+from invdyn.models import StateSpaceModel
 
 WORTH = 0.01
 """Nats that training must gain to be kept."""
@@ -40,7 +40,7 @@ class Learner(ABC):
     guide: Corrected
     target: StateSpaceModel
 
-    def __init__(self, problem: Problem, options: SMCOptions, model: ArmModel, start: Tensor | None):
+    def __init__(self, problem: StateSpaceProblem, options: SMCOptions, model: StateSpaceModel, start: Tensor | None):
         self.problem, self.options = problem, options
         self.observations = problem.observations.double()
         self.smoother = gaussian_smoother(model, self.observations, start)
@@ -106,7 +106,12 @@ class AtParameters(Learner):
     """Parameters as they are: only the guide is learned."""
 
     def __init__(
-        self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report: Report | None
+        self,
+        problem: StateSpaceProblem,
+        free: Sequence[Free],
+        options: SMCOptions,
+        start: Tensor | None,
+        report: Report | None,
     ):
         super().__init__(problem, options, problem.model.to(dtype=torch.float64), start)
         self.guide, self.target = Corrected(self.model, self.rows, self.smoother), self.model

@@ -21,8 +21,8 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.fitting.identifiability import unidentified
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
 from invdyn.inference.methods.vsmc_learner import Learner
-from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import combine, to_inference_data
+from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.inference.variational.affine import Corrected
@@ -39,7 +39,12 @@ class OverParameters(Learner):
     target: Uncertain
 
     def __init__(
-        self, problem: Problem, free: Sequence[Free], options: SMCOptions, start: Tensor | None, report: Report | None
+        self,
+        problem: StateSpaceProblem,
+        free: Sequence[Free],
+        options: SMCOptions,
+        start: Tensor | None,
+        report: Report | None,
     ):
         model = problem.model.to(dtype=torch.float64)
         found = fit(model, problem.observations.double(), free, start=start, progress=report)
@@ -75,9 +80,6 @@ class OverParameters(Learner):
         settings = self.settings({**settings, "unidentified": found})
         parts = [self._part(m, phi[m], paths, result, evidence, seed, settings) for m in range(len(phi))]
         idata = combine(parts, seed)
-        for f in self.log_parameters.free:
-            if not f.name.startswith("body."):
-                self._add(idata, f.name, self.log_parameters.at(phi).parameters[f.name].squeeze(1))
         middle = self.target.phi(self.guide.location_and_root()[0])
         mean = dataclasses.replace(self.problem, model=self.log_parameters.at(middle))
         constant = to_inference_data(mean, paths[:1], method="vsmc", seed=seed, settings={})["constant_data"]
@@ -112,17 +114,12 @@ class OverParameters(Learner):
             ess=result.ess[:, m : m + 1],
             resampled=result.resampled[:, m : m + 1],
         )
-        return to_inference_data(problem, paths[m : m + 1], own, method="vsmc", seed=seed, settings=settings)
-
-    def _add(self, idata: az.InferenceData, name: str, values: Tensor) -> None:
-        """A variable [chain, draw, …] of the posterior; entries are joints where there are as many."""
-        posterior = idata["posterior"]
-        own = [
-            "joint" if size == posterior.sizes["joint"] else f"{name}_dim_{k}"
-            for k, size in enumerate(values.shape[1:])
-        ]
-        values = values.unsqueeze(1).expand(-1, posterior.sizes["draw"], *values.shape[1:])
-        posterior[name] = (["chain", "draw", *own], values.numpy())
+        # Those of a body are constants of each part, and become variables where parts are combined.
+        names = [f.name for f in self.log_parameters.free if not f.name.startswith("body.")]
+        values = {name: problem.model.parameters[name][None] for name in names}
+        return to_inference_data(
+            problem, paths[m : m + 1], own, method="vsmc", seed=seed, settings=settings, parameters=values
+        )
 
 
 def _of_set(smoothers: GaussianSmoother, m: int) -> GaussianSmoother:

@@ -18,10 +18,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.posterior.arm_contents import arm_contents
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, poles
 from invdyn.inference.posterior.jitter import jitter
 from invdyn.inference.posterior.lengths import with_observed_lengths
+from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
@@ -47,8 +49,8 @@ LOST = 20.0
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What an inference method is given.
+class Problem(StateSpaceProblem):
+    """An arm and its recording: what an inference method is given.
 
     Attributes:
         model: bound to the recording's times and commands.
@@ -59,10 +61,23 @@ class Problem:
     """
 
     model: ArmModel
-    observations: Tensor
     recording: Recording
     truth: Truth | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """What of the body has a prior."""
+        return ("body",) if self.model.body.has_priors else ()
+
+    def monitored(self, paths: Tensor) -> np.ndarray:
+        """Return the torques (M, R, T, K), whose mixing is stated."""
+        return self.model.to(dtype=torch.float64).net_torque(paths.double()).numpy()
+
+    def contents(self, paths: Tensor, rows: Tensor) -> Contents:
+        """Return torques, angles, velocities and keypoints, by name."""
+        model = self.model.to(dtype=torch.float64)
+        return arm_contents(model, self.observations, self.recording, self.truth, self.notes, paths, rows)
 
 
 def arm_problem(

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 
 import arviz as az
 import numpy as np
@@ -18,8 +19,9 @@ from invdyn.inference import (
     save_posterior,
     summarise,
 )
-from invdyn.inference.posterior.posterior import to_inference_data
+from invdyn.inference.posterior.posterior import combine, to_inference_data
 from invdyn.models import Body, Link
+from invdyn.models.observation.missing import observed_log_prob
 from invdyn.recordings import InputError, Recording, Truth
 
 M, R, T, K = 4, 5, 12, 2
@@ -69,8 +71,8 @@ def everything():
 
 def test_values_names_and_dims(everything):
     problem, paths, result, idata = everything
-    paths = paths.numpy()
     posterior = idata["posterior"]
+    paths = paths.flatten(0, 1).numpy()[chosen(paths, idata)].reshape(M, R, T, -1)
     command = problem.model.command.numpy()
     shape = {"chain": M, "draw": R, "time": T, "joint": K}
     for name in ("torque", "angle", "velocity", "residual_torque"):
@@ -179,45 +181,101 @@ def test_what_is_not_there_is_left_out():
 
 
 # -- weights -----------------------------------------------------------------------------------------
-def test_pooled_draws_come_by_their_chains_weight(everything):
-    idata = everything[-1]
-    data = pooled(idata, seed=3)
-    assert data["torque"].dims == ("sample", "time", "joint")
-    assert data.sizes["sample"] == M * R
+def chosen(paths, idata):
+    """Number of the path (M·R) that each draw of the posterior is."""
+    given = paths.flatten(0, 1).numpy()[..., :2]
+    drawn = idata["posterior"]["residual_torque"].values.reshape(M * R, T, 2)
+    return np.array([next(k for k, path in enumerate(given) if np.array_equal(path, draw)) for draw in drawn])
+
+
+def test_draws_come_by_their_chains_weight(everything):
+    _, paths, _, idata = everything
+    index = chosen(paths, idata)
     weights = np.exp(LOG_EVIDENCE.numpy()) / np.exp(LOG_EVIDENCE.numpy()).sum()
-    count = np.bincount(data["chain"].values, minlength=M)
+    count = np.bincount(index // R, minlength=M)
     # systematic: within one of the expected number
     assert (np.abs(count - M * R * weights) < 1).all()
-    torque = idata["posterior"]["torque"].values
-    for sample, chain, draw in zip(data["torque"].values, data["chain"].values, data["draw"].values, strict=True):
-        assert np.array_equal(sample, torque[chain, draw])
     # each chain's own draws in turn, none left out while others come twice
     for chain in range(M):
-        times = np.bincount(data["draw"].values[data["chain"].values == chain], minlength=R)
+        times = np.bincount(index[index // R == chain] % R, minlength=R)
         assert times.max() - times.min() <= 1
-    assert pooled(idata, seed=3).identical(data)
-    predictive = pooled(idata, seed=3, group="posterior_predictive")
-    assert np.array_equal(predictive["chain"], data["chain"])
+    # in order: copies of one trajectory stand next to one another
+    assert (np.diff(index) >= 0).all()
 
 
-def test_pooling_leaves_the_callers_random_numbers_alone(everything):
-    torch.manual_seed(1)
-    before = torch.rand(2)
-    torch.manual_seed(1)
-    pooled(everything[-1])
-    assert torch.equal(torch.rand(2), before)
+def test_groups_of_draws_are_resampled_together(everything):
+    problem, paths, _, idata = everything
+    tips = idata["posterior"]["position"].sel(keypoint="wrist")
+    noise = idata["posterior_predictive"]["position"].sel(keypoint="wrist") - tips
+    assert np.abs(noise).max() < 6 * 0.01
+    again = paths.flatten(0, 1)[chosen(paths, idata)].reshape(M, R, T, -1)
+    emission = problem.model.emission(again, torch.arange(T))
+    expected = observed_log_prob(emission, problem.observations)
+    assert idata["log_likelihood"]["y"].values == pytest.approx(expected.numpy())
 
 
-def test_summary_is_of_the_pooled_draws(everything):
+def test_arviz_sees_that_one_filter_has_all_the_weight():
+    """Its trajectories are copies, and no effective sample is made of copies."""
+    problem, paths, result, _ = make()
+    lucky = replace(result, log_evidence=torch.tensor([0.0, -90.0, -90.0, -90.0], dtype=torch.float64))
+    idata = to_inference_data(problem, paths, lucky, method="smc", seed=7, settings={})
+    assert len(np.unique(chosen(paths, idata))) == R
+    assert float(az.rhat(idata)["angle"].min()) > 1.1
+
+
+def test_equal_chains_stay_as_they_are(everything):
+    problem, paths, _, _ = everything
+    idata = to_inference_data(problem, paths, method="nuts", seed=7, settings={})
+    assert np.array_equal(chosen(paths, idata), np.arange(M * R))
+
+
+def test_pooled_draws_are_those_of_all_chains(everything):
     idata = everything[-1]
-    table = summarise(idata, seed=3)
-    draws = pooled(idata, seed=3)["torque"]
+    data = pooled(idata)
+    assert data["torque"].dims == ("sample", "time", "joint")
+    assert np.array_equal(data["torque"], idata["posterior"]["torque"].values.reshape(M * R, T, K))
+    predictive = pooled(idata, "posterior_predictive")
+    assert np.array_equal(predictive["angle"], idata["posterior_predictive"]["angle"].values.reshape(M * R, T, K))
+
+
+def test_the_summary_is_arvizs(everything):
+    idata = everything[-1]
+    table = summarise(idata)
+    draws = pooled(idata)["torque"]
     assert len(table) == T * K
     assert table["mean"].to_numpy() == pytest.approx(draws.mean("sample").values.ravel(), abs=2e-3)
     assert table["sd"].to_numpy() == pytest.approx(draws.std("sample", ddof=1).values.ravel(), rel=0.05)
     assert table.index[1].startswith("torque[")
     assert "elbow" in table.index[1]
     assert (table["hdi_5%"] < table["hdi_95%"]).all()
+
+
+def test_parts_are_combined_by_their_evidence():
+    """Two parts of two filters each: a part's draws weigh as its filters do together."""
+    problem, paths, result, _ = make()
+    evidence = torch.tensor([0.0, -1.0, -2.0, -2.0], dtype=torch.float64)
+
+    def part(chains):
+        own = {
+            "log_evidence": evidence[chains],
+            **{name: getattr(result, name)[:, chains] for name in ("log_evidence_increment", "ess", "resampled")},
+        }
+        return to_inference_data(problem, paths[chains], replace(result, **own), method="smc", seed=1, settings={})
+
+    idata = combine([part(slice(0, 2)), part(slice(2, 4))], seed=3)
+    share = float(evidence[:2].exp().sum() / evidence.exp().sum())
+    first = (chosen(paths, idata) < 2 * R).sum()
+    assert abs(first - share * M * R) < 1
+    assert idata.attrs["log_evidence"] == pytest.approx(float(evidence.exp().mean().log()))
+
+
+def test_an_older_file_is_weighed_when_it_is_read(everything, tmp_path):
+    idata = make()[-1]
+    del idata.attrs["draws"]
+    save_posterior(idata, tmp_path / "old.nc")
+    once, again = (load_posterior(tmp_path / "old.nc") for _ in range(2))
+    assert once["posterior"].equals(again["posterior"])
+    assert not once["posterior"].equals(idata["posterior"])
 
 
 # -- files ---------------------------------------------------------------------------------------------

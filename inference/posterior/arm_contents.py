@@ -1,0 +1,116 @@
+"""What the posterior of an arm holds: torques, angles, velocities, keypoints, with names and units.
+
+posterior             torque [chain, draw, time, joint] N·m (not of a kinematic model), angle rad, velocity rad/s,
+                      position [chain, draw, time, keypoint, space] of the tips;
+                      residual_torque if commanded
+posterior_predictive  position and angle with observation noise
+observed_data         position [time, keypoint, space], angle [time, joint]
+constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
+                      tracked sites' Jacobian and unseen [time, joint], 1 where no keypoint shows a
+                      coordinate (:mod:`.visibility`), which the attribute "unseen" says in words; "charts" says
+                      which joints' frames were rotated, and which pass a pole all the same (:mod:`.charts`)
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
+from invdyn.inference.posterior.visibility import unseen_lines, visibility
+from invdyn.models import ArmModel
+from invdyn.models.bodies.protocol import axes
+from invdyn.recordings import Recording, Truth
+
+
+def arm_contents(
+    model: ArmModel,
+    observations: Tensor,
+    recording: Recording,
+    truth: Truth | None,
+    notes: Sequence[str],
+    paths: Tensor,
+    rows: Tensor,
+) -> Contents:
+    """Return what the posterior of an arm holds.
+
+    Args:
+        model: of the arm, in float64; a kinematic model has no torques.
+        observations: (T, O), NaN where missing.
+        recording, truth: where the rows come from, and what is known of the torques.
+        notes: lines that a reader must know.
+        paths: (M, R, T, D) draws of the states.
+        rows: (M, R, T, O) draws of the observations given them.
+    """
+    body = model.body
+    units = _units(recording.length_unit)
+    joints = [*DRAWS, "time", "joint"]
+
+    _, angle, velocity = model.split(paths)
+    tips = model.dynamics.keypoints(angle, model.body_parameters())
+    dynamic = isinstance(model, ArmModel)
+    posterior: Variables = {"torque": (joints, model.net_torque(paths))} if dynamic else {}
+    posterior |= {
+        "angle": (joints, angle),
+        "velocity": (joints, velocity),
+        "position": ([*DRAWS, "time", "keypoint", "space"], tips),
+    }
+    if dynamic and model.command is not None:
+        posterior["residual_torque"] = (joints, paths[..., : body.num_joints])
+
+    predictive: Variables = {}
+    observed: Variables = {}
+    coords: dict[str, Any] = {
+        "time": recording.time,
+        "joint": list(body.joint_names),
+        "space": axes(body),
+        "link": list(body.link_names),
+        "keypoint": list(body.keypoint_names),
+    }
+    seen: dict[str, Any] = {}
+    for sensor in model.observation.sensors:
+        dims = list(sensor.coords)
+        predictive[sensor.name] = ([*DRAWS, "time", *dims], model.observation.of(sensor, rows))
+        observed[sensor.name] = (["time", *dims], model.observation.of(sensor, observations))
+        units |= {sensor.name: recording.length_unit if sensor.unit == "length" else sensor.unit}
+        seen |= {dim: list(names) for dim, names in sensor.coords.items()}
+
+    attributes: dict[str, Any] = {
+        "recording": recording.name,
+        "body": body.name,
+        "length_unit": recording.length_unit,
+        "model": "dynamic" if dynamic else "kinematic",
+    }
+    if notes:
+        attributes["charts"] = "\n".join(notes)
+    constants = _constants(model, truth)
+    if body.space == 3:
+        smallest, unseen = visibility(model, observations, angle.mean((0, 1)))
+        constants["smallest_singular_value"] = (["time"], smallest)
+        constants["unseen"] = (["time", "joint"], unseen.astype(np.int8))
+        if lines := unseen_lines(unseen, body.joint_names):
+            attributes["unseen"] = "\n".join(lines)
+
+    return Contents(posterior, predictive, observed, constants, coords, units, attributes, seen)
+
+
+def _units(length: str) -> dict[str, str]:
+    torque = "N·m" if length == "m" else f"kg·({length})²/s²"
+    units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
+    units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
+    units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
+    units |= dict.fromkeys(("base", "origin", "sites"), length)
+    units |= {"gravity": f"{length}/s²", "smallest_singular_value": f"{length}/rad"}
+    return units | {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
+
+
+def _constants(model: ArmModel, truth: Truth | None) -> Variables:
+    constants: Variables = dict(model.body.described(model.body_parameters()))
+    if isinstance(model, ArmModel) and model.command is not None:
+        constants["command"] = (["time", "joint"], model.command)
+    if truth is not None:
+        order = [truth.joint_names.index(name) for name in model.body.joint_names]
+        for name in ("torque", "angle", "velocity"):
+            constants[f"truth_{name}"] = (["time", "joint"], getattr(truth, name)[:, order])
+    return constants
