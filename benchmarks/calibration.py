@@ -175,9 +175,8 @@ def simulate_and_rank(method: str, number: int, options: SMCOptions, arguments: 
         posterior[name].transpose("chain", "draw", "time", "joint").values for name in ("torque", "angle", "velocity")
     ]
     draws = quantities(problem, *parts)
-    weights = np.exp(idata["sample_stats"]["log_weight"].values)
-    weights = np.repeat(weights / weights.sum() / draws.shape[1], draws.shape[1])
     draws = draws.reshape(-1, draws.shape[-1])
+    weights = np.full(len(draws), 1 / len(draws))
     if len(draws) == 1:
         count = options.num_filters * options.num_draws
         draws, weights = np.repeat(draws, count, 0), np.full(count, 1 / count)

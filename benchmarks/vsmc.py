@@ -36,7 +36,7 @@ from pyro.infer import SVI
 from pyro.optim import Adam, ClippedAdam
 from scipy.stats import binom
 
-from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, SMCOptions, fit, gauss_newton
+from invdyn.inference import Bootstrap, Free, ParticleFilter, Problem, SMCOptions, fit, gauss_newton, pooled
 from invdyn.inference.methods.variational_smc import vsmc
 from invdyn.inference.variational.affine import Affine, Corrected
 from invdyn.inference.variational.vsmc import VSMC_ELBO
@@ -184,11 +184,11 @@ def learned(problem: Problem, names: tuple[str, ...], seed: int) -> tuple[az.Inf
     idata = vsmc(
         problem, free=[Free(name) for name in names], options=SMCOptions(128, 50, 1), seed=1000 + seed, steps=50
     )
-    weights, quantiles = np.exp(idata["sample_stats"]["log_weight"].values), {}
+    quantiles = {}
     for name in names:
-        values = idata["posterior"][name.removeprefix("body.")].values[:, 0]
+        values = pooled(idata)[name.removeprefix("body.")].values
         for k, column in enumerate(values.T):
-            quantiles[f"{name}[{k}]"] = np.quantile(column, [0.05, 0.5, 0.95], weights=weights, method="inverted_cdf")
+            quantiles[f"{name}[{k}]"] = np.quantile(column, [0.05, 0.5, 0.95])
     return idata, quantiles
 
 

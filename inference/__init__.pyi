@@ -1,5 +1,6 @@
-from .compare import Comparison as Comparison
 from .compare import compare as compare
+from .compare_methods import compare_methods as compare_methods
+from .comparison import Comparison as Comparison
 from .execution.checkpoint import Checkpoint as Checkpoint
 from .execution.distribute import LostWork as LostWork
 from .execution.executors import open_executor as open_executor
@@ -22,6 +23,7 @@ from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
 from .infer import infer as infer
+from .infer_states import infer_states as infer_states
 from .kinematics import infer_kinematics as infer_kinematics
 from .kinematics import learned_lengths as learned_lengths
 from .methods.differentiate import differentiate as differentiate
@@ -39,6 +41,7 @@ from .posterior.posterior import load_posterior as load_posterior
 from .posterior.posterior import pooled as pooled
 from .posterior.posterior import save_posterior as save_posterior
 from .posterior.posterior import summarise as summarise
+from .posterior.problem import StateSpaceProblem as StateSpaceProblem
 from .smoothing.gauss_newton import GaussianSmoother as GaussianSmoother
 from .smoothing.gauss_newton import gauss_newton as gauss_newton
 from .smoothing.gaussian_chain import GaussianChain as GaussianChain

@@ -1,39 +1,22 @@
-"""Methods side by side, on one recording and one model: which to trust, and at what cost.
+"""Methods side by side, on one recording and one body: which to trust, and at what cost.
 
 Parameters that are not known are fitted once (:mod:`.marginal_likelihood`), so all methods answer the same question;
-"vsmc" too, which by itself (:func:`.infer.infer`) would learn their posterior, and here trains its guide alone.
-Each row of the table is a method:
-
-    <joint>_rmse, _crps, _coverage_50, _coverage_90   of the torque against the truth, if known (:mod:`.scores`)
-    log_evidence, log_evidence_sd, evidence_kind      nats, Monte Carlo standard error; "estimate": unbiased estimate
-                                                      of the evidence, "bound": from below, "approximation", or ""
-    log_score                                         nats per held-out row (:mod:`.held_out`): parameters are fitted
-                                                      and methods run once more, on the first rows alone
-    outer_ess                                         effective number of filters, of methods that have filters
-    seconds, memory                                   s and MiB of the method itself, without the fit
-
-Memory is the growth of the process's resident set, at its peak. In one process what earlier methods have freed is
-used again and does not count; with ``isolate`` each method has a process of its own, where what libraries load at
-their first use (some 50 MiB) counts too. An executor's workers are other processes: their memory is not counted.
+"vsmc" too, which by itself (:func:`.infer.infer`) would learn their posterior, and here trains its guide alone. For a
+``log_score`` parameters are fitted and methods run once more, on the first rows alone. The table's columns stand in
+:mod:`.comparison`; any state-space model is compared by :func:`.compare_methods.compare_methods`.
 """
 
-import json
-import math
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import arviz as az
 import numpy as np
-import pandas as pd
 import torch
 
+from invdyn.inference.comparison import Comparison, in_own_process, measured, named, run_methods
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
@@ -51,54 +34,6 @@ FEWEST_ROWS = 10
 """Rows that a head must have for its parameters to be fitted."""
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """What a comparison leaves.
-
-    Attributes:
-        table: one row a method, columns as at the top of the file.
-        posteriors: of each method that did not fail.
-        failures: the reason of each that did, in a line.
-        notes: what is missing from a method's row, and why.
-        held_out: rows that ``log_score`` is over; 0 when there is none.
-        isolated: whether each method ran in a process of its own.
-        recording: its name.
-        seed: of every random number.
-    """
-
-    table: pd.DataFrame
-    posteriors: dict[str, az.InferenceData]
-    failures: dict[str, str]
-    notes: dict[str, str]
-    held_out: int
-    isolated: bool
-    recording: str
-    seed: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """All but the posteriors, as JSON has it: None where there is no number."""
-        rows = json.loads(self.table.to_json(orient="index", double_precision=15))
-        return {
-            "schema": 1,
-            "recording": self.recording,
-            "seed": self.seed,
-            "methods": rows,
-            "failures": self.failures,
-            "notes": self.notes,
-            "held_out_rows": self.held_out,
-            "memory": "MiB, resident-set growth of a process " + ("each" if self.isolated else "shared by all"),
-        }
-
-
-def measured(
-    task: Task, method: str, progress: Progress | None = None, executor: Executor | None = None
-) -> tuple[az.InferenceData, float, float]:
-    """``task.run`` with its seconds and MiB."""
-    before, start = resident_peak(reset=True), time.perf_counter()
-    idata = task.run(method, progress, executor)
-    return idata, time.perf_counter() - start, max(resident_peak() - before, 0.0)
-
-
 def compare(
     recording: Recording,
     body: ArticulatedBody,
@@ -111,6 +46,7 @@ def compare(
     num_particles: int = 100,
     num_draws: int = 4,
     held_out: float = 0.2,
+    replicates: int = 1,
     isolate: bool = False,
     progress: Progress | None = None,
     device: str = "cpu",
@@ -128,6 +64,7 @@ def compare(
         settings: parameters by dotted name that are known; the others are fitted.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         held_out: share of the rows, the last ones, that ``log_score`` is over; 0 for none.
+        replicates: runs of each method with seeds of their own, of which the sd of log-evidence is stated.
         isolate: run each method in a process of its own.
         progress: called with (done, total, what).
         device, filters_per_task, executor: as :func:`.infer.infer` takes them.
@@ -152,37 +89,28 @@ def compare(
     whole = bind(recording, truth=truth, report=stage(progress, "fit"))
     bind = partial(bind, torque=whole.problem.model.torque)
     head, future, missing = _split(whole, recording, bind, held_out, stage(progress, "fit without the tail"))
-    launch = _in_own_process if isolate else partial(measured, executor=executor)
-    rows: dict[str, dict[str, Any]] = {}
-    posteriors: dict[str, az.InferenceData] = {}
-    failures: dict[str, str] = {}
-    notes: dict[str, str] = {}
-    for method in methods:
-        rows[method] = {}
-        try:
-            idata, seconds, memory = launch(whole, method, progress=_named(progress, method))
-        except Exception as error:  # a method that fails says so in its row, and the others still run
-            failures[method] = f"{type(error).__name__}: {first_line(error)}"
-            continue
-        posteriors[method] = idata
-        rows[method] = {**_scores(idata), **_evidence(idata), "seconds": seconds, "memory": memory}
-        if head is None or future is None:
-            continue
-        try:
-            scored, *_ = launch(head, method, progress=_named(progress, f"{method} without the tail"))
-            rows[method]["log_score"] = log_score(future, scored, whole.path, seed)
-        except Exception as error:
-            notes[method] = f"no log score: {first_line(error)}"
+    found = run_methods(
+        whole,
+        methods,
+        scores=_scores,
+        monitored=_torques,
+        replicates=replicates,
+        isolate=isolate,
+        progress=progress,
+        executor=executor,
+    )
+    if head is not None and future is not None:
+        launch = in_own_process if isolate else partial(measured, executor=executor)
+        for method in found.posteriors:
+            try:
+                scored, *_ = launch(head, method, progress=named(progress, f"{method} without the tail"))
+                found.rows[method]["log_score"] = log_score(future, scored, whole.path, seed)
+            except Exception as error:  # the others are still scored
+                found.notes[method] = f"no log score: {first_line(error)}"
     if missing:
-        notes["all"] = f"no log score: {missing}"
-    columns = ["log_evidence", "log_evidence_sd", "evidence_kind", "log_score", "outer_ess", "seconds", "memory"]
-    found = [name for row in rows.values() for name in row if name not in columns]
-    table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=[*dict.fromkeys(found), *columns])
-    table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
-    table["failure"] = [failures.get(method, "") for method in table.index]
-    table.index.name = "method"
+        found.notes["all"] = f"no log score: {missing}"
     seen = 0 if head is None else _seen(whole, head)
-    return Comparison(table, posteriors, failures, notes, seen, isolate, recording.name, seed)
+    return Comparison(found.table(), found.posteriors, found.failures, found.notes, seen, isolate, recording.name, seed)
 
 
 def _split(
@@ -225,48 +153,6 @@ def _scores(idata: az.InferenceData) -> dict[str, float]:
     return {f"{joint}_{name}": float(score[k]) for k, joint in enumerate(joints) for name, score in scores.items()}
 
 
-def _evidence(idata: az.InferenceData) -> dict[str, object]:
-    """log_evidence, its error, which kind it is, and the outer ESS."""
-    statistics, found = idata["sample_stats"], idata.attrs
-    if math.isnan(found["log_evidence"]):
-        kind = ""
-    elif "ess" in statistics:
-        kind = "estimate"
-    else:
-        kind = "bound" if statistics.attrs.get("bound", 0) else "approximation"
-    return {
-        "log_evidence": found["log_evidence"],
-        "log_evidence_sd": found["log_evidence_sd"],
-        "evidence_kind": kind,
-        "outer_ess": found["outer_ess"] if "ess" in statistics else math.nan,
-    }
-
-
-def _named(progress: Progress | None, method: str) -> Progress | None:
-    return None if progress is None else lambda done, total, what: progress(done, total, f"{method}: {what}")
-
-
-def _in_own_process(task: Task, method: str, progress: Progress | None = None) -> tuple[az.InferenceData, float, float]:
-    """``measured`` in a fresh process; raises what it raises, or BrokenProcessPool when it dies."""
-    with ProcessPoolExecutor(1, get_context("spawn"), torch.set_num_threads, (torch.get_num_threads(),)) as pool:
-        result = pool.submit(measured, task, method).result()
-    if progress is not None:
-        progress(1, 1, "run")
-    return result
-
-
-def resident_peak(reset: bool = False) -> float:
-    """Highest resident set of this process so far, MiB; since now with ``reset``, where the system can (Linux)."""
-    try:
-        if reset:
-            Path("/proc/self/clear_refs").write_text("5")
-        status = Path("/proc/self/status").read_text()
-        return int(status.split("VmHWM:")[1].split()[0]) / 1024
-    except (OSError, IndexError):
-        pass
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return math.nan
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2**20 if sys.platform == "darwin" else peak / 1024
+def _torques(idata: az.InferenceData) -> np.ndarray:
+    """Draws (chain, draw, …) of the torques, whose mixing is stated."""
+    return idata["posterior"]["torque"].transpose("chain", "draw", ...).values

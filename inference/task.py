@@ -18,16 +18,12 @@ from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.marginalise import over_bodies
-from invdyn.inference.methods.registry import METHODS, WITHOUT_EVIDENCE, timed
+from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.posterior.turns import fit_over_gaps
 from invdyn.models import ArmModel, ArticulatedBody, Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
-SPREAD = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
-"""Methods that spread over an executor and keep what is done; others do so over draws of an uncertain body."""
-KEPT = SPREAD | {"vsmc"}
-"""Methods that keep what is done; of VSMC that is its training."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
 DROP, LITTLE = "emission.confidence_drop", 0.02
@@ -106,8 +102,8 @@ class Task:
         cannot do with an uncertain body, LostWork when workers that died could not be replaced.
         """
         run: Callable[..., az.InferenceData] = METHODS[method]
-        places: dict[str, Any] = {"executor": executor} if method in SPREAD else {}
-        places |= {"checkpoint": self.checkpoint} if method in KEPT else {}
+        places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
+        places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}
         problem = self.problem
         if self.problem.model.body.has_priors:
             if method == "nuts":

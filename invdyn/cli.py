@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
-from . import blind_commands, camera_commands, film_commands, robot_commands
+from . import blind_commands, camera_commands, film_commands, model_commands, robot_commands
 from .console import Commands, ProgressBar, check_ending, check_outputs
 from .diagnosis_options import Diagnosed
 from .film_commands import ArmSide, NetworkFile, PersonSeen
 from .inference_options import Inference
+from .model_commands import Isolate, Replicates
 from .options import BodyFile, Seed, with_option_groups
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
@@ -29,6 +30,7 @@ app = typer.Typer(
 camera_commands.register(app)
 robot_commands.register(app)
 film_commands.register(app)
+model_commands.register(app)
 
 FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
 FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
@@ -163,13 +165,14 @@ def compare(
     held_out: Annotated[
         float, typer.Option(min=0, max=0.9, help="Share of the frames, the last ones, to predict; 0 for none.")
     ] = 0.2,
-    isolate: Annotated[
-        bool, typer.Option("--isolate", help="Each method in a process of its own: its memory is its own too.")
-    ] = False,
+    replicates: Replicates = 1,
+    isolate: Isolate = False,
 ) -> None:
-    """Run several methods on one recording: one table, one figure."""
+    """Run several methods on one recording: one table, one figure.
+
+    On a model of your own: `invdyn compare model.py:Model rows.csv`, with the options of `compare-model`.
+    """
     from invdyn.inference import compare as run
-    from invdyn.recordings import InputError
 
     from .outputs import ComparisonOutputs
     from .summary import comparison_text
@@ -181,12 +184,14 @@ def compare(
     arguments = given.load()
     with given.executor() as executor, ProgressBar() as progress:
         comparison = run(
-            **arguments, methods=names, held_out=held_out, isolate=isolate, progress=progress, executor=executor
+            **arguments,
+            methods=names,
+            held_out=held_out,
+            replicates=replicates,
+            isolate=isolate,
+            progress=progress,
+            executor=executor,
         )
-    if not comparison.posteriors:
-        reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
-        raise InputError(f"no method succeeded: {reasons}")
-    out.mkdir(parents=True, exist_ok=True)
     outputs.write(comparison)
     typer.echo(comparison_text(comparison))
     typer.echo(outputs.listing(comparison))

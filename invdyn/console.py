@@ -5,6 +5,7 @@ shows its traceback.
 """
 
 import errno
+import re
 import sys
 import warnings
 from collections.abc import Iterable
@@ -18,6 +19,7 @@ from typer.core import TyperGroup
 
 BAD_INPUT, INTERRUPTED = 2, 130
 WORDS = "invdyn.words"  # where a context keeps the command line
+MODEL = re.compile(r".+\.py:\w+")
 LONGEST = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
 UsageError: Any = typer.BadParameter.__base__
@@ -27,7 +29,12 @@ class Commands(TyperGroup):
     """The commands' group, the one place where errors become a line on stderr and an exit code."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, and keep the words as they were given: an error about a file names the option that it came by."""
+        """Parse, and keep the words as they were given: an error about a file names the option that it came by.
+
+        `compare model.py:Model` is `compare-model`: a model of one's own has no body.
+        """
+        if args[:1] == ["compare"] and any(MODEL.fullmatch(word) for word in args[1:]):
+            args = ["compare-model", *args[1:]]
         ctx.meta[WORDS] = list(args)
         return super().parse_args(ctx, args)
 
@@ -69,11 +76,14 @@ class Commands(TyperGroup):
 
 
 def _input_errors() -> tuple[type[Exception], ...]:
+    from pyro.infer.smcfilter import SMCFailed
+
+    from invdyn.inference.contract import ModelError
     from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
     from invdyn.models.divergence import Diverged
     from invdyn.recordings import InputError
 
-    return InputError, BodyError, Diverged
+    return InputError, BodyError, Diverged, ModelError, SMCFailed
 
 
 def _say(kind: str, message: object) -> None:

@@ -106,13 +106,20 @@ class ComparisonOutputs:
         """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
         check_folder(self.folder, self.paths.values(), inputs)
 
-    def write(self, comparison: Comparison) -> None:
-        """Write all of it, each file whole or not at all, where any method succeeded; posteriors first."""
+    def write(self, comparison: Comparison, truth: np.ndarray | None = None) -> None:
+        """Write all of it, each file whole or not at all, where any method succeeded; posteriors first.
+
+        `truth` (rows, states) is known of a model of one's own. Raises InputError where no method succeeded.
+        """
+        if not comparison.posteriors:
+            reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
+            raise InputError(f"no method succeeded: {reasons}")
+        self.folder.mkdir(parents=True, exist_ok=True)
         for method, idata in comparison.posteriors.items():
             save_posterior(idata, self.paths[method])
         write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
         write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
-        save_figure(plot_comparison(comparison.posteriors), self.paths["figure"])
+        save_figure(plot_comparison(comparison.posteriors, truth), self.paths["figure"])
 
     def listing(self, comparison: Comparison) -> str:
         """What lies where: an empty line, then one each."""

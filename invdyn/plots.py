@@ -113,24 +113,35 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     return figure
 
 
-def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
-    """Torques of one recording by several methods, one row a joint: median and 90 % band of each, and the truth.
+MAX_PANELS = 8
+"""States that a comparison draws, the first ones."""
 
-    On the right the same less the truth (without one: less the first method's median), where they part. A method
+
+def plot_comparison(posteriors: Mapping[str, az.InferenceData], truth: np.ndarray | None = None) -> Figure:
+    """Torques, or states, by several methods, one row each: median and 90 % band of each method, and the truth.
+
+    On the right the same less the truth (without one: less the first method's median), where they differ. A method
     that is far off leaves the panel there instead of pressing the others flat.
+
+    ``truth`` (time, names) is known of states; that of torques stands in the posterior.
     """
     first = next(iter(posteriors.values()))
-    time, joints = first["posterior"]["time"].values, first["posterior"]["joint"].values
-    unit = first["posterior"]["torque"].attrs["units"]
-    bands = {method: quantiles(idata, "torque")[[0, 2, 4]] for method, idata in posteriors.items()}
-    truth = first["constant_data"].get("truth_torque")
-    reference = next(iter(bands.values()))[1] if truth is None else truth.transpose("time", "joint").values
+    of_arm = "torque" in first["posterior"]
+    variable, dim = ("torque", "joint") if of_arm else ("state", "state_name")
+    time = first["posterior"]["time"].values
+    names = first["posterior"][dim].values[:MAX_PANELS]
+    unit = first["posterior"][variable].attrs["units"] if of_arm else ""
+    bands = {method: quantiles(idata, variable)[[0, 2, 4]][..., : len(names)] for method, idata in posteriors.items()}
+    if of_arm and "truth_torque" in first["constant_data"]:
+        truth = first["constant_data"]["truth_torque"].transpose("time", "joint").values
+    reference = next(iter(bands.values()))[1] if truth is None else truth[:, : len(names)]
     less = "less the truth" if truth is not None else f"less the median of {next(iter(posteriors))}"
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12, 2.3 * len(joints) + 0.9), layout="constrained")
-        panels = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
-        for row, joint in enumerate(joints):
-            for column, (title, base) in enumerate(((f"{joint} torque", 0 * reference), (less, reference))):
+        figure = Figure(figsize=(12, 2.3 * len(names) + 0.9), layout="constrained")
+        panels = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+        for row, name in enumerate(names):
+            whole = f"{name} torque" if of_arm else f"state {name}"
+            for column, (title, base) in enumerate(((whole, 0 * reference), (less, reference))):
                 axes = panels[row, column]
                 shifted = [curves[:, :, row] - base[:, row] for curves in bands.values()]
                 for curves, color in zip(shifted, cycle(METHOD_COLORS)):
@@ -140,13 +151,14 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
                     axes.plot(time, curves[1], color=color, linewidth=1.3)
                 if truth is not None:
                     draw_truth(axes, time, (reference - base)[:, row])
-                draw_unseen(axes, first, row)
+                if of_arm:
+                    draw_unseen(axes, first, row)
                 axes.set_title(title, loc="left")
                 axes.set_ylabel(unit)
                 limit_to_most(axes, shifted, reference[:, row] - base[:, row])
                 axes.set_xlim(time[0], time[-1])
         for axes in panels[-1]:
-            axes.set_xlabel("time (s)")
+            axes.set_xlabel("time (s)" if of_arm else "row")
         figure.align_ylabels()
         entries: list[Artist] = [
             Line2D([], [], color=color, linewidth=2, label=method)
@@ -155,7 +167,7 @@ def plot_comparison(posteriors: Mapping[str, az.InferenceData]) -> Figure:
         entries.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="90 %"))
         if truth is not None:
             entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
-        entries += unseen_entry(first)
+        entries += unseen_entry(first) if of_arm else []
         figure.legend(handles=entries, loc="outside upper left", ncols=10)
     return figure
 
@@ -240,9 +252,9 @@ def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
     """Effective sample size, median and bands over filters; marks where they resampled, darker for more."""
     statistics = idata["sample_stats"]
     time = statistics["time"].values
-    sizes = statistics["ess"].transpose("chain", "time").values
+    sizes = statistics["ess"].transpose("filter", "time").values
     draw_bands(axes, time, np.quantile(sizes, QUANTILES, axis=0), GREY)
-    share = statistics["resampled"].transpose("chain", "time").values.mean(axis=0)
+    share = statistics["resampled"].transpose("filter", "time").values.mean(axis=0)
     marks = [[(t, 0.0), (t, 0.09)] for t in time[share > 0]]
     colors = [to_rgba(INK, 0.15 + 0.85 * part) for part in share[share > 0]]
     axes.add_collection(LineCollection(marks, colors=colors, linewidths=1, transform=axes.get_xaxis_transform()))
@@ -255,7 +267,7 @@ def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
 def heading(idata: az.InferenceData) -> str:
     """Method, evidence, and health of the importance sampler over whole filters, in one line."""
     method, evidence, size = (idata.attrs[name] for name in ("method", "log_evidence", "outer_ess"))
-    filters = idata["sample_stats"].sizes["chain"]
+    filters = idata["sample_stats"].sizes["filter"]
     outer = f"outer sample size {size:.1f} of {filters} filters"
     return f"method {method}   ·   log evidence {evidence:.1f}   ·   {outer}"
 

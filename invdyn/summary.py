@@ -74,7 +74,7 @@ def _too_few(idata: az.InferenceData) -> list[str]:
 
 def summary_text(idata: az.InferenceData) -> str:
     """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
-    filters, frames = idata["sample_stats"].sizes["chain"], idata["posterior"].sizes["time"]
+    filters, frames = idata["sample_stats"].sizes["filter"], idata["posterior"].sizes["time"]
     quantity = "torque" if "torque" in idata["posterior"] else "angle"
     table = quantity_table(idata, quantity).to_string(float_format=lambda value: f"{value:.3g}")
     evidence, outer = idata.attrs["log_evidence"], idata.attrs["outer_ess"]
@@ -101,37 +101,64 @@ SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "co
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Tables of a comparison for a terminal: torques against the truth, if known; evidence and cost; what failed."""
+    """Tables of a comparison for a terminal: against the truth, if known; evidence, mixing and cost; what failed."""
     table, blocks = comparison.table, []
-    joints = [name.removesuffix("_rmse") for name in map(str, table) if name.endswith("_rmse")]
-    if joints:
+    names = [name.removesuffix("_rmse") for name in map(str, table) if name.endswith("_rmse")]
+    if names:
         scores = {
             (joint, method): {title: row[f"{joint}_{name}"] for name, title in SCORES.items()}
-            for joint in joints
+            for joint in names
             for method, row in table.iterrows()
         }
-        unit = next(iter(comparison.posteriors.values()))["posterior"]["torque"].attrs["units"]
+        posterior = next(iter(comparison.posteriors.values()))["posterior"]
+        of_arm = "torque" in posterior
+        what = f"Joint torques ({posterior['torque'].attrs['units']})" if of_arm else "States"
         frame = pd.DataFrame.from_dict(scores, orient="index")
-        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["joint", "method"])
-        blocks.append(f"Joint torques ({unit}) against the truth\n\n{_printed(frame)}")
-    cost = pd.DataFrame(index=table.index)
-    for name, title, digits in (
-        ("log_evidence", "log evidence", 2),
-        ("log_evidence_sd", "±", 2),
-        ("evidence_kind", "which is", None),
-        ("log_score", "log score", 3),
-        ("outer_ess", "outer ESS", 1),
-        ("seconds", "seconds", 2),
-        ("memory", "MiB", 0),
-    ):
-        cost[title] = [value if digits is None else f"{value:.{digits}f}" for value in table[name]]
-    blocks.append(f"Evidence (nat), one-step log score over {comparison.held_out} held-out frames (nat a frame), cost")
-    blocks.append(_printed(cost.replace({"nan": "–", "": "–"})))
+        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["joint" if of_arm else "state", "method"])
+        blocks.append(f"{what} against the truth\n\n{_printed(frame)}")
+    score = f", one-step log score over {comparison.held_out} held-out frames (nat a frame)"
+    blocks.append(f"Evidence (nat){score if comparison.held_out else ''}, cost")
+    blocks.append(_columns(table, EVIDENCE_AND_COST))
+    blocks.append("Leave one row out (nat), and mixing of the worst number (MCSE in posterior sd)")
+    blocks.append(_columns(table, MIXING))
     reasons = [f"{method} failed: {reason}" for method, reason in comparison.failures.items()]
     reasons += [f"{method}: {note}" for method, note in comparison.notes.items()]
     if reasons:
         blocks.append("\n".join(reasons))
     return "\n\n".join(blocks)
+
+
+EVIDENCE_AND_COST = (
+    ("log_evidence", "log evidence", 2),
+    ("log_evidence_sd", "±", 2),
+    ("replicates_sd", "± replicates", 2),
+    ("evidence_kind", "which is", None),
+    ("log_score", "log score", 3),
+    ("outer_ess", "outer ESS", 1),
+    ("seconds", "seconds", 2),
+    ("memory", "MiB", 0),
+)
+MIXING = (
+    ("elpd_loo", "elpd", 2),
+    ("elpd_loo_se", "±", 2),
+    ("pareto_k", "Pareto k", 2),
+    ("r_hat", "R-hat", 2),
+    ("ess_bulk", "ESS bulk", 0),
+    ("ess_tail", "ESS tail", 0),
+    ("mcse", "MCSE", 3),
+    ("ess_per_second", "ESS/s", 1),
+)
+"""Columns of a comparison's table, their titles, and digits after the point."""
+
+
+def _columns(table: pd.DataFrame, columns: tuple[tuple[str, str, int | None], ...]) -> str:
+    """Those columns that have a number or a word."""
+    shown = pd.DataFrame(index=table.index)
+    for name, title, digits in columns:
+        cells = [value if digits is None else f"{value:.{digits}f}" for value in table[name]]
+        if any(cell not in ("nan", "") for cell in cells):
+            shown[title] = cells
+    return _printed(shown.replace({"nan": "–", "": "–"}))
 
 
 def _printed(table: pd.DataFrame) -> str:

@@ -22,13 +22,9 @@ from functools import partial
 from threading import RLock
 from typing import TypeVar
 
+import cloudpickle as pickle  # which can send what a script or a notebook has defined
 import torch
 from torch import Tensor
-
-try:
-    import cloudpickle as pickle  # comes with Dask, and can send what a notebook has defined
-except ImportError:
-    import pickle
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.executors import process_pool

@@ -7,7 +7,9 @@ coordinates. Its target is exact: log p(x(ε), y), as the map's Jacobian is cons
 """
 
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
 import pyro
 import torch
 from pyro.distributions import Normal
@@ -18,6 +20,40 @@ from invdyn.inference.execution.progress import Report
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.models import StateSpaceModel
+
+
+class RecordedNUTS(NUTS):
+    """NUTS that keeps each transition's energy, log-density and divergence, which ``az.plot_energy`` draws.
+
+    The energy is the Hamiltonian at the start of a trajectory, with the fresh momentum (Betancourt 2016).
+    """
+
+    def setup(self, warmup_steps: int, *args: Any, **kwargs: Any) -> None:
+        """Begin a chain."""
+        super().setup(warmup_steps, *args, **kwargs)
+        self.statistics: dict[str, list[float]] = {"energy": [], "lp": [], "diverging": []}
+
+    def sample(self, params: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Take one step; those of the warm-up are not kept."""
+        potential = self._fetch_from_cache()[1]
+        if potential is None:
+            potential = self.potential_fn(params)
+        self._fresh: Tensor | None = None
+        known = len(self._divergences)
+
+        drawn = super().sample(params)
+
+        if self._t > self._warmup_steps and self._fresh is not None:
+            self.statistics["energy"].append(float(potential + self._fresh))
+            self.statistics["lp"].append(-float(self._fetch_from_cache()[1]))
+            self.statistics["diverging"].append(len(self._divergences) > known)
+        return drawn
+
+    def _kinetic_energy(self, r_unscaled: dict[str, Tensor]) -> Tensor:
+        energy = super()._kinetic_energy(r_unscaled)
+        if self._fresh is None:  # the first of a step is that of the fresh momentum
+            self._fresh = energy
+        return energy
 
 
 def whitened_model(model: StateSpaceModel, observations: Tensor, chain: GaussianChain) -> Callable[[], None]:
@@ -41,8 +77,8 @@ def sample_paths(
     warmup: int,
     seed: int = 0,
     progress: Report | None = None,
-) -> tuple[Tensor, int]:
-    """Paths (C, S, T, D) of ``chains`` chains of ``draws`` draws, and the number of divergent steps.
+) -> tuple[Tensor, dict[str, np.ndarray]]:
+    """Paths (C, S, T, D) of ``chains`` chains of ``draws`` draws, and energy, lp and diverging (C, S) of each.
 
     Args:
         model: in float64, its parameters known.
@@ -53,7 +89,7 @@ def sample_paths(
         progress: called with (steps done, steps) of all chains.
     """
     target = whitened_model(model, observations, whitening)
-    paths, divergent, done = [], 0, 0
+    paths, kept, done = [], [], 0
 
     def report(*_: object) -> None:
         nonlocal done
@@ -65,8 +101,9 @@ def sample_paths(
         # Each chain begins at a draw from the smoother, twice as wide: R-hat can tell.
         torch.manual_seed(derived(seed, number))
         begin = {"noise": 2 * torch.randn(whitening.loc.shape, dtype=torch.float64)}
+        kernel = RecordedNUTS(target, max_tree_depth=8)
         sampler = MCMC(
-            NUTS(target, max_tree_depth=8),
+            kernel,
             num_samples=draws,
             warmup_steps=warmup,
             initial_params=begin,
@@ -75,5 +112,5 @@ def sample_paths(
         )
         sampler.run()
         paths.append(whitening.path(sampler.get_samples()["noise"]))
-        divergent += len(sampler.diagnostics()["divergences"]["chain 0"])
-    return torch.stack(paths), divergent
+        kept.append(kernel.statistics)
+    return torch.stack(paths), {name: np.array([each[name] for each in kept]) for name in kept[0]}

@@ -65,7 +65,7 @@ def nuts(
         )
     whitening = GaussianChain.of(gaussian_smoother(model, observations, start))
     with seeded(seed):
-        paths, divergent = sample_paths(
+        paths, statistics = sample_paths(
             model,
             observations,
             whitening,
@@ -82,5 +82,6 @@ def nuts(
             method="nuts",
             seed=seed,
             settings={**(settings or {}), "chains": chains, "warmup": warmup},
-            diagnostics={**mixing(problem.monitored(paths)), "divergences": divergent},
+            diagnostics={**mixing(problem.monitored(paths)), "divergences": int(statistics["diverging"].sum())},
+            statistics=statistics,
         )

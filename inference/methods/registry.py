@@ -60,5 +60,17 @@ METHODS: dict[str, Method] = {
     "particle-gibbs": timed(particle_gibbs),
     "differentiate": timed(differentiate),
 }
+OF_ARMS = frozenset({"differentiate"})
+"""Methods that need a body; all others take any state-space model."""
+
+LEARN_PARAMETERS: frozenset[str] = frozenset()
+"""Methods that learn parameters with priors."""
+
+DISTRIBUTED = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
+"""Methods that an executor's workers share."""
+
+RESUMED = DISTRIBUTED | {"vsmc"}
+"""Methods that keep what is done; of VSMC that is its training."""
+
 WITHOUT_EVIDENCE = frozenset({"nuts", "particle-gibbs", "differentiate"})
 """Methods that cannot weigh one body against another."""

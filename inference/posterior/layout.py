@@ -19,13 +19,14 @@ JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
 NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "posterior": dict.fromkeys(("torque", "angle", "velocity"), ("chain", "draw", *JOINTS))
     | {"position": ("chain", "draw", *TIPS)},
-    "sample_stats": {"log_weight": ("chain",)},
+    "sample_stats": {"log_weight": ("filter",)},
     "observed_data": {},
     "constant_data": {},
 }
 OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
     "posterior_predictive": {"position": ("chain", "draw", *TIPS), "angle": ("chain", "draw", *JOINTS)},
-    "sample_stats": {"log_evidence": ("chain",), "ess": ("chain", "time"), "resampled": ("chain", "time")},
+    "log_likelihood": {"y": ("chain", "draw", "time")},
+    "sample_stats": {"log_evidence": ("filter",), "ess": ("filter", "time"), "resampled": ("filter", "time")},
     "observed_data": {"position": TIPS, "angle": JOINTS},
     "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
     | {"base": ("space",), "skeleton": ("edge", "end"), "turns": ("joint",)},

@@ -6,16 +6,17 @@ Layout (dims in brackets):
                           [chain, draw, time, state_name]
     posterior_predictive  the observations that each draw predicts, with noise
     log_likelihood        y [chain, draw, time], log p(y_t | x_t) of each row, 0 where all of it is missing, nat
-    sample_stats          log_evidence [chain] (or a bound on it), log_weight [chain] (outer, normalised);
+    sample_stats          log_evidence [filter] (or a bound on it), log_weight [filter] (outer, normalised);
                           of particle filters also ess, resampled and log_evidence_increment
-                          [chain, time]; attributes: method, bound (1: log_evidence is a lower bound),
-                          seconds (see :mod:`.registry`), and the method's own diagnostics
+                          [filter, time]; of NUTS ArviZ's own [chain, draw]; attributes: method, bound (1:
+                          log_evidence is a lower bound), seconds (see :mod:`.registry`), and the method's own
+                          diagnostics
     observed_data         as posterior_predictive, without chain and draw
     constant_data         the model's parameters, and what else is known
 
-Of a method with filters, a chain of sample_stats is a filter, with its weight. Draws of the other groups are equally
-weighted (:func:`equally_weighted`), as ArviZ takes them to be. Copies of one trajectory stand next to one another, so
-that ArviZ's effective sample size and R-hat count them once.
+Draws are equally weighted (:func:`equally_weighted`), as ArviZ takes them to be. Copies of one trajectory stand next
+to one another, so that ArviZ's effective sample size and R-hat count them once. Filters of few draws each are joined to
+a few long chains, for ArviZ's figures of chains of four draws mean nothing.
 """
 
 import json
@@ -89,12 +90,12 @@ def to_inference_data(
     contents = problem.contents(paths, emission.sample())
     likelihood = observed_log_prob(emission, problem.observations.double())
 
-    stats: Variables = {"log_evidence": (["chain"], each), "log_weight": (["chain"], outer.log_weights)}
+    stats: Variables = {"log_evidence": (["filter"], each), "log_weight": (["filter"], outer.log_weights)}
     if result is not None:
         stats |= {
-            "ess": (["chain", "time"], result.ess.mT),
-            "resampled": (["chain", "time"], result.resampled.mT),
-            "log_evidence_increment": (["chain", "time"], result.log_evidence_increment.mT),
+            "ess": (["filter", "time"], result.ess.mT),
+            "resampled": (["filter", "time"], result.resampled.mT),
+            "log_evidence_increment": (["filter", "time"], result.log_evidence_increment.mT),
         }
     stats |= {name: (DRAWS, values) for name, values in (statistics or {}).items()}
 
@@ -111,7 +112,7 @@ def to_inference_data(
         "log_likelihood": _dataset(contents, {"y": ([*DRAWS, "time"], likelihood)}),
         "sample_stats": _dataset(contents, stats),
         "observed_data": _dataset(contents, contents.observed, contents.observed_coords),
-        "constant_data": _dataset(contents, contents.constants, contents.observed_coords),
+        "constant_data": _dataset(contents, contents.constants),
     }
     # netCDF knows no booleans.
     groups["sample_stats"].attrs.update({"method": method, "bound": int(bound), **(diagnostics or {})})
@@ -126,7 +127,7 @@ def to_inference_data(
             "invdyn_version": version("invdyn"),
         }
     )
-    return equally_weighted(idata, outer.log_weights)
+    return equally_weighted(idata, outer.log_weights.repeat_interleave(paths.shape[1]), _chains(*paths.shape[:2]))
 
 
 UNITS = {
@@ -143,7 +144,7 @@ def _dataset(contents: Contents, variables: Variables, coords: Mapping[str, Any]
     names = {**contents.coords, **(coords or {})}
 
     out = xr.Dataset(arrays, coords={dim: values for dim, values in names.items() if dim in used})
-    for dim in ("chain", "draw"):
+    for dim in ("filter", *DRAWS):
         if dim in used:
             out = out.assign_coords({dim: np.arange(out.sizes[dim])})
 
@@ -178,56 +179,71 @@ def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
 
 
 def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
-    """One posterior from several sets of filters of one recording, chains in order, outer weights made anew.
+    """One posterior from several sets of filters of one recording, in order, outer weights made anew.
 
     Where the parts' bodies differ, their links' numbers become variables of the posterior.
     """
     body = [str(name) for name, each in parts[0]["constant_data"].data_vars.items() if "link" in each.dims]
     varies = any(not part["constant_data"][body].equals(parts[0]["constant_data"][body]) for part in parts)
-    groups: dict[str, Any] = {}
-    for group in ("posterior", "posterior_predictive", "log_likelihood", "sample_stats"):
-        pieces = []
-        for part in parts:
-            piece = part[group]
-            if group == "posterior" and varies:
-                constant = part["constant_data"][body]
-                over = {dim: piece.sizes[dim] for dim in ("chain", "draw")}
-                piece = piece.merge(constant.expand_dims(over))
-            pieces.append(piece)
-        joined = xr.concat(pieces, dim="chain", combine_attrs="override")
-        groups[group] = joined.assign_coords(chain=np.arange(joined.sizes["chain"]))
-    outer = outer_weights(torch.as_tensor(groups["sample_stats"]["log_evidence"].values))
-    groups["sample_stats"]["log_weight"] = (["chain"], outer.log_weights.numpy(), {"units": "nat"})
 
-    # Draws of a part already weigh the same: what is left to weigh is one part against another.
-    sizes = [part["posterior"].sizes["chain"] for part in parts]
-    shares = torch.cat(
-        [part.logsumexp(0).sub(math.log(len(part))).expand(len(part)) for part in outer.log_weights.split(sizes)]
-    )
+    groups: dict[str, Any] = {}
+    for group in DRAWN:
+        pieces = [pooled(part, group) for part in parts]
+        if group == "posterior" and varies:
+            constants = [part["constant_data"][body] for part in parts]
+            pieces = [
+                piece.merge(constant.expand_dims(sample=piece.sizes["sample"]))
+                for piece, constant in zip(pieces, constants, strict=True)
+            ]
+        joined = xr.concat(pieces, dim="sample", combine_attrs="override")
+        groups[group] = joined.rename(sample="draw").expand_dims("chain")
+    statistics = xr.concat([part["sample_stats"] for part in parts], dim="filter", combine_attrs="override")
+    groups["sample_stats"] = statistics.assign_coords(filter=np.arange(statistics.sizes["filter"]))
+
+    outer = outer_weights(torch.as_tensor(statistics["log_evidence"].values))
+    groups["sample_stats"]["log_weight"] = (["filter"], outer.log_weights.numpy(), {"units": "nat"})
     idata = az.InferenceData(**groups, observed_data=parts[0]["observed_data"], constant_data=parts[0]["constant_data"])
     idata.attrs.update(parts[0].attrs | _outer_attributes(outer) | {"seed": seed})
+
+    # Draws of a part already weigh the same: what is left to weigh is one part against another.
+    filters = [part["sample_stats"].sizes["filter"] for part in parts]
+    draws = [part["posterior"].sizes["chain"] * part["posterior"].sizes["draw"] for part in parts]
+    shares = [
+        (weights.logsumexp(0) - math.log(count)).expand(count)
+        for weights, count in zip(outer.log_weights.split(filters), draws, strict=True)
+    ]
     with seeded(seed):
-        return equally_weighted(idata, shares)
+        return equally_weighted(idata, torch.cat(shares), _chains(sum(filters), sum(draws) // sum(filters)))
 
 
 DRAWN = ("posterior", "posterior_predictive", "log_likelihood")
 """Groups of draws."""
 
+JOINED_CHAINS = 4
+"""Chains that independent filters are joined to: R-hat needs several, and each needs enough draws."""
 
-def equally_weighted(idata: az.InferenceData, log_weights: Tensor) -> az.InferenceData:
+
+def _chains(filters: int, draws: int) -> int:
+    """Number of chains that M filters of R draws become: M, or fewer and longer ones where a filter has few draws."""
+    return filters if draws >= filters else math.gcd(filters * draws, JOINED_CHAINS)
+
+
+def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) -> az.InferenceData:
     """Return ``idata`` with draws that all weigh the same, as many as before.
 
-    Draws are resampled systematically by the weight of their chain (M,), in order (Kitagawa 1996). Chains that weigh
-    the same stay as they are. Random numbers are torch's own (global seed).
+    Draws are resampled systematically by their weight, (S,) over all chains and draws, in order (Kitagawa 1996); ones
+    that weigh the same stay as they are. Then they are laid out as so many ``chains``. Random numbers are torch's own
+    (global seed).
     """
-    if not bool((log_weights == log_weights[0]).all()):
-        chains, draws = (idata["posterior"].sizes[dim] for dim in DRAWS)
-        chosen = resample(log_weights.repeat_interleave(draws)[None], "systematic")[0]
-        chain, draw = (index.reshape(chains, draws).numpy() for index in (chosen // draws, chosen % draws))
-        pick = {"chain": xr.DataArray(chain, dims=DRAWS), "draw": xr.DataArray(draw, dims=DRAWS)}
-        for group in [each for each in DRAWN if each in idata.groups()]:
-            data = idata[group].isel(pick).transpose(*DRAWS, ...)
-            idata[group] = data.assign_coords(chain=np.arange(chains), draw=np.arange(draws))
+    size = [idata["posterior"].sizes[dim] for dim in DRAWS]
+    same = bool((log_weights == log_weights[0]).all())
+    chosen = torch.arange(len(log_weights)) if same else resample(log_weights[None], "systematic")[0]
+    index = np.unravel_index(chosen.reshape(chains, -1).numpy(), size)
+    pick = {dim: xr.DataArray(each, dims=DRAWS) for dim, each in zip(DRAWS, index, strict=True)}
+
+    for group in DRAWN:
+        data = idata[group].isel(pick).transpose(*DRAWS, ...)
+        idata[group] = data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS})
     idata.attrs["draws"] = "equally weighted"
     return idata
 
@@ -267,14 +283,22 @@ def load_posterior(path: str | Path) -> az.InferenceData:
         idata = az.from_netcdf(str(path), engine="h5netcdf")
         check_size(idata, path)
         idata.load()
+        if "draws" not in idata.attrs and "chain" in idata["sample_stats"].dims:
+            idata = _of_version_02(idata)
     except InputError:
         raise
     except Exception as error:  # a broken file fails anywhere inside HDF5, xarray or ArviZ
         raise InputError(f"{path} is damaged or not netCDF: {first_line(error)}") from error
     with about(path):
         check_layout(idata)
-    if "draws" in idata.attrs:
-        return idata
-    # A file of version 0.2 or before: its chains still have to be weighed.
+    return idata
+
+
+def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
+    """A file of version 0.2 or before, as it is laid out now: a chain was a filter, and had a weight."""
+    idata["sample_stats"] = idata["sample_stats"].rename(chain="filter")
+    idata.add_groups(log_likelihood=idata["posterior"][[]])
+    sizes = [idata["posterior"].sizes[dim] for dim in DRAWS]
+    weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values).repeat_interleave(sizes[1])
     with seeded(int(idata.attrs.get("seed", 0))):
-        return equally_weighted(idata, torch.as_tensor(idata["sample_stats"]["log_weight"].values))
+        return equally_weighted(idata, weights, _chains(*sizes))

@@ -58,7 +58,7 @@ def make_posterior():
         ess = 20 + 80 * rng.random((num_filters, num_frames))
         coords = {"time": time, "joint": joints, "keypoint": keypoints, "space": ["x", "y"]}
         coords["link"] = [f"link_{number}" for number in range(num_joints)]
-        coords |= {"chain": np.arange(num_filters), "draw": np.arange(num_draws)}
+        coords |= {"filter": np.arange(num_filters), "chain": np.arange(num_filters), "draw": np.arange(num_draws)}
         dims = {"torque": ("joint",), "angle": ("joint",), "velocity": ("joint",)}
         dims["position"] = ("keypoint", "space")
 
@@ -78,14 +78,14 @@ def make_posterior():
         data = {"position": (("time", "keypoint", "space"), observed)}
         if angles:
             data["angle"] = (("time", "joint"), true["angle"])
-        per_frame = ("chain", "time")
+        per_frame = ("filter", "time")
         idata = az.InferenceData(
             posterior=group({n: (("chain", "draw", "time", *dims[n]), v) for n, v in posterior.items()}),
             posterior_predictive=group({"position": (("chain", "draw", "time", "keypoint", "space"), predictive)}),
             sample_stats=group(
                 {
-                    "log_weight": (("chain",), log_weight),
-                    "log_evidence": (("chain",), log_weight - 100),
+                    "log_weight": (("filter",), log_weight),
+                    "log_evidence": (("filter",), log_weight - 100),
                     "log_evidence_increment": (per_frame, rng.normal(-1, 0.3, ess.shape)),
                     "ess": (per_frame, ess),
                     "resampled": (per_frame, ess < 30),
@@ -101,6 +101,7 @@ def make_posterior():
             "log_evidence": -100.0,
             "invdyn_version": "0.1.0",
             "length_unit": "m",
+            "draws": "equally weighted",
             "settings": '{"num_particles": 100}',
         }
         return idata

@@ -60,18 +60,11 @@ def test_torque_panel_holds_median_bands_and_truth(make_posterior):
     np.testing.assert_allclose(spans[1], [lower.min(), upper.max()])
 
 
-def test_quantiles_follow_the_filters_weights(make_posterior):
+def test_quantiles_are_of_all_draws(make_posterior):
     idata = make_posterior(2, num_filters=3, num_draws=50)
-    idata.sample_stats["log_weight"][:] = [-np.inf, 0.0, -np.inf]
-    expected = np.quantile(idata.posterior.torque.values[1], (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
-    spread = idata.posterior.torque.values[1].std(axis=0)
-    # resampled with replacement from 50 draws: the standard errors of a Gaussian's quantiles, in sds
-    errors = np.array([2.11, 1.36, 1.25, 1.36, 2.11]) / np.sqrt(50)
-    assert (np.abs(quantiles(idata, "torque") - expected).mean((1, 2)) < errors * spread.mean()).all()
-    others = idata.posterior.torque.values[[0, 2]]
-    chosen = quantiles(idata, "torque")
-    assert (chosen[4] <= idata.posterior.torque.values[1].max(axis=0)).all()
-    assert (chosen[4] < others.max(axis=(0, 1))).any()
+    draws = idata.posterior.torque.values.reshape(150, *idata.posterior.torque.shape[2:])
+    expected = np.quantile(draws, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
+    np.testing.assert_allclose(quantiles(idata, "torque"), expected)
 
 
 def test_keypoint_bands_include_the_observation_noise(make_posterior):

@@ -118,7 +118,7 @@ def test_every_method_gives_the_documented_posterior(case, method, tmp_path):
     if method != "bootstrap":  # which gets lost with 30 particles
         assert np.sqrt(np.nanmean(off**2)) < 0.03
 
-    assert stats["log_evidence"].dims == stats["log_weight"].dims == ("chain",)
+    assert stats["log_evidence"].dims == stats["log_weight"].dims == ("filter",)
     assert np.exp(stats["log_weight"].values).sum() == pytest.approx(1)
     assert stats.attrs["method"] == idata.attrs["method"] == method
     assert stats.attrs["bound"] == int(method in ("svi", "svi-markov"))

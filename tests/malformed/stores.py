@@ -57,7 +57,7 @@ def in_blind(name: str, content: bytes) -> Callable[[Path], None]:
 
 GROUPS = {
     "posterior": ("torque", "angle", "velocity", "position", "time", "joint", "keypoint", "chain", "draw"),
-    "sample_stats": ("log_weight", "log_evidence", "ess", "resampled", "chain", "time"),
+    "sample_stats": ("log_weight", "log_evidence", "ess", "resampled", "filter", "time"),
     "observed_data": ("position", "angle"),
     "constant_data": ("length", "truth_torque", "command"),
     "posterior_predictive": ("position", "angle"),

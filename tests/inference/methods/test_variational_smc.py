@@ -110,13 +110,12 @@ def test_parameters_have_their_exact_posterior(by_grid, steps):
     assert dict(pyro.get_param_store().items()) == store
     scale = idata["posterior"]["torque.scale"]
     assert scale.dims == ("chain", "draw", "joint")
-    weights = np.exp(idata["sample_stats"]["log_weight"].values)
-    phi = np.log(scale.values[:, 0, 0])
+    phi = np.log(scale.values[..., 0].ravel())
     effective = idata.attrs["outer_ess"]
     assert effective > 110  # t's heavier tails alone cost a few percent
-    found = weights @ phi
+    found = phi.mean()
     assert found == pytest.approx(mean, abs=4 * sd / np.sqrt(effective))
-    assert np.sqrt(weights @ (phi - found) ** 2) == pytest.approx(sd, rel=4 / np.sqrt(2 * effective) + 0.05)
+    assert phi.std() == pytest.approx(sd, rel=4 / np.sqrt(2 * effective) + 0.05)
     assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=4 * idata.attrs["log_evidence_sd"])
     stats = idata["sample_stats"].attrs
     assert stats["vsmc_bound"] < evidence + 4 * stats["vsmc_bound_sd"]

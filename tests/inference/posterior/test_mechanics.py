@@ -53,7 +53,7 @@ def test_an_uncertain_body_counts_draw_by_draw(recording, tmp_path):
     draws = idata["posterior"]
     assert draws["mass"].dims == ("chain", "draw", "link")
     masses = draws["mass"].values
-    assert len(np.unique(masses[:, 0, 0])) == 6  # a body a filter
+    assert 3 <= len(np.unique(masses[..., 0])) <= 6  # a body a filter; one of little weight may go
     assert (masses == masses[:, :1]).all()
     # the inertia matrix of each draw belongs to that draw's mass: D₂₂ = m l²/3 of a uniform rod
     elbow = mechanics(idata)["inertia_matrix"].values[..., 1, 1]

@@ -1,0 +1,101 @@
+"""Methods side by side, on one model of one's own and its rows: which to trust, and at what cost.
+
+The table's columns stand in :mod:`.comparison`.
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+import arviz as az
+import numpy as np
+import torch
+
+from invdyn.inference.comparison import Comparison, run_methods
+from invdyn.inference.contract import ModelError
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.infer_states import generic_methods, state_space_task
+from invdyn.inference.posterior.scores import score_table
+from invdyn.models.state_space import StateSpaceModel
+
+
+def compare_methods(
+    model: StateSpaceModel,
+    rows: torch.Tensor | np.ndarray,
+    methods: Sequence[str],
+    *,
+    truth: torch.Tensor | np.ndarray | None = None,
+    seed: int = 0,
+    num_filters: int = 64,
+    num_particles: int = 100,
+    num_draws: int = 4,
+    replicates: int = 1,
+    isolate: bool = False,
+    progress: Progress | None = None,
+    device: str = "cpu",
+    filters_per_task: int | None = None,
+    executor: Executor | None = None,
+    name: str = "rows",
+    arguments: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Comparison:
+    """Run several methods on one model.
+
+    Args:
+        model: any state-space model.
+        rows: (T, O) observations, NaN where missing.
+        methods: keys of ``METHODS`` that need no body; one that fails leaves a row with its reason.
+        truth: (T, D) states to score against, NaN where unknown.
+        seed: same seed, same result (but for seconds and memory).
+        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
+        replicates: runs of each method with seeds of their own, of which the sd of log-evidence is stated.
+        isolate: run each method in a process of its own.
+        progress: called with (done, total, what).
+        device, filters_per_task, executor: as :func:`.infer_states.infer_states` takes them.
+        name: of the data.
+        arguments: further ones of a method, by its name.
+
+    Raises ModelError for no or an unknown method, a truth of another shape, or a model that does not fit its rows.
+    """
+    methods = tuple(dict.fromkeys(methods))
+    if unknown := [method for method in methods if method not in generic_methods()] or ([] if methods else ["none"]):
+        raise ModelError(f"expected methods among {', '.join(generic_methods())}, got {unknown[0]}")
+    if replicates < 1:
+        raise ModelError(f"expected at least one replicate, got {replicates}")
+    if isolate and executor is not None:
+        raise ModelError("expected isolated methods or workers, got both: memory is measured in one process")
+    options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
+    given = {method: dict(each) for method, each in (arguments or {}).items()}
+    task = state_space_task(model, rows, options, seed, name=name, arguments=given)
+    known = None if truth is None else np.asarray(truth, dtype=float)
+    shape = (len(task.problem.observations), model.state_dim)
+    if known is not None and known.shape != shape:
+        raise ModelError(f"expected true states of shape {shape}, got {known.shape}")
+
+    def scores(idata: az.InferenceData) -> dict[str, float]:
+        return {} if known is None else _scores(idata, known)
+
+    found = run_methods(
+        task,
+        methods,
+        scores=scores,
+        monitored=_states,
+        replicates=replicates,
+        isolate=isolate,
+        progress=progress,
+        executor=executor,
+    )
+    return Comparison(found.table(), found.posteriors, found.failures, found.notes, 0, isolate, name, seed)
+
+
+def _states(idata: az.InferenceData) -> np.ndarray:
+    return idata["posterior"]["state"].transpose("chain", "draw", "time", "state_name").values
+
+
+def _scores(idata: az.InferenceData, truth: np.ndarray) -> dict[str, float]:
+    """Of each state against the truth."""
+    states = _states(idata)
+    draws = states.reshape(-1, *states.shape[2:])
+    scores = score_table(draws, np.full(len(draws), 1 / len(draws)), truth)
+    names = idata["posterior"]["state_name"].values
+    return {f"{name}_{score}": float(each[k]) for k, name in enumerate(names) for score, each in scores.items()}

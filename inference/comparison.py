@@ -1,0 +1,284 @@
+"""Methods in one table: errors, evidence, mixing and cost, and how a method that fails shows.
+
+Each row is a method:
+
+    <name>_rmse, _crps, _coverage_50, _coverage_90    of a torque or state against the truth, if known (:mod:`.scores`)
+    log_evidence, log_evidence_sd, evidence_kind      nats, Monte Carlo standard error; "estimate": unbiased estimate
+                                                      of the evidence, "bound": from below, "approximation", or ""
+    replicates, replicates_sd                         runs with other seeds, and the sd of their log-evidence
+    log_score                                         nats per held-out row (:mod:`.held_out`), where it is asked for
+    elpd_loo, elpd_loo_se, pareto_k                   leave-one-row-out by PSIS, nats; the largest k of a row
+    outer_ess                                         effective number of filters, of methods that have filters
+    r_hat, ess_bulk, ess_tail, mcse                   the worst of the monitored numbers; mcse is that of the mean,
+                                                      in posterior standard deviations
+    seconds, ess_per_second, memory                   s of the method itself; ess_bulk per s; MiB
+
+Memory is the growth of the process's resident set, at its peak. In one process what earlier methods have freed is
+used again and does not count; with ``isolate`` each method has a process of its own, where what libraries load at
+their first use (some 50 MiB) counts too. An executor's workers are other processes: their memory is not counted.
+"""
+
+import json
+import math
+import sys
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Protocol
+
+import arviz as az
+import cloudpickle
+import numpy as np
+import pandas as pd
+import torch
+
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.execution.seeds import derived
+from invdyn.recordings.errors import first_line
+
+MAX_MONITORED = 200
+"""Numbers whose mixing is computed, evenly chosen of all."""
+
+REPLICATES = 71
+"""Place of the seeds of replicates (:func:`.seeds.derived`)."""
+
+COLUMNS = (
+    *("log_evidence", "log_evidence_sd", "evidence_kind", "replicates", "replicates_sd", "log_score"),
+    *("elpd_loo", "elpd_loo_se", "pareto_k", "outer_ess", "r_hat", "ess_bulk", "ess_tail", "mcse"),
+    *("seconds", "ess_per_second", "memory"),
+)
+"""Columns of every table; errors against the truth come before them."""
+
+
+class Runnable(Protocol):
+    """A fitted problem that any method runs on; a dataclass with ``seed``."""
+
+    seed: int
+
+    def run(self, method: str, progress: Progress | None = None, executor: Executor | None = None) -> az.InferenceData:
+        """Posterior by ``method``."""
+        ...
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a comparison leaves.
+
+    Attributes:
+        table: one row a method, columns as at the top of the file.
+        posteriors: of each method that did not fail.
+        failures: the reason of each that did, in a line.
+        notes: what is missing from a method's row, and why.
+        held_out: rows that ``log_score`` is over; 0 when there is none.
+        isolated: whether each method ran in a process of its own.
+        recording: name of the data.
+        seed: of every random number.
+    """
+
+    table: pd.DataFrame
+    posteriors: dict[str, az.InferenceData]
+    failures: dict[str, str]
+    notes: dict[str, str]
+    held_out: int
+    isolated: bool
+    recording: str
+    seed: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but the posteriors, as JSON has it: None where there is no number."""
+        rows = json.loads(self.table.to_json(orient="index", double_precision=15))
+        return {
+            "schema": 1,
+            "recording": self.recording,
+            "seed": self.seed,
+            "methods": rows,
+            "failures": self.failures,
+            "notes": self.notes,
+            "held_out_rows": self.held_out,
+            "memory": "MiB, resident-set growth of a process " + ("each" if self.isolated else "shared by all"),
+        }
+
+
+def measured(
+    task: Runnable, method: str, progress: Progress | None = None, executor: Executor | None = None
+) -> tuple[az.InferenceData, float, float]:
+    """``task.run`` with its seconds and MiB."""
+    before, start = resident_peak(reset=True), time.perf_counter()
+    idata = task.run(method, progress, executor)
+    return idata, time.perf_counter() - start, max(resident_peak() - before, 0.0)
+
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Rows:
+    """What the runs of several methods leave, by method: rows of the table, posteriors, failures and notes."""
+
+    rows: dict[str, Row]
+    posteriors: dict[str, az.InferenceData]
+    failures: dict[str, str]
+    notes: dict[str, str]
+
+    def table(self) -> pd.DataFrame:
+        """One row a method: the columns at the top of the file, and the reason of a failure."""
+        found = [name for row in self.rows.values() for name in row if name not in COLUMNS]
+        order = [*dict.fromkeys(found), *COLUMNS]
+        table = pd.DataFrame.from_dict(self.rows, orient="index").reindex(columns=order)
+        table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
+        table["failure"] = [self.failures.get(method, "") for method in table.index]
+        table.index.name = "method"
+        return table
+
+
+def run_methods(
+    task: Runnable,
+    methods: Sequence[str],
+    *,
+    scores: Callable[[az.InferenceData], Mapping[str, float]],
+    monitored: Callable[[az.InferenceData], np.ndarray],
+    replicates: int = 1,
+    isolate: bool = False,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Rows:
+    """Run each method; one that fails leaves its reason, and the others still run.
+
+    Args:
+        task: what each runs on.
+        methods: keys of ``METHODS``.
+        scores: of a posterior, against the truth.
+        monitored: draws (chain, draw, …) of a posterior whose mixing is stated.
+        replicates: runs of each method, with seeds of their own; the first one is the one that is reported.
+        isolate, progress, executor: as :func:`.compare.compare` takes them.
+    """
+    found = Rows({}, {}, {}, {})
+    launch: Callable[..., tuple[az.InferenceData, float, float]] = in_own_process if isolate else measured
+    places = {} if isolate else {"executor": executor}
+    for method in methods:
+        found.rows[method] = {}
+        try:
+            idata, seconds, memory = launch(task, method, progress=named(progress, method), **places)
+        except Exception as error:
+            found.failures[method] = f"{type(error).__name__}: {first_line(error)}"
+            continue
+        found.posteriors[method] = idata
+        row: Row = {**scores(idata), **evidence(idata), **mixing_figures(idata, monitored(idata)), **loo(idata)}
+        row |= {"seconds": seconds, "memory": memory, "ess_per_second": row["ess_bulk"] / seconds}
+
+        values = [row["log_evidence"]]
+        try:
+            for number in range(1, replicates):
+                other = _reseeded(task, derived(task.seed, REPLICATES, number))
+                again, *_ = launch(other, method, progress=named(progress, f"{method} again"), **places)
+                values.append(again.attrs["log_evidence"])
+        except Exception as error:
+            found.notes[method] = f"replicate {len(values) + 1} failed: {first_line(error)}"
+        spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+        found.rows[method] = row | {"replicates": len(values), "replicates_sd": spread}
+    return found
+
+
+def _reseeded(task: Any, seed: int) -> Any:
+    return replace(task, seed=seed)
+
+
+def mixing_figures(idata: az.InferenceData, draws: np.ndarray) -> dict[str, float]:
+    """Return r_hat, ess_bulk, ess_tail and mcse, the worst over draws (chain, draw, …).
+
+    A method that knows better, such as a sampler that has more draws than it keeps, says so in its attributes. Too few
+    draws give NaN.
+    """
+    stated = idata["sample_stats"].attrs
+    numbers = draws.reshape(*draws.shape[:2], -1)
+    chosen = np.unique(np.linspace(0, numbers.shape[-1] - 1, MAX_MONITORED).round().astype(int))
+    numbers = numbers[..., chosen].astype(float)
+    varying = numbers.std((0, 1)) > 0
+    if not varying.any() or numbers.shape[1] < 4:
+        return dict.fromkeys(("r_hat", "ess_bulk", "ess_tail", "mcse"), math.nan)
+
+    data = az.convert_to_dataset({"x": numbers[..., varying]})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # copies of one draw divide zero by zero: R-hat is then infinite
+        computed = {
+            "r_hat": float(az.rhat(data)["x"].max()),
+            "ess_bulk": float(az.ess(data, method="bulk")["x"].min()),
+            "ess_tail": float(az.ess(data, method="tail")["x"].min()),
+        }
+    mcse = az.mcse(data, method="mean")["x"].to_numpy() / numbers[..., varying].std((0, 1))
+    return computed | {name: stated[name] for name in computed if name in stated} | {"mcse": float(np.nanmax(mcse))}
+
+
+def loo(idata: az.InferenceData) -> dict[str, float]:
+    """Return the expected log density of a left-out row, by ArviZ's PSIS (Vehtari, Gelman & Gabry 2017).
+
+    NaN without at least two draws.
+    """
+    nothing = dict.fromkeys(("elpd_loo", "elpd_loo_se", "pareto_k"), math.nan)
+    likelihood = idata["log_likelihood"]["y"]
+    if likelihood.sizes["chain"] * likelihood.sizes["draw"] < 2 or not np.isfinite(likelihood).all():
+        return nothing
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a large k is a number of the table
+        found = az.loo(idata, var_name="y", pointwise=True, reff=1.0)
+    worst = float(np.nanmax(found.pareto_k.to_numpy(), initial=-math.inf))
+    return {"elpd_loo": float(found.elpd_loo), "elpd_loo_se": float(found.se), "pareto_k": worst}
+
+
+def evidence(idata: az.InferenceData) -> dict[str, object]:
+    """log_evidence, its error, which kind it is, and the outer ESS."""
+    statistics, found = idata["sample_stats"], idata.attrs
+    if math.isnan(found["log_evidence"]):
+        kind = ""
+    elif "ess" in statistics:
+        kind = "estimate"
+    else:
+        kind = "bound" if statistics.attrs.get("bound", 0) else "approximation"
+    return {
+        "log_evidence": found["log_evidence"],
+        "log_evidence_sd": found["log_evidence_sd"],
+        "evidence_kind": kind,
+        "outer_ess": found["outer_ess"] if "ess" in statistics else math.nan,
+    }
+
+
+def named(progress: Progress | None, method: str) -> Progress | None:
+    """Progress that says of which method it is."""
+    return None if progress is None else lambda done, total, what: progress(done, total, f"{method}: {what}")
+
+
+def in_own_process(
+    task: Runnable, method: str, progress: Progress | None = None
+) -> tuple[az.InferenceData, float, float]:
+    """``measured`` in a fresh process; raises what it raises, or BrokenProcessPool when it dies."""
+    with ProcessPoolExecutor(1, get_context("spawn"), torch.set_num_threads, (torch.get_num_threads(),)) as pool:
+        result = pool.submit(_measured, cloudpickle.dumps((task, method))).result()
+    if progress is not None:
+        progress(1, 1, "run")
+    return result
+
+
+def _measured(work: bytes) -> tuple[az.InferenceData, float, float]:
+    """:func:`measured` of a task and a method, which a script may have defined."""
+    return measured(*cloudpickle.loads(work))
+
+
+def resident_peak(reset: bool = False) -> float:
+    """Highest resident set of this process so far, MiB; since now with ``reset``, where the system can (Linux)."""
+    try:
+        if reset:
+            Path("/proc/self/clear_refs").write_text("5")
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) / 1024
+    except (OSError, IndexError):
+        pass
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return math.nan
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 1024

@@ -1,0 +1,146 @@
+"""The posterior of the states of any model, by any method.
+
+    states = infer_states(model, rows, method="smc", seed=0)
+
+A model gives three distributions (:class:`.StateSpaceModel`); a method takes the model and its rows, and gives
+InferenceData. Parameters are those of the model; ones with a prior need a method that learns them.
+"""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import arviz as az
+import numpy as np
+import torch
+
+from invdyn.inference.contract import ModelError, check_model
+from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.progress import Progress
+from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.methods.registry import DISTRIBUTED, LEARN_PARAMETERS, METHODS, OF_ARMS, RESUMED
+from invdyn.inference.posterior.problem import StateSpaceProblem
+from invdyn.models.state_space import StateSpaceModel
+
+
+@dataclass(frozen=True)
+class StateSpaceTask:
+    """A model with its rows, and how a method runs on them.
+
+    Attributes:
+        problem: model and rows.
+        options: sizes.
+        seed: of every random number.
+        checkpoint: of this run, or None.
+        arguments: further ones of a method, by its name.
+    """
+
+    problem: StateSpaceProblem
+    options: SMCOptions
+    seed: int = 0
+    checkpoint: Checkpoint | None = None
+    arguments: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def run(self, method: str, progress: Progress | None = None, executor: Executor | None = None) -> az.InferenceData:
+        """Posterior by ``method``. Raises ModelError where it cannot serve the model."""
+        if method not in METHODS:
+            raise ModelError(f"expected a method among {', '.join(generic_methods())}, got {method!r}")
+        if method in OF_ARMS:
+            raise ModelError(f"{method} needs a body, and a state-space model has none: use another method")
+        learned = method in LEARN_PARAMETERS
+        if self.problem.uncertain and not learned:
+            raise ModelError(
+                f"{method} takes parameters as they are, and {', '.join(self.problem.uncertain)} has a prior: use "
+                f"{' or '.join(sorted(LEARN_PARAMETERS))}, or a model without priors"
+            )
+        if learned and not self.problem.uncertain:
+            raise ModelError(f"{method} learns parameters, and none has a prior: give some by model.with_priors(…)")
+        places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
+        places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}
+        return METHODS[method](
+            self.problem,
+            options=self.options,
+            seed=self.seed,
+            settings={},
+            progress=progress,
+            **places,
+            **self.arguments.get(method, {}),
+        )
+
+
+def generic_methods() -> tuple[str, ...]:
+    """Names of the methods that take any state-space model."""
+    return tuple(name for name in METHODS if name not in OF_ARMS)
+
+
+def infer_states(
+    model: StateSpaceModel,
+    rows: torch.Tensor | np.ndarray,
+    *,
+    method: str = "smc",
+    num_filters: int = 64,
+    num_particles: int = 100,
+    num_draws: int = 4,
+    seed: int = 0,
+    progress: Progress | None = None,
+    device: str = "cpu",
+    filters_per_task: int | None = None,
+    executor: Executor | None = None,
+    checkpoint: str | Path | None = None,
+    name: str = "rows",
+    **arguments: Any,
+) -> az.InferenceData:
+    """Infer the states of a model from its rows.
+
+    Args:
+        model: any state-space model.
+        rows: (T, O) observations, NaN where missing.
+        method: a key of ``METHODS`` that needs no body.
+        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
+        seed: same seed, same result.
+        progress: called with (done, total, what).
+        device: of the particle filters, "cpu" or "cuda".
+        filters_per_task: see :class:`.SMCOptions`.
+        executor: any ``concurrent.futures`` executor, whose workers share the filters; the same bits without one.
+        checkpoint: folder of this run, made when missing, from which the same call goes on.
+        name: of the data, for the result.
+        arguments: further ones of the method.
+
+    Returns:
+        InferenceData as :mod:`.posterior` lays it out, its states in posterior/state.
+
+    Raises ModelError, a ValueError of one line, for a model that contradicts itself or its rows, or a method that
+    cannot serve it; InputError for sizes that no machine has; SMCFailed where all particles have weight zero.
+    """
+    options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
+    return state_space_task(model, rows, options, seed, checkpoint, name, {method: arguments}).run(
+        method, progress, executor
+    )
+
+
+def state_space_task(
+    model: StateSpaceModel,
+    rows: torch.Tensor | np.ndarray,
+    options: SMCOptions,
+    seed: int,
+    checkpoint: str | Path | None = None,
+    name: str = "rows",
+    arguments: dict[str, dict[str, Any]] | None = None,
+) -> StateSpaceTask:
+    """Check a model against its rows, and bind them."""
+    options.check()
+    problem = StateSpaceProblem(model, check_model(model, rows), name=name)
+    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problem, options, seed))
+    return StateSpaceTask(problem, options, seed, kept, arguments or {})
+
+
+def _fingerprint(problem: StateSpaceProblem, options: SMCOptions, seed: int) -> dict[str, Any]:
+    model = problem.model
+    return {
+        "model": type(model).__qualname__,
+        "parameters": digest(*(model.parameters[name] for name in sorted(model.parameters))),
+        "rows": digest(problem.observations),
+        "options": repr(options),
+        "seed": seed,
+    }

@@ -1,0 +1,149 @@
+"""The command of models of one's own: `invdyn compare model.py:Model rows.csv`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import MOST_WORKERS, Seed
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from invdyn.models import StateSpaceModel
+
+Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method with seeds of their own.")]
+Isolate = Annotated[
+    bool, typer.Option("--isolate", help="Each method in a process of its own: its memory is its own too.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(name="compare-model")(compare_model)
+
+
+def compare_model(
+    model: Annotated[str, typer.Argument(metavar="FILE.py:NAME", help="A state-space model; its file is run.")],
+    rows: Annotated[Path, typer.Argument(help="Its rows: .csv with a header; an empty cell is missing.")],
+    methods: Annotated[str, typer.Option(help="Such as smc,bootstrap; the answer to an unknown one lists them all.")],
+    out: Annotated[Path, typer.Option(help="Folder for table, figure and posteriors; made when missing.")],
+    truth: Annotated[Path | None, typer.Option(help="True states to score against: .csv, a column each.")] = None,
+    filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64,
+    particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100,
+    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4,
+    replicates: Replicates = 1,
+    isolate: Isolate = False,
+    seed: Seed = 0,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Where the filters run: a Dask scheduler (tcp://host:8786), or mpi.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="Where particle filters compute: cpu or cuda.")] = "cpu",
+) -> None:
+    """Run several methods on a state-space model of your own: one table, one figure.
+
+    NAME is a model, a class without arguments, or a function or class of the rows, (T, O).
+    """
+    from invdyn.inference import compare_methods
+    from invdyn.inference.execution.executors import open_executor
+
+    from .console import ProgressBar
+    from .outputs import ComparisonOutputs
+    from .summary import comparison_text
+
+    names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
+    outputs = ComparisonOutputs(out, names)
+    outputs.check(rows, *([] if truth is None else [truth]))
+    observed, states = read_columns(rows), None if truth is None else read_columns(truth)
+    own = load_model(model, observed)
+    with open_executor(workers, scheduler) as executor, ProgressBar() as progress:
+        comparison = compare_methods(
+            own,
+            observed,
+            names,
+            truth=states,
+            seed=seed,
+            num_filters=filters,
+            num_particles=particles,
+            num_draws=draws,
+            replicates=replicates,
+            isolate=isolate,
+            progress=progress,
+            device=device,
+            executor=executor,
+            name=rows.name,
+        )
+    outputs.write(comparison, states)
+    typer.echo(comparison_text(comparison))
+    typer.echo(outputs.listing(comparison))
+
+
+def read_columns(path: Path) -> "np.ndarray":
+    """All columns of a table but `time`, as (rows, columns). Raises InputError or OSError."""
+    import numpy as np
+
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tables import read_table
+
+    columns, _ = read_table(path)
+    columns.pop("time", None)
+    if not columns:
+        raise InputError(f"{path}: expected a column of numbers beside time, got none")
+    return np.stack(list(columns.values()), axis=-1)
+
+
+def load_model(word: str, rows: "np.ndarray") -> "StateSpaceModel":
+    """The model that FILE.py:NAME names; running the file may raise whatever it raises.
+
+    Raises InputError for a name that the file does not have, or that is no model.
+    """
+    import inspect
+
+    import torch
+
+    from invdyn.models import StateSpaceModel
+    from invdyn.recordings import InputError
+
+    file, _, name = word.rpartition(":")
+    made: Any = getattr(run_file(Path(file)), name, None)
+    if made is None:
+        raise InputError(f"{file}: expected a model called {name!r}, the file has none")
+    if callable(made) and not isinstance(made, StateSpaceModel):
+        needed = [
+            one
+            for one in inspect.signature(made).parameters.values()
+            if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+        ]
+        if len(needed) > 1:
+            raise InputError(f"{word}: expected no argument or the rows, it takes {len(needed)}: write a function")
+        made = made(torch.as_tensor(rows)) if needed else made()
+    if not isinstance(made, StateSpaceModel):
+        raise InputError(f"{word}: expected a StateSpaceModel, got {type(made).__name__}")
+    return made
+
+
+def run_file(path: Path) -> Any:
+    """Run a Python file as a module, whose classes workers can be sent."""
+    import importlib.util
+    import sys
+
+    import cloudpickle
+
+    from invdyn.recordings import InputError, check_readable
+    from invdyn.recordings.errors import first_line
+
+    check_readable(path)
+    spec = importlib.util.spec_from_file_location(f"model_file_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: expected a Python file that defines a model")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path}: running it failed with {type(error).__name__}: {first_line(error)}") from error
+    cloudpickle.register_pickle_by_value(module)
+    return module

@@ -1,0 +1,162 @@
+"""Every method on a model of one's own: one layout, ArviZ's figures, exact answers; methods side by side."""
+
+import arviz as az
+import numpy as np
+import pytest
+import torch
+from oracles import kalman, random_chain, rts
+from pyro.distributions import Normal
+
+from invdyn.inference import compare_methods, infer_states, load_posterior, pooled, save_posterior
+from invdyn.inference.contract import ModelError
+from invdyn.inference.infer_states import generic_methods
+from invdyn.inference.methods.registry import LEARN_PARAMETERS, WITHOUT_EVIDENCE
+
+T, D = 12, 2
+SIZES = {"num_filters": 8, "num_particles": 40, "num_draws": 8}
+QUICK = {
+    "nuts": {"chains": 2, "warmup": 30},
+    "particle-gibbs": {"warmup": 2, "thin": 1},
+    "svi": {"max_steps": 200},
+    "svi-markov": {"max_steps": 200},
+    "vsmc": {"steps": 2},
+}
+METHODS = [name for name in generic_methods() if name not in LEARN_PARAMETERS]
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """A linear-Gaussian model with a missing row and a missing entry, its rows, and the exact answers."""
+    chain = random_chain(3, dim=D, size=2)
+    _, rows = chain.simulate(T, 1)
+    rows[4] = np.nan
+    rows[7, 1] = np.nan
+    means, covariances = rts(chain, rows)
+    sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return chain.model(T), rows, kalman(chain, rows)[0], means, sd
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path):
+    model, rows, evidence, means, sd = linear
+    idata = infer_states(model, rows, method=method, seed=1, **SIZES, **QUICK.get(method, {}))
+
+    states = idata["posterior"]["state"]
+    assert states.dims == ("chain", "draw", "time", "state_name")
+    assert states.shape[2:] == (T, D)
+    assert idata["log_likelihood"]["y"].dims == ("chain", "draw", "time")
+    assert (idata["log_likelihood"]["y"].isel(time=4) == 0).all()  # a missing row says nothing
+    assert idata["posterior_predictive"]["y"].dims == ("chain", "draw", "time", "column")
+    assert np.array_equal(idata["observed_data"]["y"], rows, equal_nan=True)
+    if method not in WITHOUT_EVIDENCE:
+        assert np.isfinite(idata.attrs["log_evidence"])
+    if method in ("smc", "nested", "laplace", "vsmc"):
+        assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=1e-4)
+
+    table = az.summary(idata, var_names=["state"])
+    assert len(table) == T * D
+    if method not in ("svi", "bootstrap"):  # too sure by design; too few particles
+        size = max(float(table["ess_bulk"].min()), 20.0)
+        off = (pooled(idata)["state"].mean("sample").values - means) / sd
+        assert np.abs(off).max() < 4.5 / np.sqrt(size)
+    assert np.isfinite(az.loo(idata, var_name="y").elpd_loo)
+
+    save_posterior(idata, tmp_path / "p.nc")
+    again = load_posterior(tmp_path / "p.nc")
+    assert again["posterior"].equals(idata["posterior"])
+    assert again["log_likelihood"].equals(idata["log_likelihood"])
+
+
+def test_nuts_has_its_own_statistics(linear):
+    model, rows, *_ = linear
+    idata = infer_states(model, rows, method="nuts", seed=1, **SIZES, **QUICK["nuts"])
+    statistics = idata["sample_stats"]
+    for name in ("energy", "lp", "diverging"):
+        assert statistics[name].dims == ("chain", "draw")
+    # The log-density of whitened draws differs from the joint by a constant and by the whitening's own density.
+    assert statistics["energy"].std() > 0
+    assert (statistics["energy"] > -statistics["lp"] - 50).all()
+    assert float(az.bfmi(idata).min()) > 0.2
+    az.plot_energy(idata)
+
+
+def test_one_number_a_row_has_no_dimension_of_its_own():
+    chain = random_chain(5, dim=1, size=1)
+    _, rows = chain.simulate(T, 1)
+    idata = infer_states(chain.model(T), rows, method="laplace", seed=1, **SIZES)
+    assert idata["observed_data"]["y"].dims == ("time",)
+    pit = az.loo_pit(idata, y="y")
+    assert ((pit >= 0) & (pit <= 1)).all()
+
+
+def test_models_are_compared_by_arviz():
+    """The right noise scale predicts better than one four times too large."""
+    chain = random_chain(5, dim=1, size=1)
+    _, rows = chain.simulate(60, 1)
+    right = chain.model(60)
+    wrong = right.replace(emission_root=4 * right.parameters["emission_root"])
+    found = {
+        name: infer_states(model, rows, method="laplace", seed=1, num_filters=4, num_draws=200)
+        for name, model in {"right": right, "wrong": wrong}.items()
+    }
+    table = az.compare(found, ic="loo", var_name="y")
+    assert table.index[0] == "right"
+    assert table.loc["wrong", "elpd_diff"] > 2 * table.loc["wrong", "dse"]
+
+
+def test_priors_need_a_method_that_learns_parameters(linear):
+    model, rows, *_ = linear
+    uncertain = model.with_priors(mean=Normal(torch.zeros(D, dtype=torch.float64), 1.0).to_event(1))
+    with pytest.raises(ModelError, match="smc takes parameters as they are, and mean has a prior"):
+        infer_states(uncertain, rows)
+
+
+def test_what_has_no_body_is_refused_in_one_line(linear):
+    model, rows, *_ = linear
+    with pytest.raises(ModelError, match="differentiate needs a body"):
+        infer_states(model, rows, method="differentiate")
+    with pytest.raises(ModelError, match="expected a method among smc, nested"):
+        infer_states(model, rows, method="magic")
+
+
+# -- side by side ------------------------------------------------------------------------------------
+def test_methods_in_one_table(linear):
+    model, rows, evidence, means, _ = linear
+    found = compare_methods(
+        model, rows, ["smc", "laplace", "nuts"], truth=means, seed=1, replicates=2, arguments={"nuts": QUICK["nuts"]},
+        **SIZES,
+    )  # fmt: skip
+    table = found.table
+    assert list(table.index) == ["smc", "laplace", "nuts"]
+    assert found.failures == {}
+    for name in ("elpd_loo", "elpd_loo_se", "pareto_k", "r_hat", "ess_bulk", "ess_tail", "mcse", "ess_per_second"):
+        assert np.isfinite(table[name]).all(), name
+    assert (table["replicates"] == 2).all()
+    assert table.loc["smc", "log_evidence"] == pytest.approx(evidence, abs=1e-4)
+    assert table.loc["smc", "replicates_sd"] < 1e-4
+    assert 0 < table.loc["laplace", "0_rmse"] < 1
+    # 64 independent draws
+    assert 30 < table.loc["laplace", "ess_bulk"] < 110
+
+
+def test_a_method_that_fails_leaves_its_reason(linear):
+    model, rows, *_ = linear
+    found = compare_methods(model, rows, ["laplace", "nuts"], seed=1, num_filters=1, num_draws=1, num_particles=10)
+    assert set(found.failures) == {"nuts"}
+    assert "nuts: expected 4 draws" in found.failures["nuts"]
+    assert found.table.loc["nuts", "failure"] == found.failures["nuts"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"methods": []}, "expected methods among"),
+        ({"methods": ["differentiate"]}, "got differentiate"),
+        ({"replicates": 0}, "at least one replicate"),
+        ({"truth": np.zeros((T, 5))}, "true states of shape"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(linear, change, said):
+    model, rows, *_ = linear
+    with pytest.raises(ModelError, match=said):
+        compare_methods(**{"model": model, "rows": rows, "methods": ["laplace"], **change})
