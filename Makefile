@@ -3,14 +3,17 @@ PYTHON ?= python3
 WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
-# Most of what is installed is never imported: what is, Python compiles then.
 PIP := $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt
+# Bytecode, once and on all cores: where PYTHONDONTWRITEBYTECODE is set, every process would compile torch again.
+# Some packages ship files of other Pythons, which do not compile; they are never imported.
+COMPILE := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true
 
-.PHONY: help install demo test lint notebooks docs clean
+.PHONY: help install demo test test-all lint notebooks docs clean
 
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
+	@echo "make test-all run the longer tests, which CI runs as well"
 	@echo "make lint     check style, format and types"
 	@echo "make docs     build the documentation site into build/site, and check its links and pages"
 	@echo "make notebooks  execute the notebooks into docs/tutorials"
@@ -27,6 +30,10 @@ demo: $(VENV)/.use
 # Who has nothing left takes over from the other: most of the time goes into a few rooms, whose tests come first.
 test: $(VENV)/.development
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
+# The longer ones: sweeps of malformed files, metamorphic relations, kills.
+test-all: $(VENV)/.development
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
 
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
@@ -60,9 +67,11 @@ $(BIN)/python:
 $(VENV)/.use: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
 	$(PIP) -e '.[video]'
+	@$(COMPILE)
 	@touch $@
 
 $(VENV)/.development: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into $(VENV); minutes, the first time."
 	$(PIP) -e '.[dev,docs,robots,logs,fast,video,tracks,tracking,cameras,cluster,checkpoint]'
+	@$(COMPILE)
 	@touch $(VENV)/.use $@
