@@ -1,5 +1,7 @@
 from .compare import Comparison as Comparison
 from .compare import compare as compare
+from .contract import ModelError as ModelError
+from .contract import check_model as check_model
 from .execution.checkpoint import Checkpoint as Checkpoint
 from .execution.distribute import LostWork as LostWork
 from .execution.executors import open_executor as open_executor
