@@ -1,6 +1,8 @@
 from .compare import compare as compare
 from .compare_methods import compare_methods as compare_methods
 from .comparison import Comparison as Comparison
+from .contract import ModelError as ModelError
+from .contract import check_model as check_model
 from .execution.checkpoint import Checkpoint as Checkpoint
 from .execution.distribute import LostWork as LostWork
 from .execution.executors import open_executor as open_executor

@@ -18,11 +18,12 @@ from typing import Self
 
 import pyro
 import torch
-from pyro.distributions import Distribution, Independent, MultivariateNormal
+from pyro.distributions import Distribution
 from torch import Tensor
-from torch.distributions import constraints
+from torch.distributions import Independent, MultivariateNormal, Normal, constraints
 
 from invdyn.models.observation.missing import observe, observed_log_prob
+from invdyn.models.seeds import seeded
 
 
 class UnknownParameter(KeyError):
@@ -97,13 +98,22 @@ class StateSpaceModel(ABC):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Floating type of the parameters."""
-        return next(iter(self.parameters.values())).dtype
+        """Floating type of the parameters; of initial states where there are none, float64 where those are integers."""
+        for value in self.parameters.values():
+            if value.is_floating_point():
+                return value.dtype
+        state = self._any_initial_state()
+        return state.dtype if state.is_floating_point() else torch.float64
 
     @property
     def device(self) -> torch.device:
-        """Device of the parameters."""
-        return next(iter(self.parameters.values())).device
+        """Device of the parameters, or of initial states where there are none."""
+        return next(iter(self.parameters.values())).device if self.parameters else self._any_initial_state().device
+
+    @torch.no_grad()
+    def _any_initial_state(self) -> Tensor:
+        with seeded(0):
+            return self.initial().sample()
 
     def replace(self, **values: Tensor) -> Self:
         """Return the model with other parameter values: ``model.replace(**{"torque.scale": s})``.
@@ -142,8 +152,13 @@ class StateSpaceModel(ABC):
         return other
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Self:
-        """Return the model with its parameters in another dtype or on another device."""
-        return self.replace(**{k: v.to(dtype=dtype, device=device) for k, v in self.parameters.items()})
+        """Return the model with its parameters in another floating dtype or on another device."""
+        return self.replace(
+            **{
+                name: value.to(dtype=dtype if value.is_floating_point() else None, device=device)
+                for name, value in self.parameters.items()
+            }
+        )
 
     def sampled(self) -> Self:
         """Draw priors and look up learned parameters, as Pyro sites; return the model that has them."""
@@ -201,14 +216,15 @@ class StateSpaceModel(ABC):
 
     # -- simulation and density ----------------------------------------------------------------
     @torch.no_grad()
-    def simulate(self, batch_shape: tuple[int, ...] = ()) -> tuple[Tensor, Tensor]:
-        """Draw states (..., T, D) and observations (..., T, O) from the prior (torch's global seed)."""
-        state = self.initial().expand(torch.Size(batch_shape)).sample()
-        states, observations = [state], [self.emission(state, 0).sample()]
-        for t in range(1, self.num_steps):
-            state = self.transition(state, t).sample()
-            states.append(state)
-            observations.append(self.emission(state, t).sample())
+    def simulate(self, batch_shape: tuple[int, ...] = (), *, seed: int | None = None) -> tuple[Tensor, Tensor]:
+        """Draw states (..., T, D) and observations (..., T, O) from the prior; by torch's global seed without one."""
+        with seeded(seed, self.device):
+            state = self.initial().expand(torch.Size(batch_shape)).sample()
+            states, observations = [state], [self.emission(state, 0).sample()]
+            for t in range(1, self.num_steps):
+                state = self.transition(state, t).sample()
+                states.append(state)
+                observations.append(self.emission(state, t).sample())
         return torch.stack(states, -2), torch.stack(observations, -2)
 
     def log_joint(self, path: Tensor, observations: Tensor) -> Tensor:
@@ -225,10 +241,10 @@ def gaussian_moments(distribution: Distribution) -> tuple[Tensor, Tensor]:
     Raises TypeError for anything but a Normal made independent over its last dimension or a
     MultivariateNormal: methods that linearise need Gaussian transition noise.
     """
-    if isinstance(distribution, MultivariateNormal | torch.distributions.MultivariateNormal):
+    if isinstance(distribution, MultivariateNormal):
         return distribution.loc, distribution.scale_tril
     base = distribution.base_dist if isinstance(distribution, Independent) else distribution
-    if isinstance(base, torch.distributions.Normal) and len(distribution.event_shape) == 1:
+    if isinstance(base, Normal) and len(distribution.event_shape) == 1:
         return base.loc, torch.diag_embed(base.scale)
     raise TypeError(
         f"expected Normal(...).to_event(1) or MultivariateNormal, got {distribution}; "

@@ -23,6 +23,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from invdyn.inference.contract import NO_DENSITY, ModelError, check_model
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.bridge import Bridge
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import categorical
@@ -50,6 +52,7 @@ def backward_simulation(
     smoother: GaussianSmoother | None = None,
     block: int = 6,
     progress: Callable[[int, int], None] | None = None,
+    seed: int | None = None,
 ) -> Tensor:
     """Smoothed trajectories (M, R, W, D) of the rows that ``result`` kept.
 
@@ -61,12 +64,31 @@ def backward_simulation(
         smoother: Gauss–Newton result for the block moves; without it plain backward simulation.
         block: ℓ, states moved at once.
         progress: called with (rows done, rows in all).
+        seed: of these draws' random numbers; by default torch's own go on.
+
+    Raises ModelError where the transition has no density, as with a state without noise: :func:`genealogy` needs none.
     """
+    observations = check_model(model, observations, needs=("transition_density",))
+    with seeded(seed, result.states.device):
+        return _backward(model, result, observations, num_draws, smoother, block, progress)
+
+
+def _backward(
+    model: StateSpaceModel,
+    result: FilterResult,
+    observations: Tensor,
+    num_draws: int,
+    smoother: GaussianSmoother | None,
+    block: int,
+    progress: Callable[[int, int], None] | None,
+) -> Tensor:
     kept, total = len(result.states), len(observations)
     first = total - kept
-    dtype, device = torch.float64, result.states.device
-    model = model.to(dtype=dtype, device=device)
-    observations = observations.to(dtype=dtype, device=device)
+    real, device = torch.float64, result.states.device
+    # Integers stay integers, by which a model may index.
+    dtype = real if result.states.is_floating_point() else result.states.dtype
+    model = model.to(dtype=real, device=device)
+    observations = observations.to(dtype=real, device=device)
     bridge = None
     if smoother is not None and kept > block + 2:
         bridge = Bridge(model, observations, smoother, block)
@@ -76,11 +98,12 @@ def backward_simulation(
     for k in range(kept - 2, -1, -1):
         t = first + k
         states = result.states[k].to(dtype)
-        log_weights = result.log_weights[k].to(dtype)
+        log_weights = result.log_weights[k].to(real)
         if result.log_twist is not None:
-            log_weights = log_weights - result.log_twist[k].to(dtype)
+            log_weights = log_weights - result.log_twist[k].to(real)
         after = path[..., k + 1, :].unsqueeze(-2)
         reach = model.transition(states.unsqueeze(-3), t + 1).log_prob(after)
+        _check_density(model, states, reach, t + 1)
         index = categorical(log_weights.unsqueeze(-2) + reach)
         path[..., k, :] = _at(states, index)
         # Every third row or so: a block covers ℓ states, so each is still moved twice.
@@ -90,6 +113,16 @@ def backward_simulation(
         if progress is not None:
             progress(kept - k, kept)
     return path
+
+
+def _check_density(model: StateSpaceModel, states: Tensor, reach: Tensor, t: int) -> None:
+    """Raise ModelError for log-densities ``reach`` (M, R, N) that are no densities of finite ``states`` (M, N, D)."""
+    wrong = torch.isnan(reach) | torch.isposinf(reach)
+    if bool(wrong.any()) and bool((wrong & torch.isfinite(states).all(-1).unsqueeze(-2)).any()):
+        raise ModelError(
+            f"{type(model).__name__}.transition: expected a finite log-density in row {t}, got NaN or infinity, as "
+            f"where a state has no noise: {NO_DENSITY}"
+        )
 
 
 def _at(states: Tensor, index: Tensor) -> Tensor:

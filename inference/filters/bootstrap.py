@@ -26,9 +26,9 @@ class Bootstrap(Proposal):
     def propose_initial(self, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
         """Draw from the prior; the ratio is one."""
         x = draw(self.conditional_initial().expand(torch.Size(shape)))
-        return {"x": x}, x.new_zeros(shape)
+        return self.at(0, x), x.new_zeros(shape)
 
     def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw from the dynamics; the ratio is one."""
         x = draw(self.conditional(t, particles["x"]))
-        return {"x": x}, x.new_zeros(x.shape[:-1])
+        return self.at(t, x), x.new_zeros(x.shape[:-1])

@@ -20,6 +20,7 @@ import torch
 from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
@@ -33,9 +34,12 @@ class Controlled(Proposal):
         observations: (T, O), NaN where missing.
         smoother: whose factors to twist by: Gauss–Newton's, or refitted ones (:mod:`.iterated`);
             Gauss–Newton's are computed when not given.
+
+    Raises ModelError for a model that does not fit the observations, or whose noise is not as said.
     """
 
     def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother | None = None):
+        observations = check_model(model, observations, needs=("constant_covariance",))
         super().__init__(model)
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path

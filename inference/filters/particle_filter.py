@@ -24,6 +24,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyro
 import torch
 from pyro import poutine
@@ -32,11 +33,13 @@ from pyro.infer.smcfilter import SMCFailed
 from pyro.poutine.util import prune_subsample_sites
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.compiled import CompiledRows
 from invdyn.inference.filters.filter_checkpoint import resumed, save
 from invdyn.inference.filters.particles import FilterResult, FilterState, History, take
-from invdyn.inference.filters.proposal import Particles, Proposal
+from invdyn.inference.filters.proposal import Particles, Proposal, PyroSteps
 from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
 from invdyn.models.divergence import ran_away
 
@@ -80,8 +83,8 @@ class ParticleFilter(SMCFilter):
 
     def __init__(
         self,
-        model: Any,
-        guide: Any,
+        model: PyroSteps,
+        guide: PyroSteps,
         num_particles: int,
         max_plate_nesting: int = 0,
         *,
@@ -185,8 +188,9 @@ class ParticleFilter(SMCFilter):
     @torch.no_grad()
     def run(
         self,
-        observations: Tensor,
+        observations: Tensor | np.ndarray,
         *,
+        seed: int | None = None,
         keep: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         checkpoint: Checkpoint | None = None,
@@ -197,6 +201,7 @@ class ParticleFilter(SMCFilter):
 
         Args:
             observations: rows; fully missing rows only propagate.
+            seed: of this run's random numbers; by default torch's own go on.
             keep: how many of the last rows to keep for smoothing (all by default). Memory is
                 keep × M × N × D numbers.
             progress: called with (rows done, rows in all).
@@ -207,11 +212,25 @@ class ParticleFilter(SMCFilter):
                 it and to name a row at once where all weights are zero. By default on a CPU; elsewhere each look
                 would be a wait, and a dead filter is found up to a thousand rows later.
 
-        Raises SMCFailed when all particles of some filter have weight zero; InputError for a checkpoint of
-        another run; ValueError when ``every`` is less than one.
+        Raises ModelError for a model that does not fit the observations (:mod:`invdyn.inference.contract`);
+        SMCFailed when all particles of some filter have weight zero; InputError for a checkpoint of another run;
+        ValueError when ``every`` is less than one.
         """
         if every < 1:
             raise ValueError(f"expected at least one row between checkpoints, got {every}")
+        observations = check_model(self.model, observations)
+        with seeded(seed, observations.device):
+            return self._run(observations, keep, progress, checkpoint, every, synchronous)
+
+    def _run(
+        self,
+        observations: Tensor,
+        keep: int | None,
+        progress: Callable[[int, int], None] | None,
+        checkpoint: Checkpoint | None,
+        every: int,
+        synchronous: bool | None,
+    ) -> FilterResult:
         rows, device = len(observations), observations.device
         synchronous = device.type == "cpu" if synchronous is None else synchronous
         shape = self.batch if self.num_filters is not None else (1, *self.batch)

@@ -77,7 +77,9 @@ class History:
         """Row t's particles, if it is one of those to keep."""
         if t < self.first:
             return
-        pieces = [x, log_weights.to(x.dtype), parents.to(torch.int32)]
+        # Integers hold no log-weights.
+        weights = log_weights.to(x.dtype) if x.is_floating_point() else log_weights
+        pieces = [x, weights, parents.to(torch.int32)]
         pieces += [] if log_twist is None else [log_twist]
         if not self._kept:
             self._kept = [piece.new_empty(self._keep, *piece.shape) for piece in pieces]

@@ -5,10 +5,16 @@ A proposal draws x_t and returns log p(x_t | x_{t−1}) − log q(x_t | x_{t−1
 that wants a guide (``SMCFilter``) through ``init`` and ``step``.
 
 A new guide is a subclass that gives ``conditional_initial`` and ``conditional``; it overrides
-``propose`` only where a closed form is faster. A guide that looks ahead also gives ``log_twist``.
+``propose`` only where a closed form is faster.
+
+A guide that looks ahead also gives ``log_twist(particles, t)``, log ψ̃_t(x_t) of shape (M, N): how well x_t fits the
+rows after t. ``propose_initial`` and ``propose`` carry it along through ``at``, so that every filter reads it. At the
+last row nothing lies ahead, and ``at`` makes it zero.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import pyro
 import torch
@@ -19,6 +25,18 @@ from invdyn.models.state_space import StateSpaceModel
 
 Particles = dict[str, Tensor]
 """Tensors (M, N, …) that are resampled together: "x" (M, N, D), and what a guide carries along."""
+
+
+class PyroSteps(Protocol):
+    """A model or a guide as :class:`pyro.infer.SMCFilter` takes it: methods ``init(state, …)``, ``step(state, …)``."""
+
+    @property
+    def init(self) -> Callable[..., Any]:
+        """Sample the first row."""
+
+    @property
+    def step(self) -> Callable[..., Any]:
+        """Sample the next row."""
 
 
 class Proposal(ABC):
@@ -42,20 +60,23 @@ class Proposal(ABC):
         """Draw x_0 of batch ``shape``; returns particles and log p(x_0)/q(x_0) of that shape."""
         proposal = self.conditional_initial().expand(torch.Size(shape))
         x = draw(proposal)
-        return {"x": x}, self.model.initial().log_prob(x) - proposal.log_prob(x)
+        return self.at(0, x), self.model.initial().log_prob(x) - proposal.log_prob(x)
 
     def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw x_t given the particles of row t − 1; returns particles and log p/q."""
         proposal = self.conditional(t, particles["x"])
         x = draw(proposal)
         target = self.model.transition(particles["x"], t).log_prob(x)
-        return {"x": x}, target - proposal.log_prob(x)
+        return self.at(t, x), target - proposal.log_prob(x)
 
     def at(self, t: int | Tensor, x: Tensor) -> Particles:
-        """All that is carried along with particles x_t = ``x`` (..., D)."""
+        """All that is carried along with particles x_t = ``x`` (..., D): the twist of a guide that looks ahead."""
         particles = {"x": x}
         if hasattr(self, "log_twist"):
-            particles["log_twist"] = self.log_twist(particles, t)
+            twist = self.log_twist(particles, t)
+            # A compiled row's t is a tensor, and never the last.
+            last = not isinstance(t, Tensor) and t + 1 >= self.model.num_steps
+            particles["log_twist"] = torch.zeros_like(twist) if last else twist
         return particles
 
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------

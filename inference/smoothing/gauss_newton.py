@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.smoothing.banded import chain_mean
 from invdyn.inference.smoothing.linearisation import (
     Deviations,
@@ -43,6 +44,10 @@ from invdyn.inference.smoothing.square_root import BackwardFactors, apply, backw
 from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
+
+
+MEAN = ("gaussian_emission", "informative_mean")
+"""What a method that linearises the emission's mean needs of it."""
 
 
 @dataclass
@@ -111,9 +116,11 @@ def gauss_newton(
         slopes: to take everywhere instead of the model's own: many parameter sets that are nearly the same may share
             those of one of them, as slopes are most of a step's work. What is found is nearly the mode.
 
-    Raises TypeError for a transition or emission that has no Gaussian approximation here, and
-    Diverged when the starting path has no finite density.
+    Raises ModelError for a model that does not fit the observations, a transition or an emission that has no Gaussian
+    approximation here, and an emission whose mean says nothing of the state; Diverged when the starting path has no
+    finite density.
     """
+    observations = check_model(model, observations, needs=("gaussian_transition", *MEAN))
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
     if start is None:

@@ -24,6 +24,7 @@ from pyro.distributions import MultivariateNormal, TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import forward_mean
 
@@ -72,6 +73,12 @@ class GaussianChain(TorchDistribution):
         rest = deviation[..., 1:, :, :] - self.gain[1:] @ deviation[..., :-1, :, :]
         innovation = torch.cat([deviation[..., :1, :, :], rest], -3)
         return torch.linalg.solve_triangular(self.root, innovation, upper=False).squeeze(-1)
+
+    @torch.no_grad()
+    def sample(self, sample_shape: Sequence[int] = (), *, seed: int | None = None) -> Tensor:
+        """Draws (…, T, D) without gradients; by torch's global seed without one of their own."""
+        with seeded(seed, self.loc.device):
+            return self.rsample(sample_shape)
 
     def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Reparametrised draws (…, T, D)."""

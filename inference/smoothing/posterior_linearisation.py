@@ -20,7 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
+from invdyn.inference.contract import check_model
+from invdyn.inference.smoothing.gauss_newton import MEAN, GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.smoothing.square_root import apply, forward_mean
 from invdyn.models.divergence import Singular, diverging
@@ -42,6 +43,7 @@ def posterior_linearisation(
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
     with jumping states (:attr:`.StateSpaceModel.jumping`) is left as it is linearised: no line fits their jumps.
     """
+    observations = check_model(model, observations, needs=("gaussian_transition", *MEAN))
     if model.jumping is not None:
         return smoother
     model = model.to(dtype=torch.float64, device="cpu")

@@ -36,6 +36,7 @@ from pyro.infer import ELBO
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.filters.ot_resampling import transport
 from invdyn.inference.filters.particles import take
 from invdyn.inference.filters.proposal import Particles, Proposal
@@ -88,8 +89,8 @@ class VSMC_ELBO(ELBO):
         chunk: rows whose graph is held at once: each stretch of them is computed a second time on the way back, and
             of the others only the first row's particles are kept. None holds all. The gradient is the same.
 
-    Raises ValueError for values that are none of these, when made; TypeError for another model or guide, and
-    SMCFailed when all particles of some filter have weight zero, when called.
+    Raises ValueError for values that are none of these, when made; TypeError for another model or guide, ModelError
+    for a model that does not fit the observations, and SMCFailed when all particles of some filter have weight zero, when called.
     """
 
     def __init__(
@@ -154,6 +155,7 @@ class VSMC_ELBO(ELBO):
     def log_evidence(self, model: Any, guide: Proposal, observations: Tensor) -> Tensor:
         """Log p̂(y), (M,) float64, of the filters; the mean is the bound's estimate."""
         model = state_space_model(model)
+        observations = check_model(model, observations)
         latents, ratio = drawn_latents(model, guide)
         seen = ~torch.isnan(observations)
         whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()

@@ -8,8 +8,9 @@ import math
 
 import pyro
 import torch
-from pyro.distributions import Distribution, Independent, MultivariateNormal
+from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
+from torch.distributions import Independent, constraints
 
 from invdyn.models.observation.row_distribution import RowDistribution
 
@@ -23,8 +24,7 @@ def observe(name: str, emission: Distribution, observation: Tensor) -> None:
         if isinstance(emission, RowDistribution):
             pyro.sample(name, emission, obs=observation)  # which leaves out what is missing by itself
         elif isinstance(emission, Independent):
-            filled = _filled(emission, observation, seen)
-            pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled)
+            pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled(emission, observation, seen))
         else:
             pyro.sample(name, _marginal(emission, seen), obs=observation[seen])
 
@@ -43,9 +43,7 @@ def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor 
     if isinstance(emission, RowDistribution):
         return emission.log_prob(observation)
     if isinstance(emission, Independent):
-        # The fill-in must be finite, or its gradient would be NaN even where masked.
-        filled = _filled(emission, observation, seen)
-        return (emission.base_dist.log_prob(filled) * seen).sum(-1)
+        return (emission.base_dist.log_prob(filled(emission, observation, seen)) * seen).sum(-1)
     if observation.ndim == 1:
         if not bool(seen.any()):
             return emission.loc.new_zeros(emission.batch_shape)
@@ -59,9 +57,27 @@ def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor 
     return torch.stack(rows, -1)
 
 
-def _filled(emission: Independent, observation: Tensor, seen: Tensor) -> Tensor:
-    # A heavy-tailed Student-t has no mean, and NaN would come through the mask.
-    return torch.where(seen, observation, emission.base_dist.mean.detach().nan_to_num())
+def filled(emission: Independent, observation: Tensor, seen: Tensor) -> Tensor:
+    """``observation`` with a value inside the emission's support where not ``seen``, to be masked.
+
+    Its log-density and gradient are finite: NaN or infinity would come through the mask.
+    """
+    return torch.where(seen, observation, _value_inside(emission.base_dist, observation))
+
+
+def _value_inside(base: Distribution, like: Tensor) -> Tensor:
+    """A value in the support of each entry, far from the limits of continuous ones; of the type of ``like``."""
+    support = base.support
+    if isinstance(support, type(constraints.real)):
+        # A heavy-tailed Student-t has no mean.
+        return base.mean.detach().nan_to_num()
+    zero = torch.zeros(base.batch_shape, dtype=like.dtype, device=like.device)
+    if support.is_discrete:
+        return zero + getattr(support, "lower_bound", 0)
+    try:
+        return torch.distributions.transform_to(support)(zero).detach()
+    except NotImplementedError:  # a support of no standard kind: of a mixture, for example
+        return base.mean.detach()
 
 
 def _marginal(emission: Distribution, seen: Tensor) -> MultivariateNormal:

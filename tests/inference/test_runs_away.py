@@ -30,7 +30,7 @@ class Explosion(StateSpaceModel):
         return Normal(10 * state**9 * (1 + 0 * state.exp()), 1e-3, validate_args=False).to_event(1)
 
     def emission(self, state, t):
-        return Normal(0 * state.clamp(-1, 1), 1.0, validate_args=False).to_event(1)
+        return Normal(0.1 * state.clamp(-1, 1), 1.0, validate_args=False).to_event(1)
 
 
 def explosion(start):

@@ -252,7 +252,7 @@ def test_progress_counts_the_rows(chain, y):
 @pytest.mark.parametrize("way", ["run", "steps"])
 def test_impossible_data_fail_and_name_the_row(chain, y, way):
     model, y = chain.model(STEPS), torch.as_tensor(y).clone()
-    y[5] = torch.inf
+    y[5] = 1e200
     filters = ParticleFilter(model, Bootstrap(model), 10, num_filters=2)
     with pytest.raises(SMCFailed, match=r"2 filter.*row 5"), pyro.validation_enabled(False):
         run(filters, y, way)
