@@ -57,6 +57,8 @@ class Outputs:
 
         `overlay` makes what the film is laid over.
         """
+        if "joint" not in idata["posterior"].dims:
+            raise InputError("expected the posterior of an arm, got one of a state-space model: read it by ArviZ")
         if self.sto is not None and "torque" not in idata["posterior"]:
             raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
         time, joints = idata["posterior"]["time"].values, [str(name) for name in idata["posterior"]["joint"].values]

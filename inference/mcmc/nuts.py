@@ -30,6 +30,7 @@ class RecordedNUTS(NUTS):
 
     def setup(self, warmup_steps: int, *args: Any, **kwargs: Any) -> None:
         """Begin a chain."""
+        self._fresh: Tensor | None = None
         super().setup(warmup_steps, *args, **kwargs)
         self.statistics: dict[str, list[float]] = {"energy": [], "lp": [], "diverging": []}
 
@@ -38,7 +39,7 @@ class RecordedNUTS(NUTS):
         potential = self._fetch_from_cache()[1]
         if potential is None:
             potential = self.potential_fn(params)
-        self._fresh: Tensor | None = None
+        self._fresh = None
         known = len(self._divergences)
 
         drawn = super().sample(params)

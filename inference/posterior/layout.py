@@ -13,6 +13,7 @@ import arviz as az
 import numpy as np
 import xarray as xr
 
+from invdyn.inference.posterior.problem import STATES
 from invdyn.recordings import InputError, check_readable
 
 JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
@@ -35,6 +36,8 @@ MISSING = {"observed_data", "constant_data"}
 """Groups in which a number may be missing."""
 MAY_HAVE_NONE = {"log_evidence"}
 """Variables that are NaN where a method has none."""
+STATE_VARIABLES = {"posterior": {"state": ("chain", "draw", "time", "state_name")}}
+"""Of a posterior of any state-space model, whose attribute "layout" is "states"."""
 NUMBERS, TEXTS = ("log_evidence", "outer_ess"), ("method",)
 """Attributes of the whole."""
 LARGEST, LONGEST = 1e15, 100
@@ -55,6 +58,9 @@ def check_layout(idata: az.InferenceData) -> None:
     """Raise InputError unless a posterior, in memory, has this layout."""
     if missing := [group for group in NEEDED if group not in idata.groups()]:
         raise InputError(f"no posterior of invdyn: it lacks {', '.join(missing)}")
+    if idata.attrs.get("layout") == STATES:
+        _check_states(idata)
+        return
     without = {"torque"} if idata.attrs.get("model") == "kinematic" else set()
     for group, needed in NEEDED.items():
         if lacking := [name for name in needed if name not in idata[group] and name not in without]:
@@ -64,7 +70,8 @@ def check_layout(idata: az.InferenceData) -> None:
     sizes = dict(idata["posterior"].sizes)
     for group, name, dims in _there(idata):
         _check_variable(f"{group}/{name}", idata[group][name], dims, group in MISSING or name in MAY_HAVE_NONE)
-        if group == "posterior_predictive" or name == "position":  # of the keypoints that were tracked
+        # Of the keypoints that were tracked, or the rows that hold an observation.
+        if group in ("posterior_predictive", "log_likelihood") or name == "position":
             continue
         if wrong := [d for d in dims if d in sizes and idata[group].sizes[d] != sizes[d]]:
             raise InputError(f"{group}/{name}: expected {sizes[wrong[0]]} of {wrong[0]}, as angle has")
@@ -79,6 +86,17 @@ def check_layout(idata: az.InferenceData) -> None:
             _check_names(f"{group}/{dim}", idata[group])
     if tracked is not None and not {*tracked["keypoint"].values} <= {*idata["posterior"]["keypoint"].values}:
         raise InputError("observed_data/keypoint: expected names that posterior/keypoint has")
+
+
+def _check_states(idata: az.InferenceData) -> None:
+    for group, variables in STATE_VARIABLES.items():
+        for name, dims in variables.items():
+            if name not in idata[group]:
+                raise InputError(f"no posterior of invdyn: it lacks {group}/{name}")
+            _check_variable(f"{group}/{name}", idata[group][name], dims, may_miss=False)
+    _check_names("posterior/state_name", idata["posterior"])
+    for name in (*NUMBERS, *TEXTS):
+        _check_attribute(name, idata.attrs.get(name))
 
 
 def _there(idata: az.InferenceData) -> Iterator[tuple[str, str, tuple[str, ...]]]:

@@ -5,7 +5,7 @@ Layout (dims in brackets):
     posterior             what the problem names: :mod:`.arm_contents` of an arm, else state
                           [chain, draw, time, state_name]
     posterior_predictive  the observations that each draw predicts, with noise
-    log_likelihood        y [chain, draw, time], log p(y_t | x_t) of each row, 0 where all of it is missing, nat
+    log_likelihood        y [chain, draw, time], log p(y_t | x_t) of each row that holds an observation, nat
     sample_stats          log_evidence [filter] (or a bound on it), log_weight [filter] (outer, normalised);
                           of particle filters also ess, resampled and log_evidence_increment
                           [filter, time]; of NUTS ArviZ's own [chain, draw]; attributes: method, bound (1:
@@ -89,6 +89,7 @@ def to_inference_data(
     emission = model.emission(paths, torch.arange(model.num_steps))
     contents = problem.contents(paths, emission.sample())
     likelihood = observed_log_prob(emission, problem.observations.double())
+    seen = ~torch.isnan(problem.observations).all(-1).numpy()
 
     stats: Variables = {"log_evidence": (["filter"], each), "log_weight": (["filter"], outer.log_weights)}
     if result is not None:
@@ -109,7 +110,11 @@ def to_inference_data(
     groups: dict[str, Any] = {
         "posterior": posterior,
         "posterior_predictive": _dataset(contents, contents.predictive, contents.observed_coords),
-        "log_likelihood": _dataset(contents, {"y": ([*DRAWS, "time"], likelihood)}),
+        "log_likelihood": _dataset(
+            contents,
+            {"y": ([*DRAWS, "time"], likelihood[..., seen])},
+            {"time": np.asarray(contents.coords["time"])[seen]},
+        ),
         "sample_stats": _dataset(contents, stats),
         "observed_data": _dataset(contents, contents.observed, contents.observed_coords),
         "constant_data": _dataset(contents, contents.constants),
@@ -219,13 +224,18 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
 DRAWN = ("posterior", "posterior_predictive", "log_likelihood")
 """Groups of draws."""
 
+LONG_CHAIN = 32
+"""Draws with which a chain stands by itself: ArviZ's effective sample size of shorter ones is its upper limit."""
+
 JOINED_CHAINS = 4
-"""Chains that independent filters are joined to: R-hat needs several, and each needs enough draws."""
+"""Chains that shorter ones are joined to: R-hat needs several."""
 
 
 def _chains(filters: int, draws: int) -> int:
     """Number of chains that M filters of R draws become: M, or fewer and longer ones where a filter has few draws."""
-    return filters if draws >= filters else math.gcd(filters * draws, JOINED_CHAINS)
+    if draws >= LONG_CHAIN:
+        return filters
+    return next(count for count in range(min(filters, JOINED_CHAINS), 0, -1) if filters * draws % count == 0)
 
 
 def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) -> az.InferenceData:
@@ -283,7 +293,7 @@ def load_posterior(path: str | Path) -> az.InferenceData:
         idata = az.from_netcdf(str(path), engine="h5netcdf")
         check_size(idata, path)
         idata.load()
-        if "draws" not in idata.attrs and "chain" in idata["sample_stats"].dims:
+        if idata.attrs.get("method") is not None and "draws" not in idata.attrs:
             idata = _of_version_02(idata)
     except InputError:
         raise
@@ -296,6 +306,8 @@ def load_posterior(path: str | Path) -> az.InferenceData:
 
 def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
     """A file of version 0.2 or before, as it is laid out now: a chain was a filter, and had a weight."""
+    if missing := {"posterior", "posterior_predictive", "sample_stats"} - set(idata.groups()):
+        raise InputError(f"no posterior of invdyn: it lacks {', '.join(sorted(missing))}")
     idata["sample_stats"] = idata["sample_stats"].rename(chain="filter")
     idata.add_groups(log_likelihood=idata["posterior"][[]])
     sizes = [idata["posterior"].sizes[dim] for dim in DRAWS]

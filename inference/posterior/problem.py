@@ -25,6 +25,9 @@ Variables = dict[str, tuple[list[str], Any]]
 
 DRAWS = ["chain", "draw"]
 
+STATES = "states"
+"""Attribute "layout" of a posterior whose variable is the state."""
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -94,7 +97,7 @@ class StateSpaceProblem:
             observed={"y": (row, observed.squeeze(-1) if single else observed)},
             constants=_constants(model.parameters),
             coords={"time": np.arange(len(observed)), "state_name": states, "column": columns},
-            attributes={"data": self.name, "model": type(model).__name__},
+            attributes={"data": self.name, "model": type(model).__name__, "layout": STATES},
         )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-MODEL = '''
+MODEL = """
 import torch
 from pyro.distributions import Normal
 from invdyn.models import StateSpaceModel
@@ -37,7 +37,7 @@ not_a_model = 3
 
 def of_two(one, other):
     return Walk()
-'''
+"""
 CALL = ("compare", "walk.py:Walk", "rows.csv", "--methods", "smc,laplace", "--out", "DIR", "--filters", 4)
 
 

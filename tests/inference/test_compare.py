@@ -259,7 +259,7 @@ def test_continued_model_is_the_whole_one_from_a_row_on(first, seed):
 
 GROWTH = """
 import numpy as np
-from invdyn.inference.compare import resident_peak
+from invdyn.inference.comparison import resident_peak
 before = resident_peak(reset=True)
 block = np.ones(200 * 2**17)  # 200 MiB, touched
 print(resident_peak() - before)

@@ -125,18 +125,14 @@ WRONG = {
     "transition without the batch": lambda s: s.variant(
         transition=lambda m, x, t: normal(torch.zeros(s.dim, dtype=F64))
     ),
-    "emission without the batch": lambda s: s.variant(
-        emission=lambda m, x, t: normal(torch.zeros(s.width, dtype=F64))
-    ),
+    "emission without the batch": lambda s: s.variant(emission=lambda m, x, t: normal(torch.zeros(s.width, dtype=F64))),
     "transition that averages over the batch": lambda s: s.variant(
         transition=lambda m, x, t: normal(x.reshape(-1, s.dim).mean(0))
     ),
     "transition that indexes from the left": lambda s: s.variant(
         transition=lambda m, x, t: normal(torch.stack([x[0], x[1]], -1))
     ),
-    "emission that indexes from the left": lambda s: s.variant(
-        emission=lambda m, x, t: normal(x[0].expand(s.width))
-    ),
+    "emission that indexes from the left": lambda s: s.variant(emission=lambda m, x, t: normal(x[0].expand(s.width))),
     "transition with one axis more": lambda s: s.variant(transition=lambda m, x, t: normal(0.8 * x.unsqueeze(0))),
     "emission with one axis more": lambda s: s.variant(emission=lambda m, x, t: normal(m.seen(x).unsqueeze(-2))),
     # rows at once
@@ -163,15 +159,11 @@ WRONG = {
     # numbers
     "scale zero": lambda s: s.variant(transition=lambda m, x, t: normal(x, 0.0)),
     "scale below zero": lambda s: s.values(noise=torch.tensor(-0.5, dtype=F64)),
-    "emission without noise": lambda s: s.variant(
-        emission=lambda m, x, t: normal(m.seen(x), 0.0, validate_args=False)
-    ),
+    "emission without noise": lambda s: s.variant(emission=lambda m, x, t: normal(m.seen(x), 0.0, validate_args=False)),
     "initial of no number": lambda s: s.variant(
         initial=lambda m: normal(torch.full((s.dim,), nan, dtype=F64), validate_args=False)
     ),
-    "transition of no number": lambda s: s.variant(
-        transition=lambda m, x, t: normal(nan * x, validate_args=False)
-    ),
+    "transition of no number": lambda s: s.variant(transition=lambda m, x, t: normal(nan * x, validate_args=False)),
     "a covariance that is none": lambda s: s.variant(
         transition=lambda m, x, t: dist.MultivariateNormal(x, -torch.eye(s.dim, dtype=F64))
     ),

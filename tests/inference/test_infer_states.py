@@ -1,5 +1,7 @@
 """Every method on a model of one's own: one layout, ArviZ's figures, exact answers; methods side by side."""
 
+import warnings
+
 import arviz as az
 import numpy as np
 import pytest
@@ -11,6 +13,11 @@ from invdyn.inference import compare_methods, infer_states, load_posterior, pool
 from invdyn.inference.contract import ModelError
 from invdyn.inference.infer_states import generic_methods
 from invdyn.inference.methods.registry import LEARN_PARAMETERS, WITHOUT_EVIDENCE
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning"),
+    pytest.mark.filterwarnings("ignore:The inplace keyword in DataFrame:DeprecationWarning"),  # ArviZ on pandas 3
+]
 
 T, D = 12, 2
 SIZES = {"num_filters": 8, "num_particles": 40, "num_draws": 8}
@@ -45,7 +52,8 @@ def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path
     assert states.dims == ("chain", "draw", "time", "state_name")
     assert states.shape[2:] == (T, D)
     assert idata["log_likelihood"]["y"].dims == ("chain", "draw", "time")
-    assert (idata["log_likelihood"]["y"].isel(time=4) == 0).all()  # a missing row says nothing
+    assert 4 not in idata["log_likelihood"]["time"]  # a missing row says nothing
+    assert idata["log_likelihood"].sizes["time"] == T - 1
     assert idata["posterior_predictive"]["y"].dims == ("chain", "draw", "time", "column")
     assert np.array_equal(idata["observed_data"]["y"], rows, equal_nan=True)
     if method not in WITHOUT_EVIDENCE:
@@ -77,7 +85,9 @@ def test_nuts_has_its_own_statistics(linear):
     assert statistics["energy"].std() > 0
     assert (statistics["energy"] > -statistics["lp"] - 50).all()
     assert float(az.bfmi(idata).min()) > 0.2
-    az.plot_energy(idata)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ on a newer Matplotlib
+        az.plot_energy(idata)
 
 
 def test_one_number_a_row_has_no_dimension_of_its_own():

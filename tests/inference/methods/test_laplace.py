@@ -24,7 +24,7 @@ def test_an_uncertain_body_is_integrated_out():
     arm = Body("arm", [Link("l", **link)], uncertainty={"mass": 0.3})
     sizes = {"num_filters": 20, "num_draws": 50, "settings": KNOWN, "seed": 1}
     idata = infer(record(), arm, method="laplace", **sizes)
-    assert idata["posterior"].sizes["chain"] == 20
+    assert idata["posterior"].sizes["chain"] == 20  # of 50 draws each
     assert len(np.unique(idata["posterior"]["mass"])) == 16
     assert len(np.unique(idata["sample_stats"]["log_evidence"])) == 16
     fixed = infer(record(), Body("arm", [Link("l", **link)]), method="laplace", **sizes)
