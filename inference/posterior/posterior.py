@@ -251,7 +251,7 @@ def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) 
     index = np.unravel_index(chosen.reshape(chains, -1).numpy(), size)
     pick = {dim: xr.DataArray(each, dims=DRAWS) for dim, each in zip(DRAWS, index, strict=True)}
 
-    for group in DRAWN:
+    for group in [each for each in DRAWN if each in idata.groups()]:
         data = idata[group].isel(pick).transpose(*DRAWS, ...)
         idata[group] = data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS})
     idata.attrs["draws"] = "equally weighted"
@@ -309,7 +309,6 @@ def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
     if missing := {"posterior", "posterior_predictive", "sample_stats"} - set(idata.groups()):
         raise InputError(f"no posterior of invdyn: it lacks {', '.join(sorted(missing))}")
     idata["sample_stats"] = idata["sample_stats"].rename(chain="filter")
-    idata.add_groups(log_likelihood=idata["posterior"][[]])
     sizes = [idata["posterior"].sizes[dim] for dim in DRAWS]
     weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values).repeat_interleave(sizes[1])
     with seeded(int(idata.attrs.get("seed", 0))):
