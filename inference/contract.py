@@ -156,7 +156,8 @@ def _rows(model: StateSpaceModel, observations: Any) -> Tensor:
     try:
         rows = observations if isinstance(observations, Tensor) else torch.as_tensor(np.asarray(observations))
     except (TypeError, ValueError) as error:
-        raise ModelError(f"{wanted}, got {type(observations).__name__}: {first_line(error)}") from error
+        got = type(observations).__name__
+        raise ModelError(f"{wanted} of numbers, got {got}: give a tensor or an array, NaN where missing") from error
     if rows.is_complex():
         raise ModelError(f"{wanted} of real numbers, got {rows.dtype}: use their real and imaginary parts")
     if rows.ndim == 1 and width == 1:
@@ -182,7 +183,7 @@ class _Drawn(NamedTuple):
     density: Tensor
 
 
-@dataclass
+@dataclass(repr=False)
 class _Simulated:
     """States simulated from a model, with the distributions there already checked.
 
@@ -282,9 +283,7 @@ class _Simulated:
         except Diverged:
             raise
         except Exception as error:  # whatever a user's code raises becomes the one line
-            invalid = "satisfy the constraint" in str(error)
-            fix = "check noise scales and parameters" if invalid else f"{fix}; {AS_STATE}"
-            raise self._error(method, f"a distribution{where}", _raised(error), fix) from error
+            raise self._error(method, f"a distribution{where}", _raised(error), _fix(error) or fix) from error
         if not isinstance(found, Distribution):
             got = "nothing" if found is None else type(found).__name__
             raise self._error(method, "a Pyro distribution", got, "return Normal(…).to_event(1), for example")
@@ -304,11 +303,11 @@ class _Simulated:
             value = found.sample()
             density = found.log_prob(value)
         except Exception as error:
-            expected, fix = "draws and their log-densities", "mend sample or log_prob"
-            raise self._error(method, expected, _raised(error), fix) from error
+            fix = _fix(error) or "correct its sample or log_prob"
+            raise self._error(method, "draws and their log-densities", _raised(error), fix) from error
         shape = found.batch_shape + found.event_shape
         if value.shape != shape:
-            raise self._error(method, f"draws {tuple(shape)}", tuple(value.shape), "mend sample")
+            raise self._error(method, f"draws {tuple(shape)}", tuple(value.shape), "correct its sample")
         if not isinstance(density, Tensor) or density.shape != found.batch_shape or not density.is_floating_point():
             got = tuple(density.shape) if isinstance(density, Tensor) else type(density).__name__
             raise self._error(method, f"log_prob {tuple(found.batch_shape)} of real numbers", got, "sum over the event")
@@ -324,7 +323,7 @@ class _Simulated:
             return self._handed_on(first.expand(torch.Size(lead)).sample())
         except Exception as error:
             expected = f"a distribution that expands to {lead}"
-            raise self._error("initial", expected, _raised(error), "mend expand") from error
+            raise self._error("initial", expected, _raised(error), "correct its expand") from error
 
     def _handed_on(self, state: Tensor) -> Tensor:
         return state.to(self.dtype) if self.floating else state
@@ -370,6 +369,15 @@ class _Simulated:
 
 def _raised(error: Exception) -> str:
     return f"{type(error).__name__} ({shorten(first_line(error), 120)})"
+
+
+def _fix(error: Exception) -> str | None:
+    """The fix of an error that tells its cause by itself."""
+    if "satisfy the constraint" in str(error):
+        return "check noise scales and parameters"
+    if "dtype" in str(error) or "scalar type" in str(error):
+        return AS_STATE
+    return "correct the method" if isinstance(error, NameError | AttributeError | KeyError) else None
 
 
 def _support(emission: Distribution) -> constraints.Constraint | None:
@@ -443,7 +451,7 @@ def _transition_density(simulated: _Simulated) -> None:
         raise simulated._error("transition", "a finite log-density of its own draws", got, NO_DENSITY)
 
 
-NO_DENSITY = "use genealogy(result, num_draws), whose ancestral lines need none, or give every state noise"
+NO_DENSITY = 'use genealogy, or SMCOptions(smoothing="genealogy"), which needs none, or give every state noise'
 
 NEEDS: dict[str, Callable[[_Simulated], None]] = {
     "continuous_state": _continuous_state,
