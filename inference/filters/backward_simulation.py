@@ -23,11 +23,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from invdyn.inference.contract import NO_DENSITY, ModelError, check_model
+from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.bridge import Bridge
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import categorical
+from invdyn.inference.preconditions import NO_DENSITY
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models.state_space import StateSpaceModel
 

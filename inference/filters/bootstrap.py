@@ -13,7 +13,7 @@ from invdyn.inference.filters.proposal import Particles, Proposal, draw
 
 
 class Bootstrap(Proposal):
-    """Guide that proposes from the model itself."""
+    """Guide that proposes from the model itself; for another proposal, subclass :class:`.Proposal`."""
 
     def conditional_initial(self) -> Distribution:
         """p(x_0)."""
@@ -25,10 +25,10 @@ class Bootstrap(Proposal):
 
     def propose_initial(self, shape: tuple[int, ...]) -> tuple[Particles, Tensor]:
         """Draw from the prior; the ratio is one."""
-        x = draw(self.conditional_initial().expand(torch.Size(shape)))
+        x = draw(self.model.initial().expand(torch.Size(shape)))
         return self.at(0, x), x.new_zeros(shape)
 
     def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
         """Draw from the dynamics; the ratio is one."""
-        x = draw(self.conditional(t, particles["x"]))
+        x = draw(self.model.transition(particles["x"], t))
         return self.at(t, x), x.new_zeros(x.shape[:-1])

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.progress import Report
 from invdyn.inference.execution.seeds import seeded
-from invdyn.inference.filters.backward_simulation import backward_simulation
+from invdyn.inference.filters.backward_simulation import backward_simulation, genealogy
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.controlled import Controlled
 from invdyn.inference.filters.iterated import iterate
@@ -23,6 +24,8 @@ from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newt
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
+
+SMOOTHING = ("backward", "genealogy")
 
 PILOT_PARTICLE_STEPS = 4e6
 """Particles × rows that the pilot runs of a refit keep, at most."""
@@ -34,12 +37,15 @@ class SMCOptions:
 
     The controlled guide is refitted ``refits`` times on pilot runs; 0 takes the linearised model's
     factors as they are. ``dtype`` None means float32 particles where that is precise enough
-    (:func:`sufficient_dtype`), else float64.
+    (:func:`sufficient_dtype`) and the model has no constants in float64, else float64.
 
     ``filters_per_task`` filters are one batch with a seed of its own; a worker takes one batch at a time. Results
     depend on this number, and not on how many workers there are. Small batches keep more workers busy; large ones
     need less time a filter (measured: batches of 16 take a quarter longer than 32 with 100 particles each, 6 % with
     1,000). None means 32, and on a GPU all of them.
+
+    Trajectories are drawn by ``smoothing`` "backward", which needs a transition density, or "genealogy", which
+    follows ancestors and needs none (:mod:`.backward_simulation`).
     """
 
     num_filters: int = 64
@@ -51,6 +57,7 @@ class SMCOptions:
     dtype: torch.dtype | None = None
     device: str = "cpu"
     filters_per_task: int | None = None
+    smoothing: str = "backward"
 
     @property
     def at_once(self) -> int:
@@ -63,7 +70,9 @@ class SMCOptions:
         return [self.at_once] * whole + [rest] * (rest > 0)
 
     def check(self) -> None:
-        """Raise InputError for a device that torch does not have here, or tasks of no filters."""
+        """Raise InputError for a device that torch does not have here, tasks of no filters, an unknown smoothing."""
+        if self.smoothing not in SMOOTHING:
+            raise InputError(f"expected a smoothing among {', '.join(SMOOTHING)}, got {self.smoothing!r}")
         if self.filters_per_task is not None and self.filters_per_task < 1:
             raise InputError(f"expected at least one filter in a task, got {self.filters_per_task}")
         kind = self.device.partition(":")[0]
@@ -117,8 +126,8 @@ def run_filters(
     if guide == "controlled" and smoother is None:
         smoother = adapted_smoother(model, observations, options)
     dtype = options.dtype or (torch.float32 if smoother is None else sufficient_dtype(smoother))
-    fast = model.to(dtype=dtype, device=options.device)
-    rows = observations.to(dtype=dtype, device=options.device)
+    fast = _in_type(model, observations, options, dtype)
+    rows = check_model(fast, observations)
     proposal = Bootstrap(fast) if smoother is None or guide == "bootstrap" else Controlled(fast, observations, smoother)
     particle_filter = ParticleFilter(
         fast,
@@ -129,6 +138,19 @@ def run_filters(
         resampling=options.resampling,
     )
     return particle_filter.run(rows, keep=keep, progress=progress)
+
+
+def _in_type(
+    model: StateSpaceModel, observations: torch.Tensor, options: SMCOptions, dtype: torch.dtype
+) -> StateSpaceModel:
+    """The model in ``dtype`` on its device; in its own type if it has constants of that, and none is prescribed."""
+    fast = model.to(dtype=dtype, device=options.device)
+    if options.dtype is None:
+        try:
+            check_model(fast, observations)
+        except ModelError:
+            return model.to(device=options.device)  # what is wrong with this, too, is reported of it
+    return fast
 
 
 def run_task(
@@ -144,16 +166,24 @@ def run_task(
 
     ``progress`` counts the rows of both. Returns, of :class:`FilterResult`, the fields without a particle
     dimension, and "paths" (M, R, T, D).
+
+    Raises ModelError for a model that does not fit the observations, or without a density that its smoothing needs.
     """
     rows = len(observations)
 
     def counted(before: int) -> Report | None:
         return None if progress is None else lambda done, _: progress(before + done, 2 * rows)
 
+    backward = options.smoothing == "backward"
+    observations = check_model(model, observations, needs=("transition_density",) if backward else ())
     with seeded(seed, options.device):
         result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=counted(0)).cpu()
-        paths = backward_simulation(
-            model, result, observations, options.num_draws, smoother=smoother, progress=counted(rows)
+        paths = (
+            backward_simulation(
+                model, result, observations, options.num_draws, smoother=smoother, progress=counted(rows)
+            )
+            if backward
+            else genealogy(result, options.num_draws)
         )
     return {"paths": paths, **{name: getattr(result, name) for name in PER_FILTER}}
 

@@ -149,8 +149,7 @@ class ParticleFilter(SMCFilter):
             model = poutine.replay(in_plates(getattr(self.model, method)), guide_trace)
             model_trace = poutine.trace(model).get_trace(self.state, *args, **kwargs)
         increment = self._trace_log_weight(model_trace, guide_trace)
-        if hasattr(self.guide, "log_twist"):
-            twist = self.guide.log_twist(self.state, self.row)
+        if (twist := self._twist()) is not None:
             increment = increment + twist - (0.0 if self._log_twist is None else self._log_twist)
             self._log_twist = twist
         self._weigh(increment)
@@ -158,6 +157,12 @@ class ParticleFilter(SMCFilter):
         carried: dict[str, Any] = self._resample(whole, synchronous=self.ess.device.type == "cpu")
         self._log_twist = carried.pop(_TWIST, None)  # type: ignore[call-overload]  # a key that no state has
         self.state._replace(carried, self._log_weights)
+
+    def _twist(self) -> Tensor | None:
+        """Log ψ̃ of this row's particles, by a guide that looks ahead."""
+        if isinstance(self.guide, Proposal):
+            return self.guide.at(self.row, self.state["x"]).get("log_twist")
+        return self.guide.log_twist(self.state, self.row) if hasattr(self.guide, "log_twist") else None
 
     def _trace_log_weight(self, model_trace: Any, guide_trace: Any) -> Tensor:
         """Log p(x, y) − log q(x) per particle, from the traces of one step."""

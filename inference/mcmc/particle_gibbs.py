@@ -24,6 +24,7 @@ Shapes: M chains at once, N particles each, paths (M, T, D), float64.
 import torch
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.progress import Report
 from invdyn.inference.execution.seeds import seeded
@@ -98,8 +99,8 @@ def _conditional_filter(
         increment = prior.log_prob(state) - proposal.log_prob(state)
         if bool((~torch.isnan(observations[t])).any()):
             increment = increment + observed_log_prob(model.emission(state, t), observations[t])
-        if hasattr(guide, "log_twist"):
-            before, twist = twist, guide.log_twist({"x": state}, t)
+        if (ahead := guide.at(t, state).get("log_twist")) is not None:
+            before, twist = twist, ahead
             increment = increment + twist - before
         log_weights = log_weights + increment.double()
         log_weights = torch.where(torch.isnan(log_weights), -torch.inf, log_weights)
@@ -143,7 +144,10 @@ def run_chains(
         seed: of every random number.
         warmup, sweeps: those thrown away at first, and all.
         progress: called with (sweeps done, sweeps).
+
+    Raises ModelError where the transition has no density, as with a state without noise.
     """
+    observations = check_model(model, observations, needs=("transition_density",))
     model, rows = model.to(device=options.device), observations.to(options.device)
     guide: Proposal = Bootstrap(model)
     bridge: Bridge | None = None

@@ -45,7 +45,6 @@ from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
-
 MEAN = ("gaussian_emission", "informative_mean")
 """What a method that linearises the emission's mean needs of it."""
 

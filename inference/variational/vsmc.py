@@ -90,7 +90,8 @@ class VSMC_ELBO(ELBO):
             of the others only the first row's particles are kept. None holds all. The gradient is the same.
 
     Raises ValueError for values that are none of these, when made; TypeError for another model or guide, ModelError
-    for a model that does not fit the observations, and SMCFailed when all particles of some filter have weight zero, when called.
+    for a model that does not fit the observations, and SMCFailed when all particles of some filter have weight zero,
+    when called.
     """
 
     def __init__(

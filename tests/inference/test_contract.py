@@ -4,6 +4,7 @@ Each kind of wrong model is a small function that breaks a right one, or its row
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pyro.distributions as dist
@@ -15,18 +16,26 @@ from pyro.distributions import Normal
 from torch import nan
 
 from invdyn.inference import (
+    VSMC_ELBO,
     Bootstrap,
     Controlled,
     Corrected,
+    GaussianChain,
     ModelError,
     ParticleFilter,
-    VSMC_ELBO,
+    SMCOptions,
+    backward_simulation,
     check_model,
     gauss_newton,
     gaussian_smoother,
+    genealogy,
     posterior_linearisation,
+    run_filters,
 )
-from invdyn.models import LinearGaussian, StateSpaceModel
+from invdyn.inference.filters.filtering import run_task
+from invdyn.inference.mcmc.particle_gibbs import run_chains
+from invdyn.models import StateSpaceModel
+from invdyn.models.observation.missing import observed_log_prob
 
 F64 = torch.float64
 
@@ -133,6 +142,10 @@ WRONG = {
         transition=lambda m, x, t: normal(torch.stack([x[0], x[1]], -1))
     ),
     "emission that indexes from the left": lambda s: s.variant(emission=lambda m, x, t: normal(x[0].expand(s.width))),
+    "initial of sets that the emission has not": lambda s: s.variant(
+        initial=lambda m: normal(torch.zeros(5, 1, s.dim, dtype=F64)),
+        emission=lambda m, x, t: normal(torch.zeros(4, 1, s.width, dtype=F64)),
+    ),
     "transition with one axis more": lambda s: s.variant(transition=lambda m, x, t: normal(0.8 * x.unsqueeze(0))),
     "emission with one axis more": lambda s: s.variant(emission=lambda m, x, t: normal(m.seen(x).unsqueeze(-2))),
     # rows at once
@@ -251,7 +264,7 @@ def line(way, model, rows):
 def test_every_kind_of_wrong_model_gets_one_line(kind, way):
     message = line(WAYS[way], *WRONG[kind](Sizes()))
     method = kind.partition(" ")[0]
-    if method in ("initial", "transition", "emission"):
+    if method in ("initial", "transition", "emission") and "sets" not in kind:
         assert f".{method}: expected" in message
     if "to_event" in kind:
         assert "add .to_event(1)" in message
@@ -328,7 +341,7 @@ class Pair(Right):
         (Jumps, gauss_newton, "transition: expected Normal"),
         (Jumps, Controlled, "transition: expected Normal"),
         (Positive, gauss_newton, "initial: expected Normal"),
-        (Counts, gauss_newton, "emission: expected a Gaussian approximation"),
+        (Counts, gauss_newton, "emission: expected a family with a Gaussian approximation"),
     ],
 )
 def test_a_method_refuses_what_it_cannot_do(kind, way, message):
@@ -506,16 +519,109 @@ def test_a_model_is_checked_once_and_again_only_where_it_differs():
     assert calls_of(model.replace(noise=torch.ones(2, dtype=F64)), rows) > 0  # another shape
     assert calls_of(model.to(torch.float32), rows) > 0
     assert calls_of(model.to(torch.float32), rows) == 0  # what a copy was checked for its original knows
-    assert calls_of(model, rows, needs=("constant_covariance",)) > 0
     assert calls_of(model, rows, needs=("constant_covariance",)) == 0
     model.observation_dim = 3
     with pytest.raises(ModelError, match=r"got shape \(6, 2\)"):
         check_model(model, rows)
+    model.seen = lambda state: state
     with pytest.raises(ModelError, match="emission: expected event"):
-        model.seen = lambda state: state
         check_model(model, torch.zeros(6, 3))
 
 
 def test_unknown_needs_are_refused():
     with pytest.raises(ValueError, match="expected needs among"):
         check_model(Right(), Right().simulate()[1], needs=("luck",))
+
+
+# -- right answers off the beaten track ------------------------------------------------------------
+def exact_chain(model, rows):
+    """Log-evidence and smoothed probabilities (T, S) of a finite chain, by forward and backward sums."""
+    likelihood = Normal(model.means, 0.5).log_prob(rows).exp()
+    forward, backward = [model.start * likelihood[0]], [torch.ones(3, dtype=F64)]
+    for row in likelihood[1:]:
+        forward.append(forward[-1] @ model.chances * row)
+    for row in likelihood.flip(0)[:-1]:
+        backward.insert(0, model.chances @ (row * backward[0]))
+    evidence = forward[-1].sum()
+    return evidence.log().item(), torch.stack(forward) * torch.stack(backward) / evidence
+
+
+def test_a_finite_chain_has_its_exact_evidence_and_smoothed_states():
+    model = Hidden()
+    rows = model.simulate(seed=5)[1]
+    evidence, smoothed = exact_chain(model, rows)
+    result = ParticleFilter(model, Bootstrap(model), 200, num_filters=100).run(rows, seed=1)
+    assert result.log_weights.is_floating_point()
+    ratio = (result.log_evidence - evidence).exp()
+    assert ratio.mean().item() == pytest.approx(1, abs=4 * ratio.std().item() / 10)
+    for paths in (backward_simulation(model, result, rows, 50, seed=2), genealogy(result, 50)):
+        assert not paths.is_floating_point()
+        share = torch.nn.functional.one_hot(paths[..., 0], 3).double().mean(1)  # of filters, which count each
+        error = share.std(0) / 10
+        assert ((share.mean(0) - smoothed).abs() < 4.5 * error + 0.005).all()
+
+
+@pytest.mark.parametrize("kind", ["Poisson", "Bernoulli", "Gamma", "half-Cauchy", "mixture", "torch's own"])
+def test_a_missing_entry_gives_no_likelihood_term(kind):
+    """As of a model that never had the entry, and with a finite gradient."""
+    state = torch.full((4, 2), 0.3, dtype=F64, requires_grad=True)
+    emission = RIGHT[kind]().emission(state, 0)
+    row = emission.sample()[0].detach()
+    row[0] = nan
+    found = observed_log_prob(emission, row)
+    expected = emission.base_dist.log_prob(torch.nan_to_num(row, nan=row[1].item()))[..., 1]
+    torch.testing.assert_close(found, expected, rtol=0, atol=0)
+    (slope,) = torch.autograd.grad(found.sum(), state)
+    assert slope.isfinite().all()
+
+
+def test_backward_simulation_refuses_a_state_without_noise_and_genealogy_does_not():
+    model = Pair()
+    _, rows = model.simulate(seed=4)
+    result = ParticleFilter(model, Bootstrap(model), 200, num_filters=20).run(rows, seed=1)
+    message = line(lambda *pair: backward_simulation(pair[0], result, pair[1], 5), model, rows)
+    assert "transition: expected a finite log-density" in message
+    assert "genealogy" in message
+    paths = genealogy(result, 5)
+    assert torch.equal(paths[..., 1:, 1], paths[..., :-1, 0])  # the pair stays one
+    options = SMCOptions(num_filters=2, num_particles=20, num_draws=3)
+    assert "genealogy" in line(lambda *pair: run_task(*pair, options, "bootstrap", None, 1), model, rows)
+    assert "genealogy" in line(lambda *pair: run_chains(*pair, options, None, 1, 0, 1), model, rows)
+    followed = run_task(model, rows, replace(options, smoothing="genealogy"), "bootstrap", None, 1)["paths"]
+    assert torch.equal(followed[..., 1:, 1], followed[..., :-1, 0])
+    assert followed.dtype == F64  # its constants are, so particles cannot be in float32
+    line(lambda *pair: run_filters(*pair, replace(options, dtype=torch.float32), guide="bootstrap"), model, rows)
+
+
+def test_a_density_that_is_lost_in_one_row_is_refused_there():
+    class Still(Right):
+        def transition(self, state, t):
+            scale = torch.where(torch.as_tensor(t) == 34, 0.0, 0.5).unsqueeze(-1).expand_as(state)
+            return Normal(0.8 * state, scale, validate_args=False).to_event(1)
+
+    model = Still(steps=40)
+    _, rows = model.simulate(seed=4)
+    result = by_filter(model, rows)
+    message = line(lambda *pair: backward_simulation(pair[0], result, pair[1], 5), model, rows)
+    assert "in row 34" in message
+
+
+def test_seeds():
+    model = Right()
+    rows = model.simulate(seed=1)[1]
+    chain = GaussianChain.of(gaussian_smoother(model, rows))
+    result = by_filter(model, rows)
+    for draw in (
+        lambda seed: model.simulate((3,), seed=seed)[1],
+        lambda seed: ParticleFilter(model, Bootstrap(model), 9, num_filters=2).run(rows, seed=seed).states,
+        lambda seed: backward_simulation(model, result, rows, 5, seed=seed),
+        lambda seed: chain.sample((3,), seed=seed),
+    ):
+        before = torch.get_rng_state()
+        first, same, other = draw(7), draw(7), draw(8)
+        assert torch.equal(torch.get_rng_state(), before)
+        assert torch.equal(first, same)
+        assert not torch.equal(first, other)
+        torch.manual_seed(7)
+        assert torch.equal(first, draw(None))
+        assert not torch.equal(torch.get_rng_state(), before)

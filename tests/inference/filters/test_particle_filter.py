@@ -16,6 +16,7 @@ from invdyn.inference import (
     Bootstrap,
     Controlled,
     ParticleFilter,
+    Proposal,
     backward_simulation,
     gauss_newton,
     genealogy,
@@ -36,7 +37,7 @@ def y(chain):
     return oracles.with_gaps(chain.simulate(STEPS, seed=5)[1])
 
 
-class Ahead(Bootstrap):
+class Ahead(Proposal):
     """The bootstrap guide with a shifted, wider proposal and a twist, both arbitrary: weights must undo them."""
 
     def conditional_initial(self):
@@ -48,18 +49,7 @@ class Ahead(Bootstrap):
         return dist.MultivariateNormal(step.loc - 0.1, scale_tril=1.2 * step.scale_tril)
 
     def log_twist(self, state, t):
-        x = state["x"]
-        twist = 0.3 * torch.sin(x).sum(-1)
-        return torch.zeros_like(twist) if t == STEPS - 1 else twist
-
-    def _twisted(self, t, particles, ratio):
-        return {**particles, "log_twist": self.log_twist(particles, t)}, ratio
-
-    def propose_initial(self, shape):
-        return self._twisted(0, *super(Bootstrap, self).propose_initial(shape))
-
-    def propose(self, t, particles):
-        return self._twisted(t, *super(Bootstrap, self).propose(t, particles))
+        return 0.3 * torch.sin(state["x"]).sum(-1)
 
 
 def run(particle_filter, y, way):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from stiff_arm import LENGTHS, arm
 
-from invdyn.inference import gauss_newton
+from invdyn.inference import ModelError, gauss_newton
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.square_root import forward_mean
@@ -215,7 +215,7 @@ def test_other_noise_than_gaussian_is_refused():
             return dist.Normal(state, 1.0).to_event(1)
 
     model = Jumps({"scale": torch.ones(1, dtype=F64)})
-    with pytest.raises(TypeError, match="bootstrap guide"):
+    with pytest.raises(ModelError, match="bootstrap guide"):
         gauss_newton(model, torch.zeros(4, 1, dtype=F64))
     assert isinstance(oracles.random_chain().model(3), LinearGaussian)
 

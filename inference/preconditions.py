@@ -1,0 +1,98 @@
+"""What single methods need of a model beyond the contract, each checked on a :class:`.Probe`."""
+
+from collections.abc import Callable
+
+import torch
+from torch.distributions import Distribution
+
+from invdyn.inference.probe import Probe
+from invdyn.models.observation.missing import gaussian_rows
+from invdyn.models.state_space import gaussian_moments
+from invdyn.recordings.errors import first_line
+
+SAME = 1e-6
+"""Relative difference up to which two covariances are equal."""
+
+NO_DENSITY = 'use genealogy, or SMCOptions(smoothing="genealogy"), which needs none, or give every state noise'
+
+
+def _base(found: Distribution) -> Distribution:
+    return getattr(found, "base_dist", found)
+
+
+def _continuous_state(probe: Probe) -> None:
+    if not probe.floating:
+        raise probe.error("initial", "a continuous state", "integers", "use the bootstrap guide")
+
+
+def _gaussian_transition(probe: Probe) -> None:
+    _continuous_state(probe)
+    model = probe.model
+    after = probe.transition and probe.transition.distribution
+    for method, found in (("initial", model.initial()), ("transition", after)):
+        try:
+            if found is not None:
+                gaussian_moments(found)
+        except TypeError:
+            expected, got = "Normal(…).to_event(1) or MultivariateNormal", type(_base(found)).__name__
+            raise probe.error(method, expected, got, "use the bootstrap guide") from None
+
+
+def _constant_covariance(probe: Probe) -> None:
+    _gaussian_transition(probe)
+    if probe.model.num_steps == 1:
+        return
+    _, root = gaussian_moments(probe.model.transition(probe.states, 1))
+    covariance = root @ root.mT
+    first = covariance[:1, ..., :1, :, :]
+    sd = first.diagonal(dim1=-2, dim2=-1).sqrt()
+    if bool(((covariance - first).abs() > SAME * sd.unsqueeze(-1) * sd.unsqueeze(-2)).any()):
+        expected = "a covariance that does not depend on the state"
+        raise probe.error("transition", expected, "one that does", "use the bootstrap guide")
+
+
+def _gaussian_emission(probe: Probe) -> None:
+    try:
+        gaussian_rows(probe.emission.distribution, probe.emission.value)
+    except TypeError as error:
+        expected, got = "a family with a Gaussian approximation", first_line(error)
+        raise probe.error("emission", expected, got, "use the bootstrap guide") from None
+
+
+def _informative_mean(probe: Probe) -> None:
+    base = _base(probe.emission.distribution)
+    mean = base.loc if hasattr(base, "loc") else base.mean
+    if not bool((mean != mean[:1]).any()):
+        expected, got = "a mean that depends on the state", "the same mean for all states"
+        raise probe.error("emission", expected, got, "use the bootstrap guide, which sees scales too")
+
+
+def _transition_density(probe: Probe) -> None:
+    if probe.transition is None:
+        return
+    _, value, density = probe.transition
+    if bool((torch.isfinite(value).all(-1) & ~torch.isfinite(density)).any()):
+        got = "NaN or infinity, as where a state has no noise"
+        raise probe.error("transition", "a finite log-density of its own draws", got, NO_DENSITY)
+
+
+NEEDS: dict[str, Callable[[Probe], None]] = {
+    "continuous_state": _continuous_state,
+    "gaussian_transition": _gaussian_transition,
+    "constant_covariance": _constant_covariance,
+    "gaussian_emission": _gaussian_emission,
+    "informative_mean": _informative_mean,
+    "transition_density": _transition_density,
+}
+"""Preconditions by name, in the order in which they are checked:
+
+* ``continuous_state``: states are real numbers;
+* ``gaussian_transition``: ``initial`` and ``transition`` are Normal or MultivariateNormal;
+* ``constant_covariance``: and the transition's covariance does not depend on the state;
+* ``gaussian_emission``: :func:`.missing.gaussian_rows` has a Gaussian approximation of the emission;
+* ``informative_mean``: the emission's mean depends on the state;
+* ``transition_density``: the transition has a finite density wherever it draws.
+"""
+
+LINEARISING = {"gaussian_transition", "constant_covariance", "gaussian_emission", "informative_mean"}
+"""Needs of methods that linearise, which compute on the CPU in float64."""
