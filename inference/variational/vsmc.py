@@ -17,6 +17,10 @@ ancestors, which are integers. What becomes of their part of ∇L is a choice, b
 | "soft"          | a ~ α W + (1 − α)/N, then w = W^a/that, Karkus et al. (2018)    | biased; p̂ is not         |
 | "transport"     | particles moved, not chosen, Corenflos et al. (2021)            | of a p̂ that is biased    |
 
+"stop-gradient" is the default, for it learns a model's parameters: with a bootstrap guide an autoregression starts at
+−138 nats, and after 300 steps it is .25 nats from its maximum, where "dropped" has drifted 6.4 nats away from it. "dropped"
+is less noisy, and serves where only a guide is trained, or where the guide leaves little to resample.
+
 "score" needs multinomial ancestors, whose probability is a product, and is unbiased where resampling does
 not hang on the parameters: at every row (``ess_threshold=1``). Its baseline is the mean of the other filters.
 "soft" carries the gradient through the weights that are left, at the price of their variance: α = 1 is "dropped",
@@ -81,7 +85,7 @@ class VSMC_ELBO(ELBO):
         num_filters: M independent filters; more of them make the gradient less noisy, not the bound tighter.
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: a scheme of :mod:`.resampling`; "score" needs "multinomial".
-        gradient: see the table at the top.
+        gradient: see the table at the top; "dropped" where only a guide is trained.
         softness: 1 − α of "soft", the share of the uniform in what ancestors are drawn from; in (0, 1].
         regularisation: ε of "transport", relative to the particles' spread; small is less biased and slower.
         synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs it;
@@ -101,7 +105,7 @@ class VSMC_ELBO(ELBO):
         *,
         ess_threshold: float = 0.5,
         resampling: str = "systematic",
-        gradient: str = "dropped",
+        gradient: str = "stop-gradient",
         softness: float = 0.5,
         regularisation: float = 0.5,
         synchronous: bool | None = None,
