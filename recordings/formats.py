@@ -12,7 +12,7 @@ from typing import Any
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
-from .opensim import TRC_AXES, read_motion, read_trc
+from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
 from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
@@ -33,6 +33,7 @@ class Format:
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
         animals: the file can hold several animals.
         axes: where its axes lie in a Recording (:mod:`.plane`).
+        angle_unit: what a file says that its angles are in, a key of `units.RADIANS`, or None.
     """
 
     title: str
@@ -41,6 +42,7 @@ class Format:
     own_units: bool = False
     animals: bool = True
     axes: Axes = field(default_factory=lambda: OURS)
+    angle_unit: Callable[[Path], str | None] = lambda path: None
 
 
 def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Recording]:
@@ -80,6 +82,7 @@ FORMATS: dict[str, Format] = {
         own_times=True,
         own_units=True,
         animals=False,
+        angle_unit=motion_unit,
     ),
 }
 
