@@ -15,7 +15,7 @@ from .keypoint_csv import numbers_frames, read_keypoint_csv
 from .lost import without_lost
 from .naming import alike, closest
 from .paths import check_readable, resolved
-from .plane import FLAT, planar
+from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
 from .recording import Recording
 from .units import FRAMES, Units, parse_units, to_si
@@ -128,6 +128,8 @@ def read_file(
         recording = without_lost(recording, pixels=declared.length == "px")
         if plane is not None:
             recording = planar(recording, plane, form.axes)
+        elif rotated := read_as(form.axes):
+            warnings.warn(f"{path}: y is up in this file, z is up here: {rotated}", stacklevel=2)
         angle = declared.angle or form.angle_unit(path)
         recording = to_si(recording, replace(declared, angle=angle), scale, fps, shifting)
         try:

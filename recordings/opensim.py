@@ -1,7 +1,8 @@
 """OpenSim's tables: joint moments (.sto) and motions (.mot) out, marker tracks (.trc) and motions in.
 
 A .sto is a name, version, nRows, nColumns, inDegrees, `endheader`, a line of labels, then rows, all separated
-by tabs; tables that went through a spreadsheet are separated by commas, and are read, too. OpenSim's ground has y up and z to the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
+by tabs; what went through a spreadsheet is separated by commas, and is read, too. OpenSim's ground has y up and z to
+the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
 https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
 """
 

@@ -18,6 +18,7 @@ GOOD = {
 }
 READERS = {
     "dlc.csv": lambda path: load(path, units="px", fps=30),
+    "arm.trc": lambda path: load(path, plane="xy"),
     "out.sto": read_sto,
     "truth.csv": read_truth,
 }

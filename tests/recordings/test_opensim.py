@@ -82,7 +82,8 @@ def test_broken_sto(tmp_path, text, words):
 
 def test_markers_come_in_metres_with_z_up(tmp_path):
     (tmp_path / "arm.trc").write_text(TRC)
-    recording = load(tmp_path / "arm.trc")
+    with pytest.warns(UserWarning, match=r"y is up in this file, .*: \(x, y, z\) is read as \(x, −z, y\)$"):
+        recording = load(tmp_path / "arm.trc")
     np.testing.assert_allclose(recording.keypoints[0], [[0.1, -0.3, 0.2], [0.4, -0.6, 0.5]])
     np.testing.assert_allclose(recording.time, [0.0, 0.1])
     assert np.isnan(recording.keypoints[1, 1]).all()
@@ -106,7 +107,8 @@ def test_broken_trc(tmp_path, old, new, words):
 
 
 def test_a_real_marker_file(data_folder):
-    recording = load(data_folder / "opensim_arm26" / "arm26_elbow_flex.trc")
+    with pytest.warns(UserWarning, match="y is up"):
+        recording = load(data_folder / "opensim_arm26" / "arm26_elbow_flex.trc")
     assert recording.keypoint_names == ("r_acromion", "r_humerus_epicondyle", "r_radius_styloid")
     assert recording.num_frames == 121
     upper_arm, forearm = median_link_lengths(recording)
@@ -115,7 +117,17 @@ def test_a_real_marker_file(data_folder):
     assert recording.keypoint("r_acromion")[0, 2] > recording.keypoint("r_radius_styloid")[0, 2]  # arm hangs
 
 
-MOT = "Coordinates\nversion=1\nnRows=2\nnColumns=3\ninDegrees=yes\n\nendheader\ntime\trail\tswing\n0\t0.5\t90\n0.1\t1\t45\n"
+MOT = """Coordinates
+version=1
+nRows=2
+nColumns=3
+inDegrees=yes
+
+endheader
+time\trail\tswing
+0\t0.5\t90
+0.1\t1\t45
+"""
 
 
 @pytest.mark.parametrize(
