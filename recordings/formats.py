@@ -12,6 +12,7 @@ from typing import Any
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
+from .nwb_pose import read_nwb_pose
 from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
 from .paths import check_readable
 from .plane import OURS, Axes
@@ -45,7 +46,7 @@ class Format:
     angle_unit: Callable[[Path], str | None] = lambda path: None
 
 
-def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Recording]:
+def _by_movement(software: str) -> Callable[[Path, float, str | None], Recording]:
     return lambda path, fps, individual: read_with_movement(path, software, fps, individual)
 
 
@@ -67,7 +68,7 @@ FORMATS: dict[str, Format] = {
     "lightningpose": Format("Lightning Pose", _by_movement("lightningpose")),
     "sleap": Format("SLEAP", _read_sleap),
     "anipose": Format("Anipose", _by_movement("anipose")),
-    "nwb": Format("NWB", _by_movement("nwb"), own_times=True),
+    "nwb": Format("NWB", lambda path, fps, individual: read_nwb_pose(path, individual), own_times=True),
     "trc": Format(
         "OpenSim .trc",
         lambda path, fps, individual: read_trc(path),
@@ -135,6 +136,19 @@ def _recognise_h5(path: Path) -> str:
         try:
             with h5py.File(file, "r") as store:
                 keys = set(store)
+                shape = getattr(store.get("tracks"), "shape", ())
         except (OSError, RuntimeError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a whole HDF5 file ({first_line(error)})") from None
-    return "sleap" if {"tracks", "node_names"} <= keys else "deeplabcut"
+    if "tracks" in keys and "node_names" not in keys:
+        raise InputError(f"{path}: {_UNNAMED_IN_SPACE if shape[-1:] == (3,) else _UNNAMED}")
+    return "sleap" if "tracks" in keys else "deeplabcut"
+
+
+_UNNAMED = (
+    "a SLEAP analysis file without node_names, as early versions wrote it, does not name its keypoints: export "
+    "it again with a later SLEAP, or give the .slp file"
+)
+_UNNAMED_IN_SPACE = (
+    "a file of SLEAP-Anipose does not say which keypoint is which: write its tracks as a table with columns time and "
+    "<keypoint>_x, _y, _z in metres"
+)
