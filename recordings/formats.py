@@ -12,6 +12,7 @@ from typing import Any
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
+from .nexus_csv import is_nexus, read_nexus_csv
 from .nwb_pose import read_nwb_pose
 from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
 from .paths import check_readable
@@ -69,6 +70,12 @@ FORMATS: dict[str, Format] = {
     "sleap": Format("SLEAP", _read_sleap),
     "anipose": Format("Anipose", _by_movement("anipose")),
     "nwb": Format("NWB", lambda path, fps, individual: read_nwb_pose(path, individual), own_times=True),
+    "nexus": Format(
+        "Vicon Nexus",
+        lambda path, fps, individual: read_nexus_csv(path, individual),
+        own_times=True,
+        own_units=True,
+    ),
     "trc": Format(
         "OpenSim .trc",
         lambda path, fps, individual: read_trc(path),
@@ -125,6 +132,8 @@ def _recognise_csv(path: Path) -> str:
         return "deeplabcut"
     if tuple(header[: len(FIRST)]) == FIRST:
         return "sleap"
+    if is_nexus(header):
+        return "nexus"
     return "anipose" if {"fnum", "M_00", "center_0"} <= set(header) else "csv"
 
 
