@@ -202,7 +202,8 @@ def _fitted(
         model = problem.model
         if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
             model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
-        fits.append(fit_over_gaps(model, problem.observations, free, _share(report, number, len(problems))))
+        part = _share(report, number, len(problems))
+        fits.append(fit_over_gaps(model, problem.observations, free, part, problem.origin))
     evidence = [float(each.log_marginal) for each, _ in fits]
     chosen = int(np.argmax(evidence))
     best, doubts = fits[chosen]

@@ -51,6 +51,7 @@ def label(
     import webbrowser
 
     from invdyn.recordings import InputError
+    from invdyn.recordings.errors import about
     from invdyn.recordings.tracking.choose import different
     from invdyn.recordings.tracking.film import Film, read_pictures
     from invdyn.recordings.tracking.labels import read_labels
@@ -69,6 +70,9 @@ def label(
             f"{out}: labels of {', '.join(before.names)} are there: go on with these, or name another file"
         )
     source = Film(film)
+    if before is not None:
+        with about(out):
+            before.check_within(source.width, source.height)
     suggest = None if network is None else _suggestions(network, names, source)
     labelled = set() if before is None else set(before.frames.tolist())
     with ProgressBar() as progress:

@@ -99,6 +99,7 @@ def load_recording(
         OSError: the file cannot be opened.
     """
     if isinstance(body, Tree):
+        options["shifting"] = slides(body)
         return load_in_space(name, body, base, body_lengths, slice(*frame_range(frames)), guessed, **options)
     options["plane"] = options.get("plane") or FLAT
     lengths = [link.nominal("length") for link in body.links]
@@ -231,7 +232,8 @@ def read_as_it_stands(
     own = [unit for unit, given in (("s", said.time), ("rad", said.angle), ("m", said.length)) if given is None]
     if Path(name).exists() and FORMATS[recognise(Path(name))].read is None:
         units = ",".join([units, *own] if units else own)
-    recording = load(name, joints=body.joint_names, units=units, fps=fps, plane=FLAT if body.space == 2 else None)
+    plane = FLAT if body.space == 2 else None
+    recording = load(name, joints=body.joint_names, units=units, fps=fps, plane=plane, shifting=slides(body))
     start, stop = frame_range(frames)
     return Reading(recording.select(start, stop), said)
 

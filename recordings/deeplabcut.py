@@ -3,6 +3,8 @@
 The csv has three or four header lines, each with its name in the first cell: scorer, [individuals,]
 bodyparts, coords (x, y, likelihood); below, the first cell is the frame's number. The h5 is a table of pandas
 with the same levels, in the same order, as its column labels. Numbers stay as in the file: pixels, y down.
+Points that are unique in a film, such as a fixed base, stand under the individual `single` in a multi-animal file:
+they belong to every animal.
 """
 
 from pathlib import Path
@@ -15,6 +17,8 @@ from .recording import Recording
 from .tables import read_numbers, read_rows
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+SINGLE = "single"
+"""The individual of points that are unique."""
 TABLE = "df_with_missing"  # the key under which DeepLabCut keeps its table
 
 
@@ -66,11 +70,19 @@ def assembled(
 ) -> tuple[tuple[str, ...], dict[str, np.ndarray]]:
     """Body parts of one animal, and (T, P) of each coordinate, from columns ([individual,] bodypart, coordinate).
 
+    Unique points follow the animal's own, which win where a name is in both.
+
     Raises InputError for an animal that was not chosen, and a body part without one of the coordinates.
     """
     owners = [column[0] if len(column) == 3 else "" for column in columns]
-    owner = choose_individual(list(dict.fromkeys(owners)), individual if any(owners) else "")
-    place = {column[-2:]: i for i, column in enumerate(columns) if owners[i] == owner}
+    names = list(dict.fromkeys(owners))
+    animals = [name for name in names if name != SINGLE]
+    known = names if individual == SINGLE or not animals else animals
+    owner = choose_individual(known, individual if any(owners) else "")
+    own, shared = (
+        {column[-2:]: i for i, column in enumerate(columns) if owners[i] == name} for name in (owner, SINGLE)
+    )
+    place = own | {label: i for label, i in shared.items() if label[0] not in {point for point, _ in own}}
     points = tuple(dict.fromkeys(point for point, _ in place))
     present = {coordinate for _, coordinate in place}
     tracks = {}

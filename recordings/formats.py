@@ -12,7 +12,9 @@ from typing import Any
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .errors import InputError, first_line
 from .movement_formats import read_with_movement
-from .opensim import TRC_AXES, read_motion, read_trc
+from .nexus_csv import is_nexus, read_nexus_csv
+from .nwb_pose import read_nwb_pose
+from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
 from .paths import check_readable
 from .plane import OURS, Axes
 from .recording import Recording
@@ -33,6 +35,7 @@ class Format:
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
         animals: the file can hold several animals.
         axes: where its axes lie in a Recording (:mod:`.plane`).
+        angle_unit: what a file says that its angles are in, a key of `units.RADIANS`, or None.
     """
 
     title: str
@@ -41,9 +44,10 @@ class Format:
     own_units: bool = False
     animals: bool = True
     axes: Axes = field(default_factory=lambda: OURS)
+    angle_unit: Callable[[Path], str | None] = lambda path: None
 
 
-def _by_movement(software: str) -> Callable[[Path, float | None, str | None], Recording]:
+def _by_movement(software: str) -> Callable[[Path, float, str | None], Recording]:
     return lambda path, fps, individual: read_with_movement(path, software, fps, individual)
 
 
@@ -65,7 +69,13 @@ FORMATS: dict[str, Format] = {
     "lightningpose": Format("Lightning Pose", _by_movement("lightningpose")),
     "sleap": Format("SLEAP", _read_sleap),
     "anipose": Format("Anipose", _by_movement("anipose")),
-    "nwb": Format("NWB", _by_movement("nwb"), own_times=True),
+    "nwb": Format("NWB", lambda path, fps, individual: read_nwb_pose(path, individual), own_times=True),
+    "nexus": Format(
+        "Vicon Nexus",
+        lambda path, fps, individual: read_nexus_csv(path, individual),
+        own_times=True,
+        own_units=True,
+    ),
     "trc": Format(
         "OpenSim .trc",
         lambda path, fps, individual: read_trc(path),
@@ -80,6 +90,7 @@ FORMATS: dict[str, Format] = {
         own_times=True,
         own_units=True,
         animals=False,
+        angle_unit=motion_unit,
     ),
 }
 
@@ -121,6 +132,8 @@ def _recognise_csv(path: Path) -> str:
         return "deeplabcut"
     if tuple(header[: len(FIRST)]) == FIRST:
         return "sleap"
+    if is_nexus(header):
+        return "nexus"
     return "anipose" if {"fnum", "M_00", "center_0"} <= set(header) else "csv"
 
 
@@ -132,6 +145,19 @@ def _recognise_h5(path: Path) -> str:
         try:
             with h5py.File(file, "r") as store:
                 keys = set(store)
+                shape = getattr(store.get("tracks"), "shape", ())
         except (OSError, RuntimeError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a whole HDF5 file ({first_line(error)})") from None
-    return "sleap" if {"tracks", "node_names"} <= keys else "deeplabcut"
+    if "tracks" in keys and "node_names" not in keys:
+        raise InputError(f"{path}: {_UNNAMED_IN_SPACE if shape[-1:] == (3,) else _UNNAMED}")
+    return "sleap" if "tracks" in keys else "deeplabcut"
+
+
+_UNNAMED = (
+    "a SLEAP analysis file without node_names, as early versions wrote it, does not name its keypoints: export "
+    "it again with a later SLEAP, or give the .slp file"
+)
+_UNNAMED_IN_SPACE = (
+    "a file of SLEAP-Anipose does not say which keypoint is which: write its tracks as a table with columns time and "
+    "<keypoint>_x, _y, _z in metres"
+)

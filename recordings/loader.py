@@ -2,7 +2,7 @@
 
 import difflib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from .keypoint_csv import numbers_frames, read_keypoint_csv
 from .lost import without_lost
 from .naming import alike, closest
 from .paths import check_readable, resolved
-from .plane import FLAT, planar
+from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
 from .recording import Recording
 from .units import FRAMES, Units, parse_units, to_si
@@ -35,6 +35,7 @@ def load(
     scale: float | None = None,
     individual: str | None = None,
     plane: str | None = None,
+    shifting: Collection[str] = (),
 ) -> Recording:
     """Read a recording.
 
@@ -53,6 +54,7 @@ def load(
         individual: which animal, in files of several.
         plane: two of the file's axes, such as "xz", of three coordinates; "flat" for those that are left without a
             constant one; None keeps three.
+        shifting: joints of a body that shift; a file in degrees has their positions in m.
 
     Returns:
         Recording, lengths in m (or "px"), angles in rad, missing values NaN.
@@ -72,7 +74,7 @@ def load(
     else:
         if not path.exists():
             raise FileNotFoundError(*_no_such_file(path))
-        recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane)
+        recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane, shifting)
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
         for p, name in enumerate(recording.keypoint_names):
@@ -92,6 +94,7 @@ def read_file(
     scale: float | None = None,
     individual: str | None = None,
     plane: str | None = None,
+    shifting: Collection[str] = (),
 ) -> Recording:
     """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
     check_readable(path)
@@ -113,7 +116,7 @@ def read_file(
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
         if fps is not None and not SLOWEST <= fps <= FASTEST:
             raise InputError(f"--fps must be positive, from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
-        if kind in ("trc", "mot") and (declared.length or declared.angle):
+        if kind in ("nexus", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if not form.animals and individual is not None:
             raise InputError(f"a {form.title} file holds one body: leave --individual out")
@@ -125,7 +128,10 @@ def read_file(
         recording = without_lost(recording, pixels=declared.length == "px")
         if plane is not None:
             recording = planar(recording, plane, form.axes)
-        recording = to_si(recording, declared, scale, fps)
+        elif rotated := read_as(form.axes):
+            warnings.warn(f"{path}: y is up in this file, z is up here: {rotated}", stacklevel=2)
+        angle = declared.angle or form.angle_unit(path)
+        recording = to_si(recording, replace(declared, angle=angle), scale, fps, shifting)
         try:
             check_magnitudes(recording, declared)
         except InputError:

@@ -1,12 +1,15 @@
 """Places that a tracker writes for a point it has lost.
 
 A likelihood of 0 says that nothing was found (OpenPose and COCO write 0, 0, 0), whatever place stands beside it. In
-pixels (0, 0) is the image's corner, where a sub-pixel estimate does not fall exactly. Both are missing. A place that is
+pixels (0, 0) is the image's corner, where a sub-pixel estimate does not fall exactly. Motion capture writes 0 0 0 in
+metres or mm, where the origin may be a place like others: there it is missing if no step between two rows of the
+same track is as long as the way from the origin to its nearest other place. All three are missing. A place that is
 repeated to the last digit while the likelihood is low is the last good one, kept: this is told and no more, since a
 hidden arm may rest.
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +19,8 @@ from .recording import Recording
 
 STILL = 3
 """Rows with one and the same place that are told."""
+MIN_PLACES = 10
+"""Rows with a place, of which a longest step is taken."""
 LOW = 0.5
 """Of a keypoint's median likelihood: below it, it is low."""
 
@@ -32,16 +37,7 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
         confidence = None
     if confidence is not None:
         points[confidence == 0] = np.nan
-    if pixels:
-        corner = (points == 0).all(axis=-1)
-        corner &= corner.mean(axis=0) < 0.5  # otherwise it is the origin, to which the tracks are relative
-        points[corner] = np.nan
-        for name, rows in zip(recording.keypoint_names, corner.sum(axis=0), strict=True):
-            if rows:
-                warnings.warn(
-                    f"{name} is at the image's corner (0, 0) in {rows} of {len(points)} rows: taken to be missing",
-                    stacklevel=2,
-                )
+    _drop_zeros(recording.keypoint_names, points, pixels)
     had, has = (np.isfinite(each).any(axis=(0, 2)) for each in (recording.keypoints, points))
     for name, before, after in zip(recording.keypoint_names, had, has, strict=True):
         if before and not after:
@@ -50,6 +46,25 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
         for name, track, sure in zip(recording.keypoint_names, np.moveaxis(points, 1, 0), confidence.T, strict=True):
             _tell_still(name, track, sure)
     return replace(recording, keypoints=points, confidence=confidence)
+
+
+def _drop_zeros(names: Sequence[str], points: np.ndarray, pixels: bool) -> None:
+    """Set exact zeros that are no places to NaN in ``points`` (T, P, S), with a warning for each keypoint."""
+    where = "the image's corner (0, 0)" if pixels else f"the origin ({', '.join('0' * points.shape[-1])})"
+    for name, track in zip(names, np.moveaxis(points, 1, 0), strict=True):
+        zero = (track == 0).all(axis=-1)
+        # In pixels most rows there mean an origin, to which the tracks are relative.
+        if not zero.any() or not (zero.mean() < 0.5 if pixels else _unreached(track, zero)):
+            continue
+        track[zero] = np.nan
+        warnings.warn(f"{name} is at {where} in {zero.sum()} of {len(track)} rows: taken to be missing", stacklevel=3)
+
+
+def _unreached(track: np.ndarray, zero: np.ndarray) -> bool:
+    """Whether the origin lies farther from all other places of a track (T, S) than the longest step between them."""
+    others = track[np.isfinite(track).all(axis=-1) & ~zero]
+    distance, step = (np.linalg.norm(each, axis=-1) for each in (others, np.diff(others, axis=0)))
+    return len(others) >= MIN_PLACES and bool(distance.min() > step.max(initial=0.0))
 
 
 def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:

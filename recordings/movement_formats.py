@@ -1,8 +1,8 @@
 """The other trackers' files, read through the package `movement` (extra `tracks`).
 
-SLEAP (.slp, .h5), Lightning Pose (.csv), Anipose (.csv, 3-D) and NWB (.nwb, at its median rate); the last two
-come with keypoints in alphabetical order. None of these is read through pickles (`movement` reads DeepLabCut's .h5 by
-PyTables, which runs what is in it, so that :mod:`.deeplabcut` does it instead). Numbers stay as in the file. https://movement.neuroinformatics.dev
+SLEAP (.slp, .h5), Lightning Pose (.csv) and Anipose (.csv, 3-D, with keypoints in alphabetical order). None of these is
+read through pickles (`movement` reads DeepLabCut's .h5 by PyTables, which runs what is in it, so that
+:mod:`.deeplabcut` does it instead). Numbers stay as in the file. https://movement.neuroinformatics.dev
 """
 
 import warnings
@@ -20,12 +20,11 @@ SOFTWARE = {  # our name of a format: movement's
     "sleap": "SLEAP",
     "lightningpose": "LightningPose",
     "anipose": "Anipose",
-    "nwb": "NWB",
 }
 
 
-def read_with_movement(path: str | Path, software: str, fps: float | None, individual: str | None = None) -> Recording:
-    """Read tracks by `movement`; `software` is one of `SOFTWARE`'s keys, `fps` None for NWB alone.
+def read_with_movement(path: str | Path, software: str, fps: float, individual: str | None = None) -> Recording:
+    """Read tracks by `movement`; `software` is one of `SOFTWARE`'s keys.
 
     Raises:
         InputError: `movement` is not installed, cannot read the file, or an animal has to be chosen.

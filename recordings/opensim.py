@@ -1,7 +1,8 @@
 """OpenSim's tables: joint moments (.sto) and motions (.mot) out, marker tracks (.trc) and motions in.
 
 A .sto is a name, version, nRows, nColumns, inDegrees, `endheader`, a line of labels, then rows, all separated
-by tabs. OpenSim's ground has y up and z to the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
+by tabs; what went through a spreadsheet is separated by commas, and is read, too. OpenSim's ground has y up and z to
+the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
 https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
 """
 
@@ -19,8 +20,8 @@ from .units import METRES
 
 TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
 """Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
-HEADER = 100
-"""Lines within which a header says inDegrees."""
+ANGLES = {"yes": "deg", "no": "rad"}
+"""The unit of joints that turn, by what a header says of inDegrees; distances are in m in both."""
 
 
 def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
@@ -75,26 +76,36 @@ def write_motion(path: str | Path, time: np.ndarray, angles: np.ndarray, coordin
 
 
 def read_motion(path: str | Path) -> Recording:
-    """Angles of a motion (.mot), as inverse kinematics writes it: rad, of joints by the coordinates' names.
+    """Coordinates of a motion (.mot), as inverse kinematics writes it: numbers as in the file (:func:`motion_unit`).
 
-    A file in degrees has all its columns in degrees, as far as they turn. Raises InputError as `read_sto`, and where
-    there is no column of time first.
+    Raises InputError as `read_sto`, and where there is no column of time first.
     """
     columns = read_sto(path)
-    in_degrees = any(line.replace(" ", "").strip() == "inDegrees=yes" for line in _text_lines(path)[:HEADER])
     with about(path):
         if next(iter(columns), None) != "time" or len(columns) < 2:
             raise InputError("not a motion: expected time and then a column for each coordinate")
         time = columns.pop("time")
-        angles = np.stack(list(columns.values()), axis=-1)
         return Recording(
             time=time,
             keypoints=np.empty((len(time), 0, 3)),
             keypoint_names=(),
-            angles=np.deg2rad(angles) if in_degrees else angles,
+            angles=np.stack(list(columns.values()), axis=-1),
             joint_names=tuple(columns),
             name=Path(path).stem,
         )
+
+
+def motion_unit(path: str | Path) -> str | None:
+    """What the angles of a motion are in, deg or rad; None where its header does not say.
+
+    Raises InputError for another kind of file, and an inDegrees that is neither yes nor no.
+    """
+    lines = _text_lines(path)
+    with about(path):
+        given = _header(lines[: _end(lines)]).get("indegrees", "")
+        if given and given.lower() not in ANGLES:
+            raise InputError(f"the header says inDegrees={given}: expected yes or no")
+        return ANGLES.get(given.lower())
 
 
 def read_sto(path: str | Path) -> dict[str, np.ndarray]:
@@ -104,17 +115,34 @@ def read_sto(path: str | Path) -> dict[str, np.ndarray]:
     """
     lines = _text_lines(path)
     with about(path):
-        ends = [i for i, line in enumerate(lines) if line.strip() == "endheader"]
-        if not ends or len(lines) < ends[0] + 2:
-            raise InputError("not an OpenSim .sto file: no line 'endheader' with labels below it")
-        header = dict(line.split("=", 1) for line in lines[: ends[0]] if "=" in line)
-        labels = lines[ends[0] + 1].split()
-        rows = [(n, line.split()) for n, line in enumerate(lines, 1) if n > ends[0] + 2 and line.strip()]
+        end = _end(lines)
+        mark = "," if "," in lines[end + 1] else None  # None: any white space
+        labels = _cells(lines[end + 1], mark)
+        rows = [(n, _cells(line, mark)) for n, line in enumerate(lines, 1) if n > end + 2 and line.strip(" \t,")]
         numbers, _ = read_numbers(rows, labels)
+        header = _header(lines[:end])
         for key, count in (("nRows", len(rows)), ("nColumns", len(labels))):
-            if header.get(key, str(count)).strip() != str(count):
-                raise InputError(f"the header says {key}={header[key].strip()}, but there are {count}")
+            if (said := header.get(key.lower(), str(count))) != str(count):
+                raise InputError(f"the header says {key}={said}, but there are {count}")
         return dict(zip(labels, numbers.T, strict=True))
+
+
+def _end(lines: Sequence[str]) -> int:
+    """Index of the line 'endheader'. Raises InputError where there is none with labels below it."""
+    end = next((i for i, line in enumerate(lines) if line.strip(" \t,") == "endheader"), None)
+    if end is None or len(lines) < end + 2:
+        raise InputError("not an OpenSim .sto file: no line 'endheader' with labels below it")
+    return end
+
+
+def _header(lines: Sequence[str]) -> dict[str, str]:
+    """Values by key, whose case counts for nothing."""
+    pairs = (line.strip(" \t,").split("=", 1) for line in lines if "=" in line)
+    return {key.strip().lower(): value.strip() for key, value in pairs}
+
+
+def _cells(line: str, mark: str | None) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip(mark).split(mark)]
 
 
 def read_trc(path: str | Path) -> Recording:
@@ -126,16 +154,17 @@ def read_trc(path: str | Path) -> Recording:
     with about(path):
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise InputError("not an OpenSim .trc file: it must begin with PathFileType and hold five header lines")
-        header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+        mark = "\t" if "\t" in lines[1] else ","
+        header = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
         unit = header.get("Units", "").strip()
         if unit not in METRES:
             raise InputError(f"Units is {unit!r}; expected m, cm or mm")
-        markers = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+        markers = tuple(cell.strip() for cell in lines[3].split(mark)[2:] if cell.strip())
         width = 2 + 3 * len(markers)
         rows = [
-            (n, [cell.strip() for cell in line.split("\t")[:width]])
+            (n, [cell.strip() for cell in line.split(mark)[:width]])
             for n, line in enumerate(lines, 1)
-            if n > 5 and line.strip()
+            if n > 5 and line.strip(" \t,")
         ]
         rows = [(n, cells + [""] * (width - len(cells))) for n, cells in rows]  # a trailing gap has no tabs
         labels = ["frame", "time", *(f"{m} {axis}" for m in markers for axis in "XYZ")]

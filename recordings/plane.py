@@ -24,6 +24,14 @@ Axes = Mapping[str, tuple[int, float]]
 OURS: Axes = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0)}
 
 
+def read_as(axes: Axes) -> str:
+    """Where a file's axes come to lie, "(x, y, z) is read as (x, −z, y)"; "" where they stay."""
+    if axes == OURS:
+        return ""
+    found = {place: ("−" if sign < 0 else "") + axis for axis, (place, sign) in axes.items()}
+    return f"({', '.join(axes)}) is read as ({', '.join(found[place] for place in sorted(found))})"
+
+
 def planar(recording: Recording, plane: str, axes: Axes = OURS) -> Recording:
     """Keypoints (T, P, 3) → (T, P, 2).
 

@@ -4,7 +4,7 @@ Lengths become metres, angles radians and times seconds. Pixels point down the i
 height is not known, and only shifts the origin); they stay pixels unless a scale in metres a pixel is given.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,13 @@ def parse_units(text: str | None) -> Units:
     return units
 
 
-def to_si(recording: Recording, units: Units, scale: float | None = None, fps: float | None = None) -> Recording:
+def to_si(
+    recording: Recording,
+    units: Units,
+    scale: float | None = None,
+    fps: float | None = None,
+    shifting: Collection[str] = (),
+) -> Recording:
     """Convert numbers as they stand in a file.
 
     Args:
@@ -74,6 +80,7 @@ def to_si(recording: Recording, units: Units, scale: float | None = None, fps: f
         units: a missing length means m, a missing angle rad, a missing time s.
         scale: metres a pixel; without it pixels stay pixels, with y up.
         fps: frames a second, of times that are numbers of frames.
+        shifting: joints that shift, whose positions are in m whatever the unit of angles.
 
     Raises:
         InputError: a scale that is not positive, or without pixels; pixels in three dimensions.
@@ -89,7 +96,8 @@ def to_si(recording: Recording, units: Units, scale: float | None = None, fps: f
     else:
         recording = recording.scaled(METRES[units.length or "m"], "m")
     if recording.angles is not None and units.angle == "deg":
-        recording = replace(recording, angles=recording.angles * RADIANS["deg"])
+        factors = [1.0 if name in shifting else RADIANS["deg"] for name in recording.joint_names]
+        recording = replace(recording, angles=recording.angles * factors)
     if units.time == FRAMES:
         recording = replace(recording, time=recording.time / fps)
     elif units.time is not None:

@@ -1,6 +1,7 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -107,6 +108,17 @@ def assembled(
     rivals = _ambiguous(causes)
     joints = body.joint_names
     visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
+    located = where(
+        model,
+        {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
+        weighed.in_part.get("", 0.0),
+        bound.regime,
+        before,
+        bound.typical.numpy(),
+        shifts,
+        frame_gap,
+        follows,
+    )
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
@@ -120,17 +132,7 @@ def assembled(
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
             tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
-        where=where(
-            model,
-            {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
-            weighed.in_part.get("", 0.0),
-            bound.regime,
-            before,
-            bound.typical.numpy(),
-            shifts,
-            frame_gap,
-            follows,
-        ),
+        where=_on_its_clock(located, bound.problem.origin),
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
         overlaps=overlaps(bound, rivals, found.first),
@@ -155,7 +157,7 @@ def assembled(
         link_names=body.link_names,
         lengths=lengths_of(body),
         tracks=Tracks(
-            time=model.time.numpy(),
+            time=model.time.numpy() + bound.problem.origin,
             observed=_observed(bound),
             keypoint_names=model.observation.tracked_names,
             base=base_of(body),
@@ -181,6 +183,13 @@ def assembled(
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
+    )
+
+
+def _on_its_clock(found: Where, origin: float) -> Where:
+    """Intervals in the recording's times, s, which are ``origin`` at the model's 0."""
+    return replace(
+        found, intervals=tuple(replace(i, start=i.start + origin, stop=i.stop + origin) for i in found.intervals)
     )
 
 

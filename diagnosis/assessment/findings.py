@@ -52,6 +52,8 @@ def finding(
         name: (values.reshape(-1).numpy(), unit)
         for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
     } or {p.name: (draws[p.name], p.unit) for p in parameters}
+    if "moment" in effect.located:  # in the recording's times
+        described |= {n: (described[n][0] + problem.problem.origin, "s") for n in ("start", "stop") if n in described}
     estimates = {}
     for name, (values, unit) in described.items():
         low, high = np.quantile(values, [0.05, 0.95])

@@ -7,6 +7,7 @@ what a gap in the dynamics is measured by. What it stands for depends on what is
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -169,7 +170,8 @@ def diagnosis_problem(
         )
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=regime.decay, underway=regime.commanded)
-    problem = arm_problem(recording.at(rows), body, passive=passive, torque=torque, substeps=1)
+    options: dict[str, Any] = {"passive": passive, "torque": torque, "substeps": 1, "origin": whole.origin}
+    problem = arm_problem(recording.at(rows), body, **options)
     # The first row of a recording that was seen; it follows from none before it.
     starts = sorted({int(rows[:start].sum()) for start in begins} - {0, seen})
     usual = _usual(problem.model, problem.observations, starts)

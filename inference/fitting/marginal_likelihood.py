@@ -37,6 +37,12 @@ APART, MOST_APART = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
 
+NOT_FINITE = (
+    "the fit cannot start: expected a finite evidence with finite slopes, got none; look for places far from all "
+    "others, such as a lost point written as 0, and check units and the body's lengths"
+)
+
+
 @dataclass(frozen=True)
 class Free:
     """One parameter to be fitted: its entries separately, or ``tied`` to one common factor.
@@ -172,14 +178,19 @@ class _Objective(Generic[M]):
 
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         if self._known is None or self._known[0] != phi.tobytes():
+            reached = self.path
             try:
                 with diverging():
-                    self._known = (phi.tobytes(), self._expand(phi))
+                    found = self._expand(phi)
+                if not all(np.isfinite(each).all() for each in found):
+                    raise Diverged(NOT_FINITE)
             except Diverged:
-                if self.path is None:
+                if self._known is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.
+                self.path = reached
                 return 1e10, np.zeros_like(phi), np.eye(len(phi))
+            self._known = (phi.tobytes(), found)
         return self._known[1]
 
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -240,7 +251,7 @@ def fit(
         max_iterations: of the optimiser.
         progress: called with (iterations done, max_iterations).
 
-    Raises KeyError for a parameter that the model does not have.
+    Raises KeyError for a parameter that the model does not have, and Diverged where the start has no finite evidence.
     """
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()

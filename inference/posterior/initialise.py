@@ -53,17 +53,20 @@ class Problem(StateSpaceProblem):
     """An arm and its recording: what an inference method is given.
 
     Attributes:
-        model: bound to the recording's times and commands.
+        model: bound to the recording's commands and times, the latter from ``origin`` on.
         observations: (T, O) rows of the model's emission, NaN where missing.
         recording: where they come from.
         truth: torques to compare with, or None.
         notes: what was decided on the way that a reader of the result must know.
+        origin: the recording's time, s, at which the model's is 0. Single precision tells no two rows apart in
+            seconds since 1970.
     """
 
     model: ArmModel
     recording: Recording
     truth: Truth | None = None
     notes: tuple[str, ...] = ()
+    origin: float = 0.0
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -94,6 +97,7 @@ def arm_problem(
     passive: bool = False,
     truth: Truth | None = None,
     learn_cameras: Sequence[str] = (),
+    origin: float | None = None,
 ) -> Problem:
     """Bind a body to a recording.
 
@@ -110,6 +114,7 @@ def arm_problem(
         truth: to compare with.
         learn_cameras: what of a film's cameras is not known: "offset" and "pose" of all but the first, or, instead of
             poses, "turn", how each is turned about its place.
+        origin: see :class:`Problem`; by default the time of the first row.
 
     Raises InputError when the recording does not fit the body.
     """
@@ -119,6 +124,8 @@ def arm_problem(
         raise InputError("expected pose or turn to be learned of cameras, got both: a pose has the turn in it")
     if learn_cameras and not isinstance(recording, Filmed):
         raise InputError(f"{recording.name} is no film of several cameras, of which something could be learned")
+    origin = float(recording.time[0]) if origin is None else origin
+    time = recording.time - origin
     sites = _sites(recording, body)
     joints = body.num_joints
     angles = _in_order(recording, body, recording.angles, "angles")
@@ -162,16 +169,17 @@ def arm_problem(
         # Where somebody else speaks in its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
-        body, notes = _charted(body, recording.time, observations, observation, turning=not spoken)
-    values = {**_start_values(body, recording.time, observations, observation), **(parameters or {})}
+        body, notes = _charted(body, time, observations, observation, turning=not spoken)
+    values = {**_start_values(body, time, observations, observation), **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
     try:
-        model = ArmModel(body, recording.time, observation, substeps=substeps or 1, **options)
+        model = ArmModel(body, time, observation, substeps=substeps or 1, **options)
     except (UnknownParameter, WrongValue) as error:
         raise InputError(f"settings: {error.args[0]}") from None
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
-    return Problem(model, observations, recording, None if truth is None else truth.at(recording.time), notes)
+    known = None if truth is None else truth.at(recording.time)
+    return Problem(model, observations, recording, known, notes, origin)
 
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:

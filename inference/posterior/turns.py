@@ -22,7 +22,7 @@ gap or none, its turns cannot be told. Shapes: T rows, K links, C ways, path (T,
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -66,15 +66,23 @@ class Doubt:
             for link, n in self.turns.items()
         )
         return (
-            f"warning: from {self.begin:.4g} to {self.end:.4g} s, where keypoints are missing, {ways} more is a way "
+            f"warning: from {round(self.begin, 3):.13g} to {round(self.end, 3):.13g} s, where keypoints are missing, "
+            f"{ways} more is a way "
             f"of probability {self.probability:.0%}: torques there are those of the likelier way"
         )
 
 
 def fit_over_gaps(
-    model: ArmModel, observations: Tensor, free: Sequence[Free], progress: Report | None = None
+    model: ArmModel,
+    observations: Tensor,
+    free: Sequence[Free],
+    progress: Report | None = None,
+    origin: float = 0.0,
 ) -> tuple[Fit[ArmModel], list[str]]:
-    """The fit from the way with the likeliest turns over gaps, before it and after it, and what is in doubt."""
+    """The fit from the way with the likeliest turns over gaps, before it and after it, and what is in doubt.
+
+    ``origin`` is the recording's time, s, at which the model's is 0.
+    """
     if not gaps(model, observations):
         return fit(model, observations, free, progress=progress), []
     start, _ = likeliest_turns(model, observations)
@@ -83,7 +91,7 @@ def fit_over_gaps(
     if turned(model, path, fitted.path):
         fitted = fit(model, observations, free, start=path, progress=progress)
         _, doubts = likeliest_turns(fitted.model, observations, fitted.path)
-    return fitted, [str(doubt) for doubt in doubts]
+    return fitted, [str(replace(each, begin=each.begin + origin, end=each.end + origin)) for each in doubts]
 
 
 def likeliest_turns(model: ArmModel, observations: Tensor, path: Tensor | None = None) -> tuple[Tensor, list[Doubt]]:

@@ -3,6 +3,8 @@
     one     camera_matrix, distortion_coefficients[, image_width, image_height][, R or rvec, T or tvec]
     stereo  M1, D1, M2, D2, R, T: camera 2 against camera 1, x₂ = R x₁ + T; the scene's frame is camera 1's
 
+ROS's camera_info files have the first layout, and a `distortion_model` by name (sensor_msgs/distortion_models.hpp).
+
 Names of keys: OpenCV's samples calibration.cpp and stereo_calib.cpp, whose second file, with R and T, is joined by
 giving both. The unit is the one of the board's squares, which the files do not say.
 """
@@ -25,6 +27,8 @@ PAIR = {
     1: (("M1", "K1", "cameraMatrix1"), ("D1", "distCoeffs1")),
     2: (("M2", "K2", "cameraMatrix2"), ("D2", "distCoeffs2")),
 }
+MODELS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+"""Whether a lens is a fisheye's, by the names of ROS; Brown's law takes a rational polynomial without denominators."""
 ROTATION, TRANSLATION = ("R", "rvec", "rotation"), ("T", "tvec", "translation", "t")
 
 
@@ -93,8 +97,18 @@ def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
         rotation=rotation_matrix(path.stem, rotation),
         translation=_flat(translation),
         size=_size(tree),
-        fisheye=np.array_equal(tree.get("fisheye_model", 0), 1),
+        fisheye=_is_fisheye(tree, path),
     )
+
+
+def _is_fisheye(tree: dict[str, Any], path: Path) -> bool:
+    """As ROS's name of the model says, or OpenCV's flag. Raises InputError for another name."""
+    named = tree.get("distortion_model", "")
+    if isinstance(named, str) and not named:
+        return np.array_equal(tree.get("fisheye_model", 0), 1)
+    if not isinstance(named, str) or named not in MODELS:
+        raise InputError(f"{path}: expected distortion_model as one of {', '.join(MODELS)}, got {named!r}")
+    return MODELS[named]
 
 
 def _stereo(tree: dict[str, Any], files: Sequence[Path]) -> list[Camera]:

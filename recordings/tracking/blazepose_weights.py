@@ -2,8 +2,10 @@
 
 mediapipe 0.10.21 (Google, Apache-2.0) is the last whose wheel holds them. pip downloads that one wheel, with its
 SHA-256 pinned, and installs nothing; of it two files are read, turned into plain arrays and kept as safetensors.
+Their content is pinned, too, and hashed each time they are loaded: what was damaged or exchanged is fetched again.
 """
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -35,6 +37,11 @@ PLATFORM = (
     "cp311",
 )
 """The one wheel that is pinned; nothing of it is run, so it serves every machine."""
+CONTENT = {
+    "detector": "7f5dab84322b4e6737accac9675b9bc63b65d99f60cdda3578231d6c7cb80e9e",
+    "landmarks": "3d45bc83a3f56fd1417b70fe68c2cc1e3f80a21dc56bdc85bae8c06d7d773e74",
+}
+"""SHA-256 of what is kept, by :func:`content_digest`."""
 MODULES = {"detector": "pose_detection/pose_detection", "landmarks": "pose_landmark/pose_landmark_full"}
 
 
@@ -44,12 +51,12 @@ def weights_file(which: str) -> Path:
 
 
 def load_graphs(progress: Callable[[int, int, str], None] | None = None) -> dict[str, Graph]:
-    """The detector and the landmarks' network, downloaded at need.
+    """The detector and the landmarks' network, downloaded where they are not kept, or not whole.
 
     Raises InputError when the download fails, or a package is missing.
     """
     import_safetensors()
-    if not all(weights_file(which).exists() for which in MODULES):
+    if not all(_is_kept(which) for which in MODULES):
         import_tflite()
         with tempfile.TemporaryDirectory() as folder:
             if progress is not None:
@@ -58,6 +65,25 @@ def load_graphs(progress: Callable[[int, int, str], None] | None = None) -> dict
             if progress is not None:
                 progress(1, 1, "fetch BlazePose's weights, 36 MB, once")
     return {which: load_graph(weights_file(which)) for which in MODULES}
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 of what a file of tensors holds, however it is laid out. Raises as `read_safetensors`."""
+    tensors, text = read_safetensors(path)
+    hashed = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].contiguous()
+        hashed.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        hashed.update(tensor.numpy().tobytes())
+    return hashed.hexdigest()
+
+
+def _is_kept(which: str) -> bool:
+    path = weights_file(which)
+    try:
+        return path.exists() and content_digest(path) == CONTENT[which]
+    except InputError:
+        return False
 
 
 def save_graph(content: bytes, path: Path) -> None:

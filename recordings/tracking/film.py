@@ -3,9 +3,11 @@
 Times are those that the file gives each picture, from the first one on: a telephone drops frames when it gets dark, and
 a number of frames a second would shift all that follows. A telephone that was held upright writes its pictures lying
 and says by how much to turn them; here they come as one sees them. Pixels: u right, v down, (0, 0) is the centre of the
-first; they are the stored ones, whatever shape a player gives them.
+first; they are the stored ones, whatever shape a player gives them. A file's edit list says which of its pictures are
+shown; a damaged time scale leaves few of them, or one.
 """
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +54,8 @@ class Film:
         aspect: width of a stored pixel over its height, as a player shows it; 1 where the file does not say.
 
     Raises:
-        InputError: a file that is no film, or that this ffmpeg cannot decode; or PyAV is missing.
+        InputError: a file that is no film, that this ffmpeg cannot decode, or whose times show less than half of its
+            pictures; or PyAV is missing.
         OSError: a path that is not there, or no ordinary file.
     """
 
@@ -67,6 +70,20 @@ class Film:
             seconds, rate = float(container.duration or 0) / 1e6, float(stream.average_rate or 0)
             self.expected = int(stream.frames or round(seconds * rate))
             self.aspect = float(stream.sample_aspect_ratio or 1)
+            if stream.frames:  # 0 where a file does not say
+                self._check_shown(stream.frames, sum(1 for each in container.demux(stream) if _is_shown(each)))
+
+    def _check_shown(self, stored: int, shown: int) -> None:
+        """Raise InputError, or warn, where pictures that the file holds lie outside the times that it shows."""
+        if shown >= stored:
+            return
+        left_out = f"{self.path}: the file holds {stored} pictures, but its times show {shown}"
+        if shown < stored / 2:
+            raise InputError(
+                f"{left_out}: its time scale or edit list is damaged, or most of it was cut; convert it first, ffmpeg "
+                "-ignore_editlist 1 -i FILM COPY"
+            )
+        warnings.warn(f"{left_out}: an edit list leaves the others out", stacklevel=3)
 
     def pictures(self, size: tuple[int, int] | None = None, start: int = 0) -> Iterator[Picture]:
         """All pictures from number `start` on; `size` (height, width) has them scaled by averaging over areas.
@@ -126,6 +143,10 @@ def import_av(path: str | Path | None = None) -> ModuleType:
         where = "" if path is None else f"{path}: "
         raise InputError(f"{where}reading a film needs more packages: pip install 'invdyn[tracking]'") from None
     return av
+
+
+def _is_shown(packet: Any) -> bool:
+    return packet.size > 0 and not packet.is_discard
 
 
 def _upright(frame: Any, size: tuple[int, int] | None) -> np.ndarray:

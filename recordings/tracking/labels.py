@@ -69,6 +69,18 @@ class Labels:
             raise InputError(f"keypoint {missing[0]!r} is not labelled: the labels have {', '.join(self.names)}")
         return Labels(self.frames, self.points[:, [self.names.index(name) for name in names]], tuple(names))
 
+    def check_within(self, width: int, height: int) -> None:
+        """Raise InputError for a point outside pictures of this size, px; one on their edge may be half a pixel out."""
+        within = (self.points >= -1.0) & (self.points <= [width, height])
+        outside = self.seen & ~within.all(-1)
+        if outside.any():
+            n, p = np.argwhere(outside)[0]
+            u, v = self.points[n, p]
+            raise InputError(
+                f"{self.names[p]} of picture {self.frames[n]} lies outside its pictures of {width} × {height} px, at "
+                f"({u:g}, {v:g}): are the labels another film's, or of a scaled copy?"
+            )
+
     def joined(self, newer: "Labels") -> "Labels":
         """These and newer ones of the same keypoints, which win where a picture is in both."""
         kept = ~np.isin(self.frames, newer.frames)

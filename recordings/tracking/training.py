@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..errors import InputError, about
 from .augment import augment
 from .confidence import fit_platt, platt
 from .film import Film, read_pictures
@@ -76,12 +76,8 @@ def examples(films: Sequence[Film], labels: Sequence[Labels], size: int = 288) -
         told = told.only(names)
         told = told.chosen(np.flatnonzero(told.seen.any(-1)))
         factor = np.array([film.width / shape[1], film.height / shape[0]])
-        beyond = np.nanmax(told.points, axis=(0, 1)) > [film.width, film.height] if len(told) else np.zeros(2, bool)
-        if beyond.any():
-            raise InputError(
-                f"{film.path}: a label lies outside its pictures of {film.width} × {film.height} px: are the labels "
-                "another film's, or of a scaled copy?"
-            )
+        with about(film.path):
+            told.check_within(film.width, film.height)
         pictures += read_pictures(film, told.frames.tolist(), shape)
         points.append((told.points + 0.5) / factor - 0.5)
         factors.append(np.broadcast_to(factor, (len(told), 2)))

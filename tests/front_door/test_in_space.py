@@ -9,7 +9,7 @@ import xarray as xr
 
 from invdyn.film import arm_points, film_frames, skeleton, still_parts
 from invdyn.inference.plausible_for_body import rigid_distances
-from invdyn.inputs import load_body, load_recording
+from invdyn.inputs import load_body, load_recording, read_as_it_stands
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.plots import plot_comparison, plot_posterior
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
@@ -75,10 +75,44 @@ def test_a_trackers_markers_are_read_in_their_own_axes_and_unit(robot):
     header += ["Frame#\tTime\ttool\t\t\thead\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2"]
     with open("rec.trc", "w") as file:
         file.write("\n".join([*header, *rows]) + "\n")
-    with pytest.warns(UserWarning, match="no base is tracked .* pass --base with the keypoint at the first joint"):
+    no_base = pytest.warns(UserWarning, match="no base is tracked .* pass --base with the keypoint at the first joint")
+    with no_base, pytest.warns(UserWarning, match="y is up in this file"):
         read = load_recording("rec.trc", robot, None, False)
     assert read.keypoint_names == ("tool",)
     np.testing.assert_allclose(read.keypoints, recording.keypoints, atol=1e-8)
+
+
+CART = """
+name = "cart"
+dimensions = 3
+[[links]]
+name = "carriage"
+joint = "rail"
+type = "slide"
+axis = [1.0, 0.0, 0.0]
+mass = 0.9
+inertia = [1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0]
+[[links]]
+name = "pendulum"
+joint = "swing"
+type = "hinge"
+axis = [0.0, 1.0, 0.0]
+mass = 0.7
+com = [0.0, 0.0, -0.2]
+inertia = [4e-3, 4e-3, 1e-4, 0.0, 0.0, 0.0]
+sites = {bob = [0.0, 0.0, -0.3]}
+"""
+
+
+def test_a_slide_stays_in_metres_where_angles_are_in_degrees(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.toml").write_text(CART)
+    rows = [(0.02 * n, 0.01 * n, 3.0 * n) for n in range(12)]
+    table = "\n".join("\t".join(f"{value:.4f}" for value in row) for row in rows)
+    (tmp_path / "cart.mot").write_text(f"Coordinates\ninDegrees=yes\nendheader\ntime\trail\tswing\n{table}\n")
+    cart = load_body("cart.toml")
+    for read in (load_recording("cart.mot", cart, None, False), read_as_it_stands("cart.mot", cart).recording):
+        np.testing.assert_allclose(read.angles, np.array(rows)[:, 1:] * [1.0, np.pi / 180])
 
 
 def test_a_tracked_base_moves_what_hangs_on_it(robot):

@@ -13,11 +13,14 @@ GOOD = {
         "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tUnits\n10\tmm\nFrame#\tTime\ta\t\t\n\t\tX1\tY1\tZ1\n\n"
         "1\t0\t1\t2\t3\n2\t.1\t1\t2\t3\n"
     ),
+    "nexus.csv": "Trajectories\n100\n,,A:a,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,1,2,3\n2,0,1,2,3\n\nEvents\n",
+    "walk.mot": "Coordinates\nnRows=2\ninDegrees=yes\nendheader\ntime,a\n0,1\n1,2\n",
     "out.sto": "name\nversion=1\nnRows=2\nnColumns=2\ninDegrees=no\nendheader\ntime\ta\n0\t1\n1\t2\n",
     "truth.csv": "time,a_torque,a_angle,a_velocity\n0,1,2,3\n1,1,2,3\n",
 }
 READERS = {
     "dlc.csv": lambda path: load(path, units="px", fps=30),
+    "arm.trc": lambda path: load(path, plane="xy"),
     "out.sto": read_sto,
     "truth.csv": read_truth,
 }

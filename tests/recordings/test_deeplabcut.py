@@ -62,6 +62,31 @@ def test_one_of_several_animals_is_chosen(tmp_path, suffix):
         load(path, units="px", fps=30, individual="eve")
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_unique_points_belong_to_every_animal(tmp_path, suffix):
+    both = table(("ada", "single"))
+    columns = [c for c in both.columns if (c[1] == "ada") == (c[2] != "shoulder")]
+    path, frame = tmp_path / f"rec{suffix}", both[columns]
+    frame.to_csv(path) if suffix == ".csv" else save_h5(frame, path)
+    for individual in (None, "ada"):
+        recording = load(path, units="px", fps=30, individual=individual)
+        assert recording.keypoint_names == ("elbow", "wrist", "shoulder")
+        np.testing.assert_allclose(recording.keypoint("shoulder")[:, 0], frame["net", "single", "shoulder", "x"])
+        relative = load(path, units="px", fps=30, individual=individual, keypoints=("wrist",), base="shoulder")
+        expected = recording.keypoint("wrist") - recording.keypoint("shoulder")
+        np.testing.assert_allclose(relative.keypoint("wrist"), expected)
+    assert load(path, units="px", fps=30, individual="single").keypoint_names == ("shoulder",)
+
+
+def test_an_animals_own_point_wins_over_a_unique_one_of_its_name(tmp_path):
+    frame = table(("ada", "bob", "single"))
+    frame.to_csv(tmp_path / "rec.csv")
+    recording = load(tmp_path / "rec.csv", units="px", fps=30, individual="bob")
+    np.testing.assert_allclose(recording.keypoint("wrist")[:, 0], frame["net", "bob", "wrist", "x"])
+    with pytest.raises(InputError, match=r"several animals: choose one of ada, bob \(--individual\)"):
+        load(tmp_path / "rec.csv", units="px", fps=30)
+
+
 def test_some_keypoints_are_kept_in_the_bodys_order(tmp_path):
     table().to_csv(tmp_path / "rec.csv")
     recording = load(tmp_path / "rec.csv", units="px", fps=30, keypoints=("wrist", "elbow"))

@@ -37,6 +37,22 @@ def test_formats_that_are_not(tmp_path):
         load(tmp_path / "rec.xlsx", format="deeplabcat")
 
 
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ((6, 1, 3, 3), "SLEAP-Anipose does not say which keypoint is which: write its tracks as a table"),
+        ((1, 2, 3, 6), "SLEAP analysis file without node_names.*: export it again"),
+    ],
+)
+def test_tracks_without_names_are_refused_by_what_they_are(tmp_path, shape, words):
+    import h5py
+
+    with h5py.File(tmp_path / "points3d.h5", "w") as file:
+        file.create_dataset("tracks", shape, "f8")
+    with pytest.raises(InputError, match=words):
+        load(tmp_path / "points3d.h5", units="mm", fps=30)
+
+
 def test_every_format_has_a_title_and_only_the_contract_is_read_by_the_loader():
     assert [kind for kind, form in FORMATS.items() if form.read is None] == ["csv"]
     assert len({form.title for form in FORMATS.values()}) == len(FORMATS)

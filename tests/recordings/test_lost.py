@@ -46,7 +46,6 @@ def test_the_corner_of_an_image_is_missing_and_told():
     with pytest.warns(UserWarning, match=r"knee is at the image's corner \(0, 0\) in 7 of 40 rows"):
         cleaned = without_lost(recording, pixels=True)
     np.testing.assert_array_equal(np.isnan(cleaned.keypoints[:, 0, 0]), points[:, 0, 0] == 0)
-    np.testing.assert_array_equal(without_lost(recording, pixels=False).keypoints, points)  # a place like others
     points[:, 0] = 0.0  # the origin of the tracks, not a lost point
     relative = Recording(TIME, points, recording.keypoint_names)
     np.testing.assert_array_equal(without_lost(relative, pixels=True).keypoints, points)
@@ -73,3 +72,40 @@ def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
         str(each.message).startswith("heel stands still to the last digit in 5 rows, such as 21 to 25")
         for each in caught
     ] == [True] * told
+
+
+def metric(zeros=(10, 17), offset=(0.4, 1.2, 0.1)):
+    """A marker that moves by 2 cm a row along x from ``offset``, m, and is written as 0 0 0 in some rows."""
+    track = np.tile(offset, (40, 1, 1)) + 0.02 * np.arange(40)[:, None, None] * [1.0, 0.0, 0.0]
+    track[slice(*zeros)] = 0.0
+    return Recording(TIME, track, ("wrist",))
+
+
+def test_a_marker_at_0_0_0_is_missing_where_no_step_leads_there():
+    recording = metric()
+    with pytest.warns(UserWarning, match=r"wrist is at the origin \(0, 0, 0\) in 7 of 40 rows: taken to be missing"):
+        cleaned = without_lost(recording, pixels=False)
+    lost = np.isnan(cleaned.keypoints[:, 0]).all(axis=-1)
+    np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(10, 17))
+    np.testing.assert_array_equal(cleaned.keypoints[~lost], recording.keypoints[~lost])
+
+
+@pytest.mark.parametrize(
+    ("zeros", "offset"),
+    [
+        ((10, 11), (-0.2, 0.0, 0.0)),  # it moves through the origin
+        ((0, 5), (-0.1, 0.0, 0.0)),  # it starts there, and moves on
+        ((0, 40), (0.4, 1.2, 0.1)),  # it is the origin
+    ],
+)
+def test_a_marker_that_moves_to_the_origin_is_there(zeros, offset):
+    recording = metric(zeros, offset)
+    np.testing.assert_array_equal(without_lost(recording, pixels=False).keypoints, recording.keypoints)
+
+
+def test_rows_of_commands_between_do_not_hide_the_steps():
+    recording = metric((0, 4), (-0.07, 0.0, 0.0))
+    points = np.full((80, 1, 3), np.nan)
+    points[::2] = recording.keypoints
+    between = Recording(np.arange(80) / 80, points, ("wrist",))
+    np.testing.assert_array_equal(without_lost(between, pixels=False).keypoints, points)

@@ -82,7 +82,8 @@ def test_broken_sto(tmp_path, text, words):
 
 def test_markers_come_in_metres_with_z_up(tmp_path):
     (tmp_path / "arm.trc").write_text(TRC)
-    recording = load(tmp_path / "arm.trc")
+    with pytest.warns(UserWarning, match=r"y is up in this file, .*: \(x, y, z\) is read as \(x, −z, y\)$"):
+        recording = load(tmp_path / "arm.trc")
     np.testing.assert_allclose(recording.keypoints[0], [[0.1, -0.3, 0.2], [0.4, -0.6, 0.5]])
     np.testing.assert_allclose(recording.time, [0.0, 0.1])
     assert np.isnan(recording.keypoints[1, 1]).all()
@@ -106,10 +107,62 @@ def test_broken_trc(tmp_path, old, new, words):
 
 
 def test_a_real_marker_file(data_folder):
-    recording = load(data_folder / "opensim_arm26" / "arm26_elbow_flex.trc")
+    with pytest.warns(UserWarning, match="y is up"):
+        recording = load(data_folder / "opensim_arm26" / "arm26_elbow_flex.trc")
     assert recording.keypoint_names == ("r_acromion", "r_humerus_epicondyle", "r_radius_styloid")
     assert recording.num_frames == 121
     upper_arm, forearm = median_link_lengths(recording)
     assert 0.25 < upper_arm < 0.4  # the limbs of a person, in metres
     assert 0.2 < forearm < 0.35
     assert recording.keypoint("r_acromion")[0, 2] > recording.keypoint("r_radius_styloid")[0, 2]  # arm hangs
+
+
+MOT = """Coordinates
+version=1
+nRows=2
+nColumns=3
+inDegrees=yes
+
+endheader
+time\trail\tswing
+0\t0.5\t90
+0.1\t1\t45
+"""
+
+
+@pytest.mark.parametrize(
+    "header", ["inDegrees=yes", "inDegrees = Yes", "indegrees=YES ", "inDegrees=no", "", "inDegrees=yes,,"]
+)
+def test_degrees_of_a_motion_are_those_of_joints_that_turn(tmp_path, header):
+    path, degrees = tmp_path / "walk.mot", "yes" in header.lower()
+    path.write_text(MOT.replace("inDegrees=yes", header))
+    angles = [[0.5, np.pi / 2], [1.0, np.pi / 4]] if degrees else [[0.5, 90.0], [1.0, 45.0]]
+    recording = load(path, shifting={"rail"}, units=None if degrees else "rad")
+    np.testing.assert_allclose(recording.angles, angles)
+    if not degrees:  # a header may be missing, or wrong
+        by_option = load(path, shifting={"rail"}, units="deg")
+        np.testing.assert_allclose(by_option.angles, [[0.5, np.pi / 2], [1.0, np.pi / 4]])
+
+
+def test_a_motion_in_what_is_no_unit_is_refused(tmp_path):
+    (tmp_path / "walk.mot").write_text(MOT.replace("=yes", "=grad"))
+    with pytest.raises(InputError, match="inDegrees=grad: expected yes or no"):
+        load(tmp_path / "walk.mot")
+
+
+def test_tables_separated_by_commas_are_read(tmp_path):
+    for name, text in (("walk.mot", MOT), ("arm.trc", TRC)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / f"commas_{name}").write_text(text.replace("\t", ",").replace("endheader", "endheader,,"))
+    for name, options in (("walk.mot", {}), ("arm.trc", {"plane": "xy"})):
+        expected, read = load(tmp_path / name, **options), load(tmp_path / f"commas_{name}", **options)
+        for field in ("time", "keypoints", "angles"):
+            if getattr(expected, field) is not None:
+                np.testing.assert_array_equal(getattr(read, field), getattr(expected, field))
+        assert (read.keypoint_names, read.joint_names) == (expected.keypoint_names, expected.joint_names)
+
+
+def test_decimal_commas_are_refused_in_one_line(tmp_path):
+    (tmp_path / "walk.mot").write_text(MOT.replace("0.5", "0,5"))
+    with pytest.raises(InputError, match="column 'rail': '0,5' is not a number"):
+        load(tmp_path / "walk.mot")

@@ -50,6 +50,12 @@ def test_degrees_become_radians_and_torques_stay(tmp_path):
     np.testing.assert_array_equal(recording.torques, 2.0)
 
 
+def test_joints_that_shift_stay_in_metres(tmp_path):
+    (tmp_path / "rec.csv").write_text("time,rail_angle,swing_angle\n0,0.5,90\n1,1,180\n")
+    recording = load(tmp_path / "rec.csv", units="deg", shifting={"rail"})
+    np.testing.assert_allclose(recording.angles, [[0.5, np.pi / 2], [1.0, np.pi]])
+
+
 def test_pixels_turn_up_and_stay_pixels_without_a_scale(tmp_path):
     path = saved(tmp_path, arm(500.0))
     recording = load(path, units="px")

@@ -15,6 +15,7 @@ from invdyn.inference.fitting.marginal_likelihood import _Objective
 from invdyn.inference.smoothing import posterior_linearisation
 from invdyn.inputs import load_body
 from invdyn.models import Keypoints, Observation
+from invdyn.models.divergence import Diverged
 from invdyn.simulate import paper_arm, record
 
 F64 = torch.float64
@@ -206,3 +207,35 @@ def test_with_heavy_tails_the_curvature_is_that_of_evidences_each_at_its_own_mod
     exact = [(low + high - 2 * here) / 0.01**2 for low, here, high in values]
     assert np.diagonal(objective.curvature(middle)) == pytest.approx(exact, rel=0.03)
     assert np.diagonal(objective.hessian(middle)) != pytest.approx(exact, rel=0.1)
+
+
+def failing(monkeypatch, fails):
+    """Have the expansion give a slope that is no number where ``fails`` holds of φ; returns where it was taken."""
+    expand, taken = _Objective._expand, []
+
+    def expanded(self, phi):
+        value, gradient, hessian = expand(self, phi)
+        taken.append(phi)
+        return value, gradient * (np.nan if fails(phi) else 1.0), hessian
+
+    monkeypatch.setattr(_Objective, "_expand", expanded)
+    return taken
+
+
+def test_a_slope_that_is_no_number_shrinks_the_trust_region(monkeypatch, chain, y):
+    model = chain.model(STEPS)
+    start = model.replace(emission_root=0.4 * model.parameters["emission_root"])
+    expected = fit(start, torch.as_tensor(y), FREE)
+    taken = failing(monkeypatch, lambda phi: np.abs(phi).max() > 0.3 and len(taken) < 3)
+    found = fit(start, torch.as_tensor(y), FREE)
+    assert np.abs(taken[1]).max() > 0.3  # the first step went there
+    assert found.phi == pytest.approx(expected.phi, abs=0.05)
+
+
+@pytest.mark.parametrize("with_path", [False, True])
+def test_a_start_without_finite_slopes_is_one_line(monkeypatch, chain, y, with_path):
+    failing(monkeypatch, lambda phi: True)
+    model = chain.model(STEPS)
+    path = torch.zeros(STEPS, model.state_dim, dtype=F64) if with_path else None
+    with pytest.raises(Diverged, match=r"^the fit cannot start: .* got none"):
+        fit(model, torch.as_tensor(y), FREE, start=path)

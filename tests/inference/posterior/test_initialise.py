@@ -1,12 +1,19 @@
 """Starting values: sub-steps that suffice, and doubtful keypoints."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from invdyn.inference.posterior.initialise import SUBSTEPS, confidence_drop, sufficient_substeps
+from invdyn.inference import infer
+from invdyn.inference.posterior.initialise import SUBSTEPS, arm_problem, confidence_drop, sufficient_substeps
 from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.articulated.start import joint_angle_sd
+from invdyn.simulate import random_arm, record
+
+UNIX = 1_700_000_000.0
+"""s; single precision has steps of 128 s there, double precision of 2.4e-7 s."""
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -53,3 +60,21 @@ def test_points_far_off_at_a_low_confidence_start_as_lost():
     assert start[0] == pytest.approx(np.log(100) / 0.8, rel=0.1)
     assert start[1] == 0
     assert (confidence_drop(off, 0 * drop) == 0).all()
+
+
+def test_a_models_times_count_from_the_first_row():
+    """A recording that is stamped in seconds since 1970 gives the same posterior, at its own times."""
+    body = Body("arm", [Link("rod", "pivot", "tip", length=0.3, mass=1.0)], gravity=(0.0, -9.81))
+    recording, truth = record(random_arm(body, duration=1.0, fps=40, commanded=True, seed=1), 1)
+    stamped, known = (replace(each, time=each.time + UNIX) for each in (recording, truth))
+    problem = arm_problem(stamped, body, truth=known)
+    assert problem.origin == UNIX
+    np.testing.assert_allclose(problem.model.time.numpy(), recording.time, atol=5e-7)
+    np.testing.assert_allclose(problem.truth.torque, truth.torque, atol=1e-4 * np.abs(truth.torque).max())
+
+    options = {"method": "smc", "num_filters": 2, "num_particles": 50, "seed": 0}
+    there, here = infer(stamped, body, **options), infer(recording, body, **options)
+    np.testing.assert_array_equal(there["posterior"]["time"], stamped.time)
+    for name in ("torque", "angle"):
+        a, b = (each["posterior"][name].mean(("chain", "draw")).values for each in (there, here))
+        np.testing.assert_allclose(a, b, atol=1e-3 * np.abs(b).max())

@@ -71,6 +71,7 @@ def test_a_way_that_is_nearly_as_likely_is_told():
     assert list(doubt.turns) == ["fore"]
     assert 0.05 < doubt.probability < 0.5
     assert "from 1.3 to 1.867 s" in str(doubt)
+    assert "from 1700000001.3 to 1700000001.867 s" in str(replace(doubt, begin=1.7e9 + 1.3, end=1.7e9 + 56 / 30))
 
 
 def test_what_is_in_doubt_is_in_the_summary_and_outlives_a_checkpoint(monkeypatch, tmp_path):

@@ -191,6 +191,47 @@ def test_several_files_of_opencv_need_poses(tmp_path):
     np.testing.assert_allclose(read.cameras[1].translation, [0.01, 0.02, 0.03])
 
 
+CAMERA_INFO = """image_width: 1280
+image_height: 960
+camera_name: left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [520.0, 0.0, 642.0, 0.0, 521.0, 479.0, 0.0, 0.0, 1.0]
+distortion_model: MODEL
+distortion_coefficients:
+  rows: 1
+  cols: 4
+  data: [-0.012, 0.031, -0.018, 0.004]
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "fisheye"),
+    [
+        ("equidistant", True),
+        ("fisheye", True),
+        ("plumb_bob", False),
+        ("rational_polynomial", False),
+        ('""', False),
+    ],
+)
+def test_ros_names_the_law_of_a_lens(tmp_path, model, fisheye):
+    (tmp_path / "left.yaml").write_text(CAMERA_INFO.replace("MODEL", model))
+    (camera,) = read_calibration(tmp_path / "left.yaml", "m")
+    assert camera.fisheye is fisheye
+    assert camera.distortion[:4].tolist() == [-0.012, 0.031, -0.018, 0.004]
+
+
+@pytest.mark.parametrize("model", ["thin_prism", "3", "[1, 2]"])
+def test_another_law_of_a_lens_is_refused_by_name(tmp_path, model):
+    (tmp_path / "left.yaml").write_text(CAMERA_INFO.replace("MODEL", model))
+    words = r"expected distortion_model as one of plumb_bob, .*equidistant, fisheye, got "
+    with pytest.raises(InputError, match=words) as error:
+        read_calibration(tmp_path / "left.yaml", "m")
+    assert model.strip("[]").split(",")[0] in str(error.value)
+
+
 HUGE = "9" * 400
 DEEP = "a = " + "[" * 5000 + "]" * 5000
 POSE2SIM = ANIPOSE.replace("rotation =", "fisheye = false\nrotation =")

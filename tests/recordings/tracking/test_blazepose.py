@@ -1,5 +1,6 @@
 """What stands around BlazePose's networks: squares, landmarks back in the film's pixels, and who is followed."""
 
+import json
 import os
 
 import numpy as np
@@ -10,7 +11,8 @@ from people import detector, landmarks, painted, person
 from invdyn.recordings import InputError
 from invdyn.recordings.tracking import blazepose_weights
 from invdyn.recordings.tracking.blazepose import PersonTracker, cut, person_tracker, refined
-from invdyn.recordings.tracking.blazepose_weights import MODULES, load_graphs, weights_file
+from invdyn.recordings.tracking.blazepose_weights import MODULES, content_digest, load_graphs, weights_file
+from invdyn.recordings.tracking.heatmap import import_safetensors
 
 ONE = person((150, 160))
 SMALL, LARGE = person((90, 150), tall=50), person((300, 190), tall=70)
@@ -102,12 +104,55 @@ def test_a_download_that_fails_is_one_line(tmp_path, monkeypatch):
     assert not list(tmp_path.rglob("*.safetensors"))
 
 
+def kept_graphs(monkeypatch, tmp_path):
+    """Two small graphs in an empty cache, pinned as they are; a function that counts downloads of the same two."""
+    monkeypatch.setattr(blazepose_weights.platformdirs, "user_cache_dir", lambda name: str(tmp_path))
+    downloads = []
+
+    def fetch(*_):
+        downloads.append(1)
+        for number, which in enumerate(MODULES):
+            described = json.dumps({"steps": [], "given": "in", "wanted": ["in"]})
+            weights_file(which).parent.mkdir(exist_ok=True)
+            tensors = {"kernel": torch.full((2, 3), 1.0 + number)}
+            weights_file(which).write_bytes(import_safetensors().save(tensors, {"invdyn": described}))
+
+    fetch()
+    pinned = {which: content_digest(weights_file(which)) for which in MODULES}
+    monkeypatch.setattr(blazepose_weights, "CONTENT", pinned)
+    monkeypatch.setattr(blazepose_weights, "_download", lambda folder: folder)
+    monkeypatch.setattr(blazepose_weights, "_convert", fetch)
+    return downloads
+
+
+@pytest.mark.parametrize("harm", ["a weight", "a step", "half a file", "no file"])
+def test_weights_that_are_not_those_that_were_kept_are_fetched_again(monkeypatch, tmp_path, harm):
+    downloads = kept_graphs(monkeypatch, tmp_path)
+    load_graphs()
+    assert len(downloads) == 1  # what is whole is not fetched
+    path = weights_file("landmarks")
+    whole = path.read_bytes()
+    at = whole.index(b"wanted") + 13
+    harmed = {
+        "a weight": whole[:-1] + bytes([whole[-1] ^ 1]),
+        "a step": whole[:at] + whole[at:].replace(b"in", b"on", 1),
+        "half a file": whole[: len(whole) // 2],
+    }
+    path.unlink() if harm == "no file" else path.write_bytes(harmed[harm])
+    graphs = load_graphs()
+    assert len(downloads) == 2
+    assert path.read_bytes() == whole
+    assert graphs["landmarks"].wanted == ["in"]
+    np.testing.assert_array_equal(graphs["landmarks"].constants["kernel"], 2.0)
+
+
 def test_the_true_networks():
     """Their shapes, and that nobody is seen in noise; only where they are in the cache, or INVDYN_BLAZEPOSE=1 asks."""
     there = all(weights_file(which).exists() for which in MODULES)
     if not there and os.environ.get("INVDYN_BLAZEPOSE") != "1":
         pytest.skip("needs BlazePose's weights: set INVDYN_BLAZEPOSE=1 to fetch them, 36 MB")
     graphs = load_graphs()
+    assert {which: content_digest(weights_file(which)) for which in MODULES} == blazepose_weights.CONTENT
     noise = torch.rand(1, 224, 224, 3)
     boxes, scores = graphs["detector"](noise)
     assert boxes.shape == (1, 2254, 12)

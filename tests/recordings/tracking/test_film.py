@@ -97,3 +97,30 @@ def test_a_playlist_is_no_film(tmp_path):
     for name in ("hls.m3u8", "concat.mp4"):
         with pytest.raises(InputError, match=rf"{name}: not a film that can be decoded"):
             Film(tmp_path / name)
+
+
+def with_time_scale(film, box, scale):
+    """A film's bytes with another number of ticks a second in a box of its header, mvhd or mdhd."""
+    whole = film.read_bytes()
+    at = whole.index(box) + 16
+    return whole[:at] + scale.to_bytes(4, "big") + whole[at + 4 :]
+
+
+@pytest.mark.parametrize(("box", "scale"), [(b"mvhd", 10**6), (b"mdhd", 1), (b"mdhd", 0)])
+def test_a_damaged_time_scale_is_refused(tmp_path, box, scale):
+    swinging(tmp_path / "good.mov", 20)
+    assert Film(tmp_path / "good.mov").expected == 20
+    (tmp_path / "bad.mov").write_bytes(with_time_scale(tmp_path / "good.mov", box, scale))
+    with pytest.raises(
+        InputError, match=r"bad\.mov: the file holds 20 pictures, but its times show [12]: its time scale"
+    ):
+        Film(tmp_path / "bad.mov")
+
+
+def test_pictures_that_an_edit_list_leaves_out_are_said(tmp_path):
+    swinging(tmp_path / "whole.mov", 20)
+    shorter = with_time_scale(tmp_path / "whole.mov", b"mvhd", 1300)  # edits are in ticks of the movie, 1000 a second
+    (tmp_path / "cut.mov").write_bytes(shorter)
+    with pytest.warns(UserWarning, match=r"holds 20 pictures, but its times show 1\d: an edit list leaves"):
+        film = Film(tmp_path / "cut.mov")
+    assert 10 <= len(list(film.pictures())) < 20

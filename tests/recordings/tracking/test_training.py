@@ -167,8 +167,10 @@ def test_labels_that_cannot_be_used(film, labels):
     few = labels.chosen(np.arange(3))
     with pytest.raises(InputError, match="3 labelled pictures are too few"):
         examples([source], [few], 40)
-    with pytest.raises(InputError, match="a label lies outside its pictures of 40 × 40 px"):
-        examples([source], [Labels(labels.frames, labels.points * 3, NAMES)], 40)
+    for moved in (labels.points * 3, labels.points - [15.0, 0.0], labels.points - [0.0, -40.0]):
+        words = r"of picture \d+ lies outside its pictures of 40 × 40 px, at \(.*\): are the labels another film's"
+        with pytest.raises(InputError, match=words):
+            examples([source], [Labels(labels.frames, moved, NAMES)], 40)
     with pytest.raises(InputError, match="no picture 81"):
         examples([source], [Labels(labels.frames + 3, labels.points, NAMES)], 40)
     hidden = labels.points.copy()
