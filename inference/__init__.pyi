@@ -12,7 +12,9 @@ from .filters.backward_simulation import genealogy as genealogy
 from .filters.bootstrap import Bootstrap as Bootstrap
 from .filters.controlled import Controlled as Controlled
 from .filters.filtering import SMCOptions as SMCOptions
+from .filters.filtering import adapted_smoother as adapted_smoother
 from .filters.filtering import run_filters as run_filters
+from .filters.filtering import run_task as run_task
 from .filters.nested import OuterWeights as OuterWeights
 from .filters.nested import outer_weights as outer_weights
 from .filters.particle_filter import ParticleFilter as ParticleFilter
@@ -28,6 +30,9 @@ from .infer import infer as infer
 from .infer_states import infer_states as infer_states
 from .kinematics import infer_kinematics as infer_kinematics
 from .kinematics import learned_lengths as learned_lengths
+from .mcmc.particle_gibbs import first_paths as first_paths
+from .mcmc.particle_gibbs import run_chains as run_chains
+from .mcmc.particle_gibbs import sweep as sweep
 from .methods.differentiate import differentiate as differentiate
 from .methods.laplace import laplace as laplace
 from .methods.nuts import nuts as nuts
@@ -54,4 +59,7 @@ from .task import free_parameters as free_parameters
 from .task import prepare as prepare
 from .variational.affine import Affine as Affine
 from .variational.affine import Corrected as Corrected
+from .variational.path_guides import Markov as Markov
+from .variational.path_guides import MeanField as MeanField
+from .variational.training import train as train
 from .variational.vsmc import VSMC_ELBO as VSMC_ELBO

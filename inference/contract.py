@@ -61,7 +61,7 @@ def check_model(model: StateSpaceModel, observations: Any, *, needs: Iterable[st
 def _verdicts(model: StateSpaceModel, rows: Tensor, gaps: bool, linearises: bool) -> Verdicts:
     """What the model lacks of each need; raises ModelError where it, or its rows, break the contract."""
     kinds = tuple((value.shape, *_type(value, linearises)) for value in model.parameters.values())
-    key = (kinds or linearises, model.state_dim, model.observation_dim, model.num_steps, gaps)
+    key = (kinds or linearises, model.dtype, model.state_dim, model.observation_dim, model.num_steps, gaps)
     known = _known(model)
     if key in known:
         return known[key]
@@ -70,7 +70,7 @@ def _verdicts(model: StateSpaceModel, rows: Tensor, gaps: bool, linearises: bool
     subject = model.to(dtype=torch.float64, device="cpu") if linearises else model
     device = next((value.device for value in subject.parameters.values()), rows.device)
     with torch.no_grad(), seeded(0, device):
-        probe = Probe(subject, linearises)
+        probe = Probe(subject, linearises, model.dtype)
         probe.check_rows(_as_model(model, rows).to(dtype=probe.dtype, device=subject.device))
         verdicts = {name: _lacks(need, probe) for name, need in NEEDS.items()}
     if probe.any_row_fits:  # otherwise other rows are checked again

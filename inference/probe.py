@@ -46,6 +46,9 @@ class _Drawn(NamedTuple):
 class Probe:
     """States simulated from a model, with the distributions there already checked.
 
+    ``given`` is the type in which the model was given: methods that linearise compute in float64, where initial states
+    of that type still do.
+
     Attributes:
         states: (S, M, N, D) of the first S rows; (S, B, N, D) with B parameter sets.
         transition, emission: distributions at rows (K,) of states (N, K, D), or (N, B, K, D); there is no transition
@@ -54,6 +57,7 @@ class Probe:
 
     model: StateSpaceModel
     linearises: bool
+    given: torch.dtype
     states: Tensor = field(init=False)
     transition: _Drawn | None = field(init=False, default=None)
     emission: _Drawn = field(init=False)
@@ -196,8 +200,8 @@ class Probe:
     def _check_type(self, state: Tensor) -> None:
         """Initial states of the parameters' type, on their device; integers are of no type."""
         model = self.model
-        if state.is_floating_point() and state.dtype != model.dtype:
-            expected = f"states of the parameters' type {model.dtype}"
+        if state.is_floating_point() and state.dtype not in (model.dtype, self.given):
+            expected = f"states of the parameters' type {self.given}"
             raise self.error("initial", expected, state.dtype, "make it with dtype=self.dtype")
         if state.device != model.device:
             expected = f"states on the parameters' device {model.device}"

@@ -231,7 +231,8 @@ class StateSpaceModel(ABC):
         """Log p(x_{0:T}, y_{0:T}), shape (...), of paths (..., T, D); missing entries drop out."""
         rows = torch.arange(path.shape[-2], device=path.device)
         total = self.initial().log_prob(path[..., :1, :]).squeeze(-1)
-        total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)
+        if len(rows) > 1:
+            total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)
         return total + observed_log_prob(self.emission(path, rows), observations).sum(-1)
 
 

@@ -30,12 +30,11 @@ from invdyn.inference import (
     gaussian_smoother,
     genealogy,
     posterior_linearisation,
+    run_chains,
     run_filters,
+    run_task,
 )
-from invdyn.inference.filters.filtering import run_task
-from invdyn.inference.mcmc.particle_gibbs import run_chains
-from invdyn.models import StateSpaceModel
-from invdyn.models.observation.missing import observed_log_prob
+from invdyn.models import StateSpaceModel, observed_log_prob
 
 F64 = torch.float64
 
@@ -379,6 +378,19 @@ class Plain(StateSpaceModel):
         return normal(state)
 
 
+class Single(Right):
+    """Constants in torch's default type, and parameters, too."""
+
+    def __init__(self):
+        super().__init__(dtype=torch.float32)
+
+    def initial(self):
+        return normal(torch.zeros(2))
+
+    def transition(self, state, t):
+        return normal(state, torch.tensor([0.3, 0.5]))
+
+
 class Hidden(StateSpaceModel):
     """A finite chain: integer states by which it indexes, and their outputs."""
 
@@ -430,6 +442,7 @@ RIGHT = {
     "one column": lambda: Right(width=1),
     "float32": lambda: Right(dtype=torch.float32),
     "no parameters": Plain,
+    "constants in float32": Single,
     "integer states": Hidden,
     "inputs": Inputs,
     "state-dependent noise": StateNoise,
@@ -469,6 +482,16 @@ def test_right_models_pass_and_the_callers_random_numbers_are_left(kind, gap):
     result = by_filter(model, rows)
     assert result.log_evidence.isfinite().all()
     assert result.log_weights.logsumexp(-1).exp().numpy() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["Gaussian", "one row", "float32", "no parameters", "constants in float32", "inputs"])
+def test_right_models_pass_where_methods_linearise(kind):
+    model = RIGHT[kind]()
+    rows = model.simulate(seed=3)[1]
+    smoother = gaussian_smoother(model, rows)
+    result = ParticleFilter(model, Controlled(model, rows, smoother), 20, num_filters=2).run(rows)
+    assert result.log_evidence.numpy() == pytest.approx(smoother.log_evidence.item(), abs=0.01)
+    assert backward_simulation(model, result, rows, 3, smoother=smoother).isfinite().all()
 
 
 def test_rows_in_any_form_give_the_same_answer():

@@ -16,10 +16,7 @@ from pyro.infer import SVI
 from pyro.optim import ClippedAdam
 from scipy.stats import norm
 
-from invdyn.inference import VSMC_ELBO, Corrected, SMCOptions, gaussian_smoother
-from invdyn.inference.filters.filtering import run_task
-from invdyn.inference.mcmc.particle_gibbs import run_chains
-from invdyn.inference.variational.training import train
+from invdyn.inference import VSMC_ELBO, Corrected, SMCOptions, gaussian_smoother, run_chains, run_task, train
 from invdyn.models import StateSpaceModel
 
 T = 12
