@@ -127,6 +127,8 @@ def infer(
     ] = None,
 ) -> None:
     """Infer the torques that moved a recorded body; a film is tracked first, with --network or --arm."""
+    given.check_exist()
+
     from invdyn.inference import infer as run
     from invdyn.inference import infer_kinematics
 
@@ -172,6 +174,8 @@ def compare(
 
     On a model of your own: `invdyn compare model.py:Model rows.csv`, with the options of `compare-model`.
     """
+    given.check_exist()
+
     from invdyn.inference import compare as run
 
     from .outputs import ComparisonOutputs
@@ -216,6 +220,8 @@ def diagnose(
 
     A film is tracked first, with --network or --arm.
     """
+    given.check_exist()
+
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, verdict

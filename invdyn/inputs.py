@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +38,7 @@ from invdyn.recordings.plane import FLAT
 from invdyn.recordings.reading import Reading
 
 from .inputs_in_space import load_in_space
+from .named_files import body_file
 
 
 def load_body(name: str, *, filmed: bool = True) -> Body | Tree:
@@ -46,15 +46,8 @@ def load_body(name: str, *, filmed: bool = True) -> Body | Tree:
 
     ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
     """
-    if resolved(name).exists():
-        return read_body(check_readable(name), filmed=filmed)
-    ours = {
-        Path(file.name).stem: file for file in files("invdyn.models.bodies").iterdir() if file.name.endswith(".toml")
-    }
-    if name not in ours:
-        raise FileNotFoundError(2, f"no such body file, nor one of ours ({', '.join(sorted(ours))})", name)
-    with as_file(ours[name]) as path:
-        return read_body(path)
+    with body_file(name) as path:
+        return read_body(path, filmed=filmed)
 
 
 def load_planar(name: str, what: str) -> Body:

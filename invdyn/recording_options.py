@@ -58,6 +58,20 @@ class Recorded:
                 "--scale says how long a pixel is, --body-lengths that this is not known: leave one of them out"
             )
 
+    def check_exist(self) -> None:
+        """Raise FileNotFoundError for a body or a recording that is nowhere, before anything large is imported.
+
+        Films, and what goes with several cameras, have checks of their own.
+        """
+        from invdyn.recordings.tracking.film import is_film
+
+        from .named_files import body_file, check_recording
+
+        if self.calibration or len(self.recordings) != 1 or is_film(self.recordings[0]):
+            return
+        with body_file(self.body):
+            check_recording(self.recordings[0])
+
     @property
     def recording(self) -> str:
         """The one that is given. Raises InputError for several, which only cameras are."""

@@ -1,6 +1,7 @@
 """One call from a file, or the name of a known recording, to a checked Recording in SI units."""
 
 import difflib
+import errno
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -72,8 +73,7 @@ def load(
             raise InputError(f"{path_or_name} has known units and times: leave {', '.join(surplus)} out")
         recording = catalogue.load_named(str(path_or_name))
     else:
-        if not path.exists():
-            raise FileNotFoundError(*_no_such_file(path))
+        check_exists(path)
         recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane, shifting)
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
@@ -207,9 +207,11 @@ def _index(kind: str, names: Sequence[str], known: Sequence[str]) -> list[int]:
     return [list(known).index(name) for name in names]
 
 
-def _no_such_file(path: Path) -> tuple[int, str, str]:
-    import errno
-
-    near = difflib.get_close_matches(str(path), catalogue.names(), 1, cutoff=0.7)
+def check_exists(path_or_name: str | Path) -> None:
+    """Raise FileNotFoundError for what is no file, and no name of `catalogue.names()`."""
+    path, known = Path(path_or_name), catalogue.names()
+    if path.exists() or str(path_or_name) in known:
+        return
+    near = difflib.get_close_matches(str(path), known, 1, cutoff=0.7)
     hint = f", nor a recording of that name; did you mean {near[0]!r}?" if near else ""
-    return errno.ENOENT, f"no such file{hint}", str(path)
+    raise FileNotFoundError(errno.ENOENT, f"no such file{hint}", str(path))

@@ -241,3 +241,33 @@ def test_a_warning_takes_one_line(folder, make_posterior, monkeypatch, run):
         outcome = run(*INFER)
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stderr == "warning: the film is dark\n"
+
+
+WITHOUT = """
+import sys
+from invdyn.cli import app
+try:
+    app(sys.argv[1:])
+finally:
+    print(*sorted({"torch", "pyro", "arviz", "matplotlib", "scipy"} & set(sys.modules)))
+"""
+
+
+@pytest.mark.parametrize("command", ["infer", "diagnose", "compare"])
+@pytest.mark.parametrize(
+    ("recording", "body", "message"),
+    [
+        ("nosuch.csv", "paper_planar_arm", "error: nosuch.csv: no such file"),
+        ("nosuch.csv", "nosuch.toml", "no such body file"),
+    ],
+)
+def test_a_wrong_name_is_answered_before_anything_large_loads(command, recording, body, message, tmp_path):
+    """Torch and ArviZ take seconds."""
+    more = ["--methods", "smc"] if command == "compare" else []
+    arguments = [command, recording, "--body", body, "--out", "p.nc" if command == "infer" else "d", *more]
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert run.returncode != 0
+    assert message in run.stderr
+    assert run.stdout.split() == []
