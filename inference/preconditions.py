@@ -28,13 +28,14 @@ def _continuous_state(probe: Probe) -> None:
 def _gaussian_transition(probe: Probe) -> None:
     _continuous_state(probe)
     model = probe.model
-    after = probe.transition and probe.transition.distribution
-    for method, found in (("initial", model.initial()), ("transition", after)):
+    found = {"initial": model.initial()}
+    if probe.transition is not None:
+        found["transition"] = probe.transition.distribution
+    for method, distribution in found.items():
         try:
-            if found is not None:
-                gaussian_moments(found)
+            gaussian_moments(distribution)
         except TypeError:
-            expected, got = "Normal(…).to_event(1) or MultivariateNormal", type(_base(found)).__name__
+            expected, got = "Normal(…).to_event(1) or MultivariateNormal", type(_base(distribution)).__name__
             raise probe.error(method, expected, got, "use the bootstrap guide") from None
 
 

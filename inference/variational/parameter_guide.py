@@ -30,9 +30,11 @@ class Uncertain(StateSpaceModel):
     """
 
     def __init__(self, parameters: LogParameters, centre: Tensor, root: Tensor):
-        super().__init__(parameters.model.parameters)
+        model = parameters.model
+        super().__init__(model.parameters)
+        self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
+        self.num_steps, self.jumping = model.num_steps, model.jumping
         self.log_parameters, self.centre, self.root = parameters, centre, root
-        self.jumping = parameters.model.jumping
         inverse = torch.linalg.inv(root)
         spread = inverse * torch.as_tensor(parameters.sd)
         self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)
