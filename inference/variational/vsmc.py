@@ -53,6 +53,10 @@ from invdyn.models.state_space import StateSpaceModel
 GRADIENTS = ("dropped", "score", "stop-gradient", "soft", "transport")
 
 
+SVIModel = StateSpaceModel | Callable[..., Any]
+"""A model, or its method ``sequence``."""
+
+
 class _Carried(NamedTuple):
     """What one row hands to the next; evidence and scores are (M,), weights (M, N) as the next row multiplies them."""
 
@@ -137,15 +141,15 @@ class VSMC_ELBO(ELBO):
 
     # -- Pyro's way in -------------------------------------------------------------------------
     @torch.no_grad()
-    def loss(self, model: Any, guide: Proposal, observations: Tensor) -> float:
+    def loss(self, model: SVIModel, guide: Proposal, observations: Tensor) -> float:
         """Minus the bound's estimate, in nats, without gradients."""
         return self.differentiable_loss(model, guide, observations).item()
 
-    def differentiable_loss(self, model: Any, guide: Proposal, observations: Tensor) -> Tensor:
+    def differentiable_loss(self, model: SVIModel, guide: Proposal, observations: Tensor) -> Tensor:
         """Minus the bound's estimate, a scalar whose gradient is the chosen one."""
         return -self.log_evidence(model, guide, observations).mean()
 
-    def loss_and_grads(self, model: Any, guide: Proposal, observations: Tensor) -> float:
+    def loss_and_grads(self, model: SVIModel, guide: Proposal, observations: Tensor) -> float:
         """Minus the bound's estimate; adds its gradient to every parameter's ``grad``."""
         loss = self.differentiable_loss(model, guide, observations)
         if loss.requires_grad:
@@ -157,7 +161,7 @@ class VSMC_ELBO(ELBO):
         raise NotImplementedError("VSMC_ELBO compares no traces; call loss, loss_and_grads or differentiable_loss")
 
     # -- the bound -----------------------------------------------------------------------------
-    def log_evidence(self, model: Any, guide: Proposal, observations: Tensor) -> Tensor:
+    def log_evidence(self, model: SVIModel, guide: Proposal, observations: Tensor) -> Tensor:
         """Log p̂(y), (M,) float64, of the filters; the mean is the bound's estimate."""
         model = state_space_model(model)
         observations = check_model(model, observations)
