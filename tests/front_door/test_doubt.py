@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from invdyn.inference import Comparison
+from invdyn.inference.comparison import COLUMNS
 from invdyn.plots import heading
 from invdyn.summary import comparison_text, summary_text
 
@@ -28,8 +29,8 @@ def test_the_line_and_the_title_say_so(doubted):
 
 
 def test_the_table_says_so(doubted):
-    row = {"log_evidence": -90899.94, "log_evidence_sd": np.nan, "evidence_kind": "estimate", "usable": False}
-    row |= {"log_score": np.nan, "outer_ess": 1.0, "seconds": 1.0, "memory": 1.0}
+    row = dict.fromkeys(COLUMNS, np.nan) | {"log_evidence": -90899.94, "evidence_kind": "estimate", "usable": False}
+    row |= {"outer_ess": 1.0, "seconds": 1.0, "memory": 1.0}
     table = pd.DataFrame({"smc": {**row, "usable": True, "log_evidence": 12.3}, "bootstrap": row}).T
     notes = {"bootstrap": f"evidence not usable: {DOUBT}"}
     text = comparison_text(Comparison(table, {"bootstrap": doubted}, {}, notes, 0, False, "swing", 0))
